@@ -1,0 +1,1 @@
+"""Bayesian controllers as co-simulation blocks."""

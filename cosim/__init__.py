@@ -1,0 +1,1 @@
+"""Co-simulation: plants, sensors, faults, sources, diagrams and the engines that run them."""

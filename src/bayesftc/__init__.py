@@ -1,0 +1,25 @@
+"""Fault-tolerant control by Bayesian inference, as blocks for co-simulation.
+
+Two sub-packages hold everything a script needs: :mod:`bayesftc.cosim` (plants, sensors, faults, sources, diagrams and the
+engine that runs them) and :mod:`bayesftc.controllers` (the Bayesian controllers). :mod:`bayesftc.fmus` finds the FMUs that
+are shipped. Nothing heavy is imported before it is used.
+"""
+
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+__version__ = "0.1.0"
+__all__ = ["__version__", "controllers", "cosim", "fmus"]
+
+_root = Path(__file__).resolve().parents[2]
+if (_root / "hatch_build.py").is_file() and not (Path(__file__).parent / "cosim").is_dir():
+    # A checkout whose links were lost (a zip unpacked on Windows): the folders stand at its root.
+    __path__.append(str(_root))
+del _root
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in {"cosim", "controllers", "fmus", "examples"}:
+        return import_module(f"bayesftc.{name}")
+    raise AttributeError(f"module 'bayesftc' has no attribute {name!r}")
