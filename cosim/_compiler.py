@@ -1,0 +1,168 @@
+"""Compiles step functions to C functions with one signature, once per machine.
+
+Every compiled block is ``int32 f(state, parameters, inputs, outputs, t, k)``: four addresses of float64 arrays, the time in
+seconds and the block's integer step count. numba's own disk cache neither notices edits in other files nor hits for closures,
+so each block gets a small wrapper module in the user's cache directory whose *name* is a hash of everything its code depends
+on (:mod:`bayesftc.cosim._fingerprint`); numba then caches that module's compiled form beside it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.ccallback import CFunc
+from numba.extending import intrinsic, overload
+
+from bayesftc.cosim import _numba_ops
+from bayesftc.cosim._cache import cache_directory
+from bayesftc.cosim._fingerprint import environment, fingerprint, functions_called
+
+SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
+"""(state, parameters, inputs, outputs, t, k) -> status; the four addresses travel as integers."""
+
+STATISTICS = {"compiled": 0, "loaded": 0}
+"""How many functions this process has compiled, and how many came ready from the disk."""
+
+_lock = threading.RLock()
+_modules: dict[str, ModuleType] = {}
+_registered: set[FunctionType] = set()
+
+
+@intrinsic
+def as_floats(typingctx, address):
+    """The float64 array that begins at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+
+    return types.CPointer(types.float64)(types.int64), codegen
+
+
+def compile_kernel(kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> CFunc:
+    """Compile `kernel` for the given sizes, or load it from the disk.
+
+    Parameters
+    ----------
+    kernel : function
+        A step function that keeps the block contract.
+    sections : dict
+        For each of its arguments except ``t`` and ``k``: the section it lies in (state, parameters, inputs, outputs), its
+        offset there in elements, and its shape.
+
+    Returns
+    -------
+    numba CFunc
+        Its ``address`` is what the engine calls; keep it alive as long as the address is used.
+    """
+    body = _entry_text(kernel, sections)
+    name = f"block_{kernel.__name__.strip('<>')}_{fingerprint(kernel, body)}"
+    module = _load(name, body, {"kernel": kernel}, functions_called(kernel))
+    compiled: CFunc = module.entry
+    return compiled
+
+
+def compile_function(function: FunctionType, signature: str, *modules: ModuleType) -> Any:
+    """Compile a service function of the engine for one numba signature, or load it from the disk.
+
+    Parameters
+    ----------
+    function : function
+        What to compile; numba sees it as it stands.
+    signature : str
+        The only signature it is called with, in numba's notation.
+    *modules : module
+        Further modules that its code depends on: an edit there compiles it anew, as an edit in its own file does.
+    """
+    arguments = ", ".join(_arguments(function))
+    text = (
+        f"from numba import njit\n\n@njit({signature!r}, error_model=\"numpy\", nogil=True, cache=True)\n"
+        f"def entry({arguments}):\n    return kernel({arguments})\n"
+    )
+    digest = hashlib.sha256(environment().encode() + text.encode())
+    for file in (function.__code__.co_filename, *(str(module.__file__) for module in modules)):
+        digest.update(Path(file).read_bytes())
+    return _load(f"engine_{function.__name__}_{digest.hexdigest()[:24]}", text, {"kernel": function}, [function]).entry
+
+
+def _arguments(function: FunctionType) -> tuple[str, ...]:
+    return function.__code__.co_varnames[: function.__code__.co_argcount]
+
+
+def _entry_text(kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> str:
+    arguments = []
+    for name in _arguments(kernel):
+        if name in {"t", "k"}:
+            arguments.append(name)
+        else:
+            section, offset, shape = sections[name]
+            arguments.append(f"carray(as_floats({section} + {8 * offset}), {shape!r})")
+    return (
+        "from numba import carray, cfunc\n"
+        "from bayesftc.cosim._compiler import SIGNATURE, as_floats\n\n"
+        '@cfunc(SIGNATURE, error_model="numpy", cache=True)\n'
+        "def entry(state, parameters, inputs, outputs, t, k):\n"
+        f"    kernel({', '.join(arguments)})\n"
+        "    return 0\n"
+    )
+
+
+def _load(name: str, text: str, namespace: dict[str, Any], functions: list[FunctionType]) -> ModuleType:
+    with _lock:
+        if name not in _modules:
+            _register(functions)
+            path = cache_directory("compiled") / f"{name}.py"
+            if not path.exists():
+                _write_once(path, text)
+            spec = importlib.util.spec_from_file_location(f"bayesftc_compiled_{name}", path)
+            if spec is None or spec.loader is None:
+                raise ImportError(f"The compiled block {path} cannot be loaded; delete the folder {path.parent}.")
+            module = importlib.util.module_from_spec(spec)
+            module.__dict__.update(namespace)
+            sys.modules[spec.name] = module  # numba looks the module up by name while it compiles
+            spec.loader.exec_module(module)
+            hits = _cache_hits(module.entry)
+            STATISTICS["loaded" if hits else "compiled"] += 1
+            _modules[name] = module
+        return _modules[name]
+
+
+def _cache_hits(entry: Any) -> bool:
+    if isinstance(entry, CFunc):
+        return bool(entry.cache_hits)
+    return bool(sum(entry.stats.cache_hits.values()))
+
+
+def _register(functions: list[FunctionType]) -> None:
+    """Let compiled code call these plain functions by their own name."""
+    for function in functions:
+        if function not in _registered:
+            overload(function, jit_options=_numba_ops.OPTIONS, strict=False)(
+                lambda *arguments, implementation=function: implementation
+            )
+            _registered.add(function)
+
+
+def _write_once(path: Path, text: str) -> None:
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    if path.exists():  # another process was faster: its file's time stamp belongs to the cached code
+        os.unlink(temporary)
+    else:
+        os.replace(temporary, path)
+
+
+def address_of(array: np.ndarray[Any, np.dtype[Any]]) -> int:
+    """Return the address of an array's first element."""
+    return int(array.ctypes.data)

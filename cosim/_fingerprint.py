@@ -1,0 +1,132 @@
+"""A hash of all that a step function's compiled form depends on, and the check that it keeps the block contract.
+
+The hash is taken over code objects, not text: it follows every function that is called, in whichever file it stands (or in
+none: a notebook, the REPL), ignores comments and line numbers, and includes the constants that globals and closures hold.
+"""
+
+from __future__ import annotations
+
+import builtins
+import dis
+import hashlib
+import inspect
+from collections.abc import Callable, Iterator
+from functools import cache
+from numbers import Number
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+from bayesftc.cosim import ops
+from bayesftc.cosim.errors import KernelError
+
+Kernel = Callable[..., None]
+
+_OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
+_BUILTINS = frozenset({range, len})
+_ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
+
+
+@cache
+def environment() -> str:
+    """Return what else compiled code depends on: versions, the processor, and this package's compiling modules."""
+    import platform
+
+    import llvmlite
+    import llvmlite.binding as llvm
+    import numba
+
+    features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
+    here = Path(__file__).parent
+    sources = [hashlib.sha256((here / name).read_bytes()).hexdigest() for name in ("_numba_ops.py", "_compiler.py")]
+    parts = [platform.python_version(), numba.__version__, llvmlite.__version__, llvm.get_host_cpu_name(), features]
+    return "|".join(parts + sources)
+
+
+def functions_called(function: FunctionType) -> list[FunctionType]:
+    """Return `function` and every plain function it reaches, callees first, after checking each against the contract."""
+    ordered: list[FunctionType] = []
+    _visit(function, ordered, [])
+    return ordered
+
+
+def _visit(function: FunctionType, ordered: list[FunctionType], path: list[FunctionType]) -> None:
+    if function in path:
+        names = " -> ".join(f.__name__ for f in [*path, function])
+        raise KernelError(f"The step function calls itself ({names}); a recursion cannot be compiled: write a loop.")
+    if function in ordered:
+        return
+    for name, value in references(function):
+        if isinstance(value, FunctionType) and value not in _OPERATIONS:
+            _visit(value, ordered, [*path, function])
+        elif not _allowed(value):
+            raise KernelError(
+                f"Step function {where(function)} uses {name!r} ({_describe(value)}); a step function may use only numbers, "
+                f"range, len, other such functions, and the mathematics of bayesftc.cosim.ops ({', '.join(ops.NAMES)})."
+            )
+    _check_code(function, function.__code__)
+    ordered.append(function)
+
+
+def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Yield the name and value of each global and closure variable that `function` reads."""
+    for instruction in dis.get_instructions(function.__code__):
+        if instruction.opname == "LOAD_GLOBAL":
+            name = str(instruction.argval)
+            if name in function.__globals__:
+                yield name, function.__globals__[name]
+            elif hasattr(builtins, name):
+                yield name, getattr(builtins, name)
+            else:
+                raise KernelError(f"Step function {where(function)} uses {name!r}, which is not defined.")
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        yield name, cell.cell_contents
+
+
+def _allowed(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(_allowed(item) for item in value)
+    return value is ops or isinstance(value, Number) or (callable(value) and value in _OPERATIONS | _BUILTINS)
+
+
+def _check_code(function: FunctionType, code: CodeType) -> None:
+    for instruction in dis.get_instructions(code):
+        if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("**"):
+            raise KernelError(
+                f"Step function {where(function)} uses '**', which rounds differently in compiled code: "
+                "multiply, or use ops.square, ops.sqrt or ops.exp."
+            )
+        if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and instruction.argval not in _ATTRIBUTES:
+            raise KernelError(
+                f"Step function {where(function)} uses the attribute {instruction.argval!r}; of arrays only shape, size and "
+                "indexing are available to a step function."
+            )
+
+
+def where(function: Callable[..., Any]) -> str:
+    """Return a readable name and place of a function."""
+    code = inspect.unwrap(function).__code__
+    return f"{function.__name__!r} ({Path(code.co_filename).name}, line {code.co_firstlineno})"
+
+
+def _describe(value: Any) -> str:
+    if isinstance(value, ModuleType):
+        return f"the module {value.__name__}"
+    return f"a {type(value).__name__}"
+
+
+def fingerprint(function: FunctionType, specialisation: str) -> str:
+    """Return a hexadecimal hash of `function`, all it calls, the sizes it is compiled for, and the environment."""
+    digest = hashlib.sha256(f"{environment()}\n{specialisation}\n".encode())
+    for reached in functions_called(function):
+        digest.update(_code_text(reached.__code__).encode())
+        for name, value in references(reached):
+            shown = where(value).split(" ")[0] if isinstance(value, FunctionType) else repr(value)
+            digest.update(f"{name}={'ops' if isinstance(value, ModuleType) else shown};".encode())
+        digest.update(repr(reached.__defaults__).encode())
+    return digest.hexdigest()[:24]
+
+
+def _code_text(code: CodeType) -> str:
+    constants = [_code_text(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
+    return repr((code.co_code, code.co_names, code.co_varnames, code.co_freevars, constants))

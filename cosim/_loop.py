@@ -1,0 +1,97 @@
+"""The compiled co-simulation loop: one function for all diagrams, which walks tables and calls blocks by address."""
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, register_jitable
+
+from bayesftc.cosim.random import CHUNK, fill
+from bayesftc.cosim.schedule import NOT_FINITE
+
+# Columns of the table of calls.
+FUNCTION, EVERY, STATE, PARAMETERS, INPUTS, OUTPUTS, GATHER_FROM, GATHER_TO, CHECK_FROM, CHECK_TO = range(10)
+COLUMNS = 10
+
+SIGNATURE = (
+    "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], int64[::1], "
+    "float64[:, ::1], int64, int64, int64, int64, int64, int64, int64[::1])"
+)
+
+
+@intrinsic
+def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
+    """int32 (*)(double *, double *, double *, double *, double, int64_t), given as integers."""
+    signature = types.int32(types.int64, types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
+
+    def codegen(context, builder, sig, args):
+        i64 = ir.IntType(64)
+        function = ir.FunctionType(ir.IntType(32), [i64, i64, i64, i64, ir.DoubleType(), i64])
+        return builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
+
+    return signature, codegen
+
+
+@register_jitable(error_model="numpy")
+def _phase(calls, begin, end, gathers, memory, t, k, failed):
+    base = memory.ctypes.data
+    for c in range(begin, end):
+        every = calls[c, EVERY]
+        count = k
+        if every != 1:
+            if k % every != 0:
+                continue
+            count = k // every
+        for g in range(calls[c, GATHER_FROM], calls[c, GATHER_TO]):
+            memory[gathers[g, 0]] = memory[gathers[g, 1]]
+        status = call_block(
+            calls[c, FUNCTION], base + 8 * calls[c, STATE], base + 8 * calls[c, PARAMETERS],
+            base + 8 * calls[c, INPUTS], base + 8 * calls[c, OUTPUTS], t, count,
+        )  # fmt: skip
+        if status != 0:
+            failed[0], failed[1] = c, status
+            return False
+        for i in range(calls[c, CHECK_FROM], calls[c, CHECK_TO]):
+            if memory[i] - memory[i] != 0.0:
+                failed[0], failed[1] = c, NOT_FINITE + i
+                return False
+    return True
+
+
+@register_jitable(error_model="numpy")
+def run(
+    calls, evaluations, gathers, seed, streams, drawn, buffer, memory, recorded, recording, decimation,
+    first, begin, end, numerator, denominator, failed,
+):  # fmt: skip
+    """Take the loop from t_begin to t_end; return the last step whose outputs are complete (``begin - 1`` for none).
+
+    Evaluates step `begin` only if `first` is not 0. On failure ``failed`` holds the call and its status.
+    """
+    chunk = -1
+    k = begin
+    evaluate = first != 0
+    while True:
+        t = k * numerator / denominator  # the quotient of two exact integers: the double nearest to k * step
+        if evaluate:
+            if drawn.size > 0:
+                if k // CHUNK != chunk:
+                    chunk = k // CHUNK
+                    fill(seed, streams, chunk * CHUNK, buffer)
+                for j in range(drawn.size):
+                    memory[drawn[j]] = buffer[k - chunk * CHUNK, j]
+            if not _phase(calls, 0, evaluations, gathers, memory, t, k, failed):
+                return k - 1
+            if k % decimation == 0:
+                row = k // decimation
+                for j in range(recorded.size):
+                    recording[row, j] = memory[recorded[j]]
+        if k == end:
+            return k
+        if not _phase(calls, evaluations, calls.shape[0], gathers, memory, t, k, failed):
+            return k
+        k += 1
+        evaluate = True
+
+
+def empty_chunk(numbers):
+    """Return the buffer of random numbers that `run` needs."""
+    return np.empty((CHUNK, numbers))

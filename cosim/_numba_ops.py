@@ -1,0 +1,81 @@
+"""What numba puts in place of each function of :mod:`bayesftc.cosim.ops`; imported only when something is compiled."""
+
+import math
+
+import numpy as np
+from numba import extending
+
+from bayesftc.cosim import ops
+
+# numba compiles math.sqrt and friends to the C library's functions (or the correctly rounded instruction), which is what
+# CPython's math module calls too. Where CPython raises, these return what IEEE 754 says.
+
+
+def _select(condition, a, b):
+    return (float(a) if condition else 0.0) + (0.0 if condition else float(b))
+
+
+def _minimum(a, b):
+    return _select(a < b, a, b)
+
+
+def _maximum(a, b):
+    return _select(a > b, a, b)
+
+
+def _both(a, b):
+    return bool(a) & bool(b)
+
+
+def _either(a, b):
+    return bool(a) | bool(b)
+
+
+def _negate(a):
+    return not a
+
+
+def _isnan(x):
+    return x != x
+
+
+def _sqrt(x):
+    return math.sqrt(x)
+
+
+def _exp(x):
+    return math.exp(x)
+
+
+def _log(x):
+    return math.log(x)
+
+
+def _sin(x):
+    return math.sin(x)
+
+
+def _cos(x):
+    return math.cos(x)
+
+
+def _floor(x):
+    return np.floor(x)
+
+
+def _absolute(x):
+    return math.fabs(x)
+
+
+def _square(x):
+    return float(x) * float(x)
+
+
+OPTIONS = {"error_model": "numpy", "forceinline": True}
+"""How every function called from a step function is compiled: 1/0 is infinite, and calls cost nothing."""
+
+extending.register_jitable(**OPTIONS)(_select)
+for _name in ops.NAMES:
+    extending.overload(getattr(ops, _name), jit_options=OPTIONS, strict=False)(
+        lambda *arguments, implementation=globals()[f"_{_name}"]: implementation
+    )

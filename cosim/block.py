@@ -1,0 +1,160 @@
+"""The contract of a block: ports, state, parameters, and step functions over flat float64 arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bayesftc.cosim.errors import KernelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.online import Online
+
+Floats = NDArray[np.float64]
+Kernel = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What a block does at a given sample time.
+
+    Attributes
+    ----------
+    output : function or None
+        Step function that writes the outputs at t_k; it runs in the order of direct feedthrough. A sampled block (a
+        controller, a sensor) does everything here and may change its state as well.
+    update : function or None
+        Step function that takes the state from t_k to t_k+1 once all outputs at t_k are known. It sees every input.
+    state, parameters : mapping of name to array
+        Initial values; their shapes are what the step functions see. Scalars become arrays of one element.
+    compiled : bool
+        False for a block that calls back into Python; the whole diagram then runs interpreted.
+    """
+
+    output: Kernel | None = None
+    update: Kernel | None = None
+    state: Mapping[str, ArrayLike] = field(default_factory=dict)
+    parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
+    compiled: bool = True
+
+
+class Block:
+    """Anything that stands in a diagram.
+
+    To write a block you must:
+
+    1. make it a frozen dataclass of plain settings, checked in ``__post_init__``, so that it can be pickled, compared and
+       named in a scenario file;
+    2. give its ``inputs`` and ``outputs`` as tuples of `Port` (properties, where they depend on the settings);
+    3. return from ``define(step)`` a `Definition`: the initial state, the parameters, and the step functions;
+    4. write a step function as a plain Python function whose *argument names* say what it gets: the names of ports, of
+       state entries and of parameters, each as a float64 array (a scalar is an array of one element), and ``t`` (time in
+       seconds) and ``k`` (the block's own step count);
+    5. in a step function, read inputs, parameters and state, write outputs and state in place, allocate nothing, use scalar
+       loops, take all mathematics from `bayesftc.cosim.ops`, and branch on data with ``ops.select`` only;
+    6. keep random numbers out of it: declare an input port with ``draw="normal"`` or ``draw="uniform"``;
+    7. set ``feedthrough=False`` on every input that ``output`` does not read.
+
+    A block that keeps these rules runs in a debugger as plain Python, one call at a time on hardware (`online`), and in the
+    compiled engine, with the same numbers to the last bit.
+    """
+
+    #: Whether a NaN or infinity in the outputs stops the run (plants), or means a missing sample (sensors).
+    checks_finite: ClassVar[bool] = False
+    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """The block's input ports."""
+        return ()
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """The block's output ports."""
+        return ()
+
+    @property
+    def default_name(self) -> str:
+        """The name under which a diagram adds the block if none is given."""
+        return type(self).__name__.lower()
+
+    def define(self, step: Fraction) -> Definition:
+        """Return what the block does when it runs every `step` seconds."""
+        raise KernelError(f"{type(self).__name__} does not say what it does: give it a method define(step).")
+
+    def port(self, name: str) -> Port:
+        """Return the port called `name`."""
+        ports = {port.name: port for port in (*self.inputs, *self.outputs)}
+        if name not in ports:
+            raise UnknownNameError(f"{type(self).__name__} has no port {name!r}; {did_you_mean(name, ports)}")
+        return ports[name]
+
+    def online(self, dt: float | str | Fraction | None = None, *, compiled: bool = True) -> Online:
+        """Return the same block for a user's own loop or for hardware: a callable that makes one step.
+
+        Parameters
+        ----------
+        dt : float, str or Fraction, optional
+            Sample time in seconds; not needed where the block knows it (a controller has its model's).
+        compiled : bool
+            False to step through the plain Python form in a debugger.
+        """
+        from bayesftc.cosim.online import Online
+
+        return Online(self, dt, compiled=compiled)
+
+
+class Lifetime(Protocol):
+    """Resources that a running block holds (an FMU instance), given back when the run ends."""
+
+    def close(self) -> None:
+        """Give the resources back."""
+
+
+class ExternalBlock(Block):
+    """A block whose step functions are C functions already: an FMU.
+
+    Instead of ``define``, ``instantiate`` returns an object with ``addresses`` of the functions with the engine's signature,
+    the integers that they find at their parameters' address, and Python forms of both for the interpreted engine.
+    """
+
+    def instantiate(self, step: Fraction, name: str) -> External:
+        """Return a new running instance that makes steps of `step` seconds."""
+        raise NotImplementedError
+
+
+class External(Protocol):
+    """A running instance of an external block."""
+
+    output_address: int
+    update_address: int
+    table: NDArray[np.int64]
+
+    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """Write the outputs; return 0, or a status that stops the run."""
+
+    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """Make one step from time `t`; return 0, or a status that stops the run."""
+
+    def explain(self, status: int) -> str:
+        """Return what the status means, with the last messages of the instance."""
+
+    def close(self) -> None:
+        """Free the instance."""
+
+
+def argument_names(kernel: Kernel) -> tuple[str, ...]:
+    """Return the argument names of a step function."""
+    if not isinstance(kernel, FunctionType):
+        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
+    code = kernel.__code__
+    if code.co_kwonlyargcount or code.co_flags & 0x0C or kernel.__defaults__:
+        raise KernelError(f"Step function {kernel.__name__!r} must have plain arguments: no defaults, no *args, no keywords.")
+    return code.co_varnames[: code.co_argcount]

@@ -1,0 +1,206 @@
+"""Block diagrams: add blocks, connect ports, build, simulate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Literal
+
+from bayesftc.cosim.block import Block, ExternalBlock
+from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port, PortRef
+from bayesftc.cosim.timebase import rational_step
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.result import Result
+    from bayesftc.cosim.schedule import Schedule
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A block that stands in a diagram under a name; ``node["y"]`` refers to its port."""
+
+    name: str
+    block: Block
+    every: int
+
+    def __getitem__(self, port: str) -> PortRef:
+        directions: list[tuple[Literal["input", "output"], tuple[Port, ...]]] = [
+            ("output", self.block.outputs),
+            ("input", self.block.inputs),
+        ]
+        for direction, ports in directions:
+            for candidate in ports:
+                if candidate.name == port:
+                    return PortRef(self, candidate, direction, tuple(range(candidate.size)))
+        names = [p.name for _, ports in directions for p in ports]
+        raise UnknownNameError(f"Block {self.name!r} has no port {port!r}; {did_you_mean(port, names)}")
+
+    def __repr__(self) -> str:
+        return f"<{self.name}: {type(self.block).__name__}>"
+
+
+class Diagram:
+    """A closed diagram of blocks that run at multiples of one base step.
+
+    Parameters
+    ----------
+    dt : float, str or Fraction
+        The base step in seconds; ``"1/30"`` is exact.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> source = diagram.add(cosim.Constant(1.0), name="one")
+    >>> gain = diagram.add(cosim.Gain(2.0))
+    >>> diagram.connect(source["y"], gain["u"])
+    >>> float(diagram.simulate(1.0)["gain.y"][-1])
+    2.0
+    """
+
+    def __init__(self, dt: float | str | Fraction):
+        self.step = rational_step(dt, "The diagram's step size")
+        self._nodes: dict[str, Node] = {}
+        self._sources: dict[tuple[str, str, int], tuple[PortRef, int]] = {}
+        self._schedule: Schedule | None = None
+
+    def add(self, block: Block, name: str | None = None, every: int = 1) -> Node:
+        """Add a block and return its node, whose ports can be connected.
+
+        Parameters
+        ----------
+        block : Block
+            What to add.
+        name : str, optional
+            Unique name in this diagram; by default the block's kind in small letters.
+        every : int
+            The block runs at every `every`-th base step.
+        """
+        self._refuse_if_built("add a block")
+        if not isinstance(block, Block):
+            raise ModelError(f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace.")
+        name = block.default_name if name is None else name
+        if not name or any(c.isspace() for c in name):
+            raise ModelError(f"{name!r} cannot be a block's name: it must not be empty or contain spaces.")
+        if name in self._nodes:
+            raise ModelError(f"The diagram has a block {name!r} already; give this {type(block).__name__} another name=...")
+        if every < 1 or int(every) != every:
+            raise ModelError(f"Block {name!r} has every={every!r}; it must be a whole number of base steps, at least 1.")
+        node = Node(name, block, int(every))
+        self._nodes[name] = node
+        return node
+
+    def connect(self, source: PortRef | Sequence[PortRef], target: PortRef) -> None:
+        """Connect an output (or several, one after the other) to an input of the same size and unit.
+
+        Raises
+        ------
+        ConnectionError
+            If sizes or units differ, the direction is wrong, or the input has a source already.
+        """
+        self._refuse_if_built("connect ports")
+        sources = [source] if isinstance(source, PortRef) else list(source)
+        for reference, wanted, role in [*((s, "output", "source") for s in sources), (target, "input", "target")]:
+            if not isinstance(reference, PortRef):
+                raise ConnectionError(f"The {role} of a connection must be a port, as node['y'], not {reference!r}.")
+            if self._nodes.get(reference.node.name) is not reference.node:
+                raise ConnectionError(f"{reference.name} belongs to a block of another diagram; add the block to this one.")
+            if reference.direction != wanted:
+                raise ConnectionError(f"{reference.name} is an {reference.direction}, but the {role} must be an {wanted}.")
+        size = sum(len(s) for s in sources)
+        if size != len(target):
+            names = " + ".join(f"{s.name} (size {len(s)})" for s in sources)
+            raise ConnectionError(
+                f"{names} cannot be connected to {target.name} (size {len(target)}): the sizes differ; "
+                "choose elements with [i], or change the block's size."
+            )
+        for s in sources:
+            if s.port.unit and target.port.unit and _spelt(s.port.unit) != _spelt(target.port.unit):
+                raise ConnectionError(
+                    f"{s.name} is in {s.port.unit}, but {target.name} is in {target.port.unit}; put a Gain between them that converts."
+                )
+        elements = iter(target.elements)
+        for s in sources:
+            for element in s.elements:
+                key = (target.node.name, target.port.name, next(elements))
+                if key in self._sources:
+                    raise ConnectionError(
+                        f"{key[0]}.{key[1]}[{key[2]}] has a source already ({self._sources[key][0].name}); it cannot also take {s.name}."
+                    )
+                self._sources[key] = (s, element)
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """The blocks in the order in which they were added."""
+        return tuple(self._nodes.values())
+
+    def __getitem__(self, name: str) -> Node:
+        if name not in self._nodes:
+            raise UnknownNameError(f"The diagram has no block {name!r}; {did_you_mean(name, self._nodes)}")
+        return self._nodes[name]
+
+    def source_of(self, node: Node, port: Port, element: int) -> tuple[PortRef, int] | None:
+        """Return what feeds one element of an input: the output and its element, or None."""
+        return self._sources.get((node.name, port.name, element))
+
+    def build(self, coupling: Literal["gauss-seidel", "jacobi"] = "gauss-seidel") -> Diagram:
+        """Check the diagram, fix the order of its blocks and freeze it; `simulate` does this by itself.
+
+        Parameters
+        ----------
+        coupling : {"gauss-seidel", "jacobi"}
+            Whether an FMU that is fed directly by an FMU added before it sees that one's output after or before its step.
+        """
+        from bayesftc.cosim.schedule import Schedule
+
+        if self._schedule is None:
+            self._schedule = Schedule(self, coupling)
+        return self
+
+    @property
+    def schedule(self) -> Schedule:
+        """The order of calls and the layout of memory; building it freezes the diagram."""
+        self.build()
+        assert self._schedule is not None
+        return self._schedule
+
+    def simulate(self, duration: float | str | Fraction, **options: Any) -> Result:
+        """Run the diagram from its initial state; see `bayesftc.cosim.simulation.simulate` for the options.
+
+        Parameters
+        ----------
+        duration : float, str or Fraction
+            Length of the run in seconds, a whole number of base steps.
+        **options
+            ``seed``, ``record``, ``decimation``, ``engine``, ``progress``, ``time_limit``.
+
+        Returns
+        -------
+        Result
+            Signals by name (``"plant.v"``) at t_0 ... t_N.
+        """
+        from bayesftc.cosim.simulation import simulate
+
+        return simulate(self, duration, **options)
+
+    def __repr__(self) -> str:
+        blocks = ", ".join(self._nodes)
+        return f"<Diagram of {len(self._nodes)} blocks at {float(self.step):g} s: {blocks}>"
+
+    def _refuse_if_built(self, what: str) -> None:
+        if self._schedule is not None:
+            raise ModelError(f"The diagram is built and frozen; to {what}, do so before build() or simulate().")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_schedule": None}
+
+
+def is_external(node: Node) -> bool:
+    """Return whether the node's block is an FMU or another block with step functions in C."""
+    return isinstance(node.block, ExternalBlock)
+
+
+def _spelt(unit: str) -> str:
+    return unit.replace(" ", "").replace(".", "*").replace("·", "*")

@@ -1,0 +1,213 @@
+"""The two engines. They walk the same schedule over the same memory: one in compiled code, one in plain Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+
+from bayesftc.cosim.block import External, Floats, argument_names
+from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key
+from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a run stopped: at which step, in whose step function, with which status."""
+
+    k: int
+    node: int
+    status: int
+
+
+@dataclass
+class Run:
+    """All that changes while a diagram runs.
+
+    Attributes
+    ----------
+    memory : ndarray
+        States, parameters, inputs and outputs of all blocks.
+    instances : dict
+        The running FMU of each external node.
+    recorded : ndarray of int
+        Places in memory that are recorded.
+    recording : ndarray, rows x recorded
+        Filled row by row, a row every `decimation` steps.
+    """
+
+    schedule: Schedule
+    seed: int
+    memory: Floats
+    instances: dict[int, External]
+    recorded: np.ndarray[Any, np.dtype[np.int64]]
+    recording: Floats
+    decimation: int = 1
+
+    def streams(self) -> np.ndarray[Any, np.dtype[np.uint64]]:
+        """Return the table of random streams."""
+        rows = [(stream_key(d.stream), d.channel, d.draw, int(d.uniform)) for d in self.schedule.draws]
+        return np.array(rows, dtype=np.uint64).reshape(len(rows), 4)
+
+    def drawn(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """Return where the random numbers go."""
+        return np.array([d.offset for d in self.schedule.draws], dtype=np.int64)
+
+
+class Engine(Protocol):
+    """Takes a run from step to step."""
+
+    def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
+        """Go from t_begin to t_end; return the last complete step and, if the run had to stop, why.
+
+        The outputs at t_begin are computed first if `first`, else they stand in memory already.
+        """
+
+
+class CompiledEngine:
+    """Calls every block by address from one compiled loop; the GIL is free while it runs."""
+
+    def __init__(self, run: Run):
+        from bayesftc.cosim import _loop
+
+        self._run, self._loop = run, _loop
+        schedule = run.schedule
+        self._keep: list[Any] = []
+        rows: list[list[int]] = []
+        gathers: list[tuple[int, int]] = []
+        for call in (*schedule.evaluate, *schedule.advance):
+            node, slots = schedule.nodes[call.node], schedule.slots[call.node]
+            start = slots.start
+            checked = node.block.checks_finite and call.kind == "output"
+            outputs = start["outputs"], start["outputs"] + sum(p.size for p in node.block.outputs)
+            rows.append(
+                [self._address(call), node.every, *(start[s] for s in ("state", "parameters", "inputs", "outputs")),
+                 len(gathers), len(gathers) + len(call.gathers), *(outputs if checked else (0, 0))]
+            )  # fmt: skip
+            gathers += call.gathers
+        self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), _loop.COLUMNS)
+        self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
+        self._streams, self._drawn, self._buffer = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
+        self._entry = compiled_loop()
+
+    def _address(self, call: Call) -> int:
+        schedule = self._run.schedule
+        if call.node in self._run.instances:
+            instance = self._run.instances[call.node]
+            return instance.output_address if call.kind == "output" else instance.update_address
+        from bayesftc.cosim._compiler import compile_kernel
+
+        compiled = compile_kernel(schedule.kernel(call), schedule.slots[call.node].sections)  # type: ignore[arg-type]
+        self._keep.append(compiled)
+        return int(compiled.address)
+
+    def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
+        """See `Engine.advance`."""
+        run, step = self._run, self._run.schedule.step
+        failed = np.array([-1, 0], dtype=np.int64)
+        last = self._entry(
+            self._calls, len(run.schedule.evaluate), self._gathers, np.uint64(run.seed), self._streams, self._drawn,
+            self._buffer, run.memory, run.recorded, run.recording, run.decimation, int(first), begin, end,
+            step.numerator, step.denominator, failed,
+        )  # fmt: skip
+        if failed[0] < 0:
+            return int(last), None
+        calls = (*run.schedule.evaluate, *run.schedule.advance)
+        kind = calls[failed[0]].kind if failed[0] < len(run.schedule.evaluate) else "update"
+        at = int(last) + (kind == "output")
+        return int(last), Failure(at, calls[failed[0]].node, int(failed[1]))
+
+
+@cache
+def compiled_loop() -> Any:
+    """Return the compiled loop, from the disk if any process has compiled it before."""
+    from bayesftc.cosim import _loop, random
+    from bayesftc.cosim._compiler import compile_function
+
+    return compile_function(_loop.run, _loop.SIGNATURE, random)
+
+
+class InterpretedEngine:
+    """Calls the plain Python step functions, in which a debugger can stop."""
+
+    def __init__(self, run: Run):
+        self._run = run
+        self._evaluate = [self._bind(call) for call in run.schedule.evaluate]
+        self._advance = [self._bind(call) for call in run.schedule.advance]
+        self._streams, self._drawn = run.streams(), run.drawn()
+        self._buffer, self._chunk = np.empty((CHUNK, len(run.schedule.draws))), -1
+
+    def _bind(self, call: Call) -> tuple[Call, Callable[[float, int], int]]:
+        run, schedule = self._run, self._run.schedule
+        slots, node = schedule.slots[call.node], schedule.nodes[call.node]
+        memory = run.memory
+        if call.node in run.instances:
+            instance = run.instances[call.node]
+            function = instance.output if call.kind == "output" else instance.update
+            size_in, size_out = (sum(p.size for p in ports) for ports in (node.block.inputs, node.block.outputs))
+            inputs = memory[slots.start["inputs"] : slots.start["inputs"] + size_in]
+            outputs = memory[slots.start["outputs"] : slots.start["outputs"] + size_out]
+            return call, lambda t, k: function(inputs, outputs, t)
+        kernel = schedule.kernel(call)
+        assert kernel is not None
+        views: list[Any] = []
+        for name in argument_names(kernel):
+            if name in {"t", "k"}:
+                views.append(name)
+            else:
+                shape = slots.sections[name][2]
+                start = slots.offset(name)
+                views.append(memory[start : start + int(np.prod(shape))].reshape(shape))
+
+        def step(t: float, k: int) -> int:
+            kernel(*[(np.float64(t) if v == "t" else k) if isinstance(v, str) else v for v in views])
+            return 0
+
+        return call, step
+
+    def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
+        """See `Engine.advance`."""
+        run, step = self._run, self._run.schedule.step
+        with np.errstate(all="ignore"):  # IEEE 754 as in compiled code: infinities and NaNs are values
+            for k in range(begin, end + 1):
+                t = k * step.numerator / step.denominator
+                if first or k > begin:
+                    self._draw(k)
+                    failure = self._phase(self._evaluate, t, k)
+                    if failure:
+                        return k - 1, failure
+                    if k % run.decimation == 0:
+                        run.recording[k // run.decimation] = run.memory[run.recorded]
+                if k < end:
+                    failure = self._phase(self._advance, t, k)
+                    if failure:
+                        return k, failure
+        return end, None
+
+    def _draw(self, k: int) -> None:
+        if not len(self._drawn):
+            return
+        if k // CHUNK != self._chunk:
+            self._chunk = k // CHUNK
+            draw_chunk(self._run.seed, self._streams, self._chunk * CHUNK, self._buffer)
+        self._run.memory[self._drawn] = self._buffer[k - self._chunk * CHUNK]
+
+    def _phase(self, calls: list[tuple[Call, Callable[[float, int], int]]], t: float, k: int) -> Failure | None:
+        schedule, memory = self._run.schedule, self._run.memory
+        for call, function in calls:
+            node = schedule.nodes[call.node]
+            if k % node.every:
+                continue
+            for target, origin in call.gathers:
+                memory[target] = memory[origin]
+            status = function(t, k // node.every)
+            if status:
+                return Failure(k, call.node, status)
+            if node.block.checks_finite and call.kind == "output":
+                start = schedule.slots[call.node].start["outputs"]
+                for i in range(start, start + sum(p.size for p in node.block.outputs)):
+                    if not np.isfinite(memory[i]):
+                        return Failure(k, call.node, NOT_FINITE + i)
+        return None

@@ -1,0 +1,101 @@
+"""Every error a user can meet: a sentence that says what is wrong, where, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.result import Result
+
+
+class BayesFTCError(Exception):
+    """Base of all errors of this package; ``exit_code`` is what the command line returns for it."""
+
+    exit_code = 1
+
+
+class ScenarioError(BayesFTCError):
+    """A scenario file that cannot be read or does not say what it must."""
+
+    exit_code = 3
+
+
+class FMUError(BayesFTCError):
+    """An FMU that cannot be used: missing, corrupt, of the wrong version, kind or platform."""
+
+    exit_code = 4
+
+
+class UnknownNameError(BayesFTCError, KeyError):
+    """A variable, port, block or signal that does not exist."""
+
+    exit_code = 5
+
+    def __str__(self) -> str:  # KeyError would print the repr
+        return str(self.args[0])
+
+
+class ConnectionError(BayesFTCError):  # noqa: A001 - the field's word; the builtin concerns sockets
+    """A connection that cannot be made: sizes, units, or a missing or doubled source."""
+
+    exit_code = 6
+
+
+class AlgebraicLoopError(BayesFTCError):
+    """Blocks whose outputs depend on each other at the same instant."""
+
+    exit_code = 7
+
+
+class StepSizeError(BayesFTCError, ValueError):
+    """A duration or sample time that is no whole number of base steps."""
+
+    exit_code = 8
+
+
+class ModelError(BayesFTCError, ValueError):
+    """A model or setting whose numbers cannot be right (dimensions, covariances, ranges)."""
+
+    exit_code = 9
+
+
+class KernelError(BayesFTCError, TypeError):
+    """A step function that breaks the block contract and so cannot be compiled."""
+
+    exit_code = 10
+
+
+class SimulationError(BayesFTCError):
+    """A run that had to stop; what was recorded up to there is kept.
+
+    Attributes
+    ----------
+    result : Result or None
+        The signals up to the last good step.
+    """
+
+    exit_code = 11
+
+    def __init__(self, message: str, result: Result | None = None):
+        super().__init__(message)
+        self.result = result
+
+
+class ResultFileError(BayesFTCError):
+    """A result file that cannot be written, or is no result of ours."""
+
+    exit_code = 12
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return the tail of a sentence about an unknown name: the near names, else all of them."""
+    known = sorted(known)
+    near = get_close_matches(name, known, n=3, cutoff=0.6)
+    if near:
+        return f"did you mean {' or '.join(repr(n) for n in near)}?"
+    if not known:
+        return "there are none."
+    shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+    return f"known names: {shown}."

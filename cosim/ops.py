@@ -1,0 +1,119 @@
+"""The mathematics of step functions: the same bits in plain Python and in compiled code, and it never raises.
+
+Step functions take everything beyond ``+ - * /`` and comparisons from here (never from ``math``, ``numpy`` or ``**``), so
+that one text can run as plain Python, be compiled by numba, and be traced symbolically. The functions return
+``numpy.float64``, whose division by zero gives an infinity or NaN (IEEE 754) where a Python float would raise.
+
+``select`` evaluates both alternatives and is, everywhere, ``(a if condition else 0) + (0 if condition else b)``: a symbolic
+engine can only compute it so, and a negative zero becomes a positive one in each form alike.
+"""
+
+import math
+
+from numpy import bool_, float64
+from numpy import floor as _floor
+
+_NAN = float64("nan")
+_INF = float64("inf")
+
+
+def select(condition, a, b):
+    """Return `a` where `condition` holds, else `b`; a negative zero comes out as a positive one."""
+    return (float64(a) if condition else float64(0.0)) + (float64(0.0) if condition else float64(b))
+
+
+def both(a, b):
+    """Return whether both conditions hold."""
+    return bool_(bool(a) & bool(b))
+
+
+def either(a, b):
+    """Return whether at least one condition holds."""
+    return bool_(bool(a) | bool(b))
+
+
+def negate(a):
+    """Return whether the condition does not hold."""
+    return bool_(not a)
+
+
+def isnan(x):
+    """Return whether `x` is not a number (a missing sample)."""
+    return bool_(x != x)
+
+
+def sqrt(x):
+    """Return the square root; NaN for negative numbers."""
+    return float64(math.sqrt(x)) if x >= 0.0 else _NAN
+
+
+def exp(x):
+    """Return the exponential; infinity where it overflows."""
+    try:
+        return float64(math.exp(x))
+    except OverflowError:
+        return _INF
+
+
+def log(x):
+    """Return the natural logarithm; minus infinity at zero, NaN below."""
+    if x > 0.0:
+        return float64(math.log(x))
+    return -_INF if x == 0.0 else _NAN
+
+
+def sin(x):
+    """Return the sine of `x` in radians; NaN for infinities."""
+    return float64(math.sin(x)) if math.isfinite(x) else _NAN
+
+
+def cos(x):
+    """Return the cosine of `x` in radians; NaN for infinities."""
+    return float64(math.cos(x)) if math.isfinite(x) else _NAN
+
+
+def floor(x):
+    """Return the largest whole number not above `x`, as a float; the sign of a zero is kept."""
+    return float64(_floor(x))
+
+
+def absolute(x):
+    """Return the magnitude of `x`."""
+    return float64(math.fabs(x))
+
+
+def minimum(a, b):
+    """Return the smaller; `b` where `a` is NaN (as ``select(a < b, a, b)``)."""
+    return select(a < b, a, b)
+
+
+def maximum(a, b):
+    """Return the larger; `b` where `a` is NaN (as ``select(a > b, a, b)``)."""
+    return select(a > b, a, b)
+
+
+def square(x):
+    """Return the product of `x` with itself (``x**2`` rounds differently in compiled code)."""
+    return float64(x) * float64(x)
+
+
+NAMES = (
+    "absolute",
+    "both",
+    "cos",
+    "either",
+    "exp",
+    "floor",
+    "isnan",
+    "log",
+    "maximum",
+    "minimum",
+    "negate",
+    "select",
+    "sin",
+    "sqrt",
+    "square",
+)
+"""Names of all operations, in alphabetical order."""
+
+__all__ = list(NAMES)

@@ -1,0 +1,82 @@
+"""Typed, named ports of blocks, and references to them that connections are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import prod
+from typing import TYPE_CHECKING, Literal
+
+from bayesftc.cosim.errors import ConnectionError, ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram import Node
+
+
+@dataclass(frozen=True)
+class Port:
+    """One input or output of a block: a float64 scalar, vector or matrix.
+
+    Attributes
+    ----------
+    name : str
+        Its name, unique within the block.
+    shape : tuple of int
+        ``()`` for a scalar, ``(n,)`` for a vector, ``(n, m)`` for a matrix.
+    unit : str or None
+        For example ``"m/s"``; connections between different units are refused, None fits all.
+    feedthrough : bool
+        Of an input: whether an output at t_k depends on this input at t_k.
+    default : float or None
+        Of an input: its value while nothing is connected; None demands a connection.
+    draw : {"normal", "uniform"} or None
+        Of an input: while nothing is connected, the engine fills it at every step with standard normal numbers, or with
+        numbers uniform in (0, 1).
+    """
+
+    name: str
+    shape: tuple[int, ...] = ()
+    unit: str | None = None
+    feedthrough: bool = True
+    default: float | None = None
+    draw: Literal["normal", "uniform"] | None = None
+
+    def __post_init__(self) -> None:
+        if any(int(n) < 1 for n in self.shape):
+            raise ModelError(f"Port {self.name!r} has the shape {self.shape}; every dimension must be at least 1.")
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return prod(self.shape)
+
+
+@dataclass(frozen=True)
+class PortRef:
+    """A port of a block that stands in a diagram, or some of its elements: ``node["y"]``, ``node["y"][0]``."""
+
+    node: Node
+    port: Port
+    direction: Literal["input", "output"]
+    elements: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """``block.port``, with an index where only some elements are meant."""
+        whole = f"{self.node.name}.{self.port.name}"
+        if len(self.elements) == self.port.size:
+            return whole
+        return whole + "[" + ", ".join(map(str, self.elements)) + "]"
+
+    def __getitem__(self, index: int | slice) -> PortRef:
+        try:
+            chosen = self.elements[index] if isinstance(index, slice) else (self.elements[index],)
+        except IndexError:
+            chosen = ()
+        if not chosen:
+            raise ConnectionError(
+                f"{self.name} has {len(self.elements)} elements, numbered from 0; there is no element {index}."
+            )
+        return PortRef(self.node, self.port, self.direction, chosen)
+
+    def __len__(self) -> int:
+        return len(self.elements)

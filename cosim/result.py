@@ -1,0 +1,184 @@
+"""The signals of a run: by name, over time, saved to a file, shown in a figure, handed to pandas and xarray."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+FORMAT = "bayesftc-result-1"
+
+
+class Result(Mapping[str, Floats]):
+    """Named signals over time.
+
+    ``result["plant.v"]`` is an array with a row for each recorded step: of shape (rows,) for a scalar port, (rows, n) for a
+    vector port, (rows, n, m) for a matrix port. No signal is copied: all are views of one recording.
+
+    Attributes
+    ----------
+    units : dict
+        The unit of each signal that has one.
+    metadata : dict
+        What the run was: seed, step, engine, block settings.
+    stopped : str or None
+        Why the run ended early, as a sentence; None if it did not.
+    """
+
+    def __init__(
+        self,
+        recording: Floats,
+        columns: Mapping[str, tuple[int, tuple[int, ...]]],
+        step: Fraction,
+        *,
+        decimation: int = 1,
+        units: Mapping[str, str] | None = None,
+        metadata: Mapping[str, Any] | None = None,
+        stopped: str | None = None,
+    ):
+        self._recording, self._columns = recording, dict(columns)
+        self.step, self.decimation = step, decimation
+        self.units, self.metadata, self.stopped = dict(units or {}), dict(metadata or {}), stopped
+
+    @property
+    def time(self) -> Floats:
+        """Time of each row in seconds: the doubles nearest to k times the step."""
+        k = np.arange(len(self._recording), dtype=np.int64) * (self.decimation * self.step.numerator)
+        return k / self.step.denominator
+
+    def __getitem__(self, name: str) -> Floats:
+        if name not in self._columns:
+            raise UnknownNameError(f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}")
+        start, shape = self._columns[name]
+        values = self._recording[:, start : start + int(np.prod(shape, dtype=int))]
+        return values.reshape(len(values), *shape) if len(shape) != 1 else values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def __repr__(self) -> str:
+        rows = len(self._recording)
+        end = float(self.time[-1]) if rows else 0.0
+        return f"<Result: {len(self)} signals, {rows} rows to t = {end:g} s{', stopped early' if self.stopped else ''}>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a table with a column for each scalar (``y[0]``, ``y[1]``, ...) and time in seconds as its index."""
+        import pandas as pd
+
+        names = [label for name in self for label in labels(name, self._columns[name][1])]
+        order = [start + i for start, shape in self._columns.values() for i in range(int(np.prod(shape, dtype=int)))]
+        return pd.DataFrame(self._recording[:, order], index=pd.Index(self.time, name="time"), columns=names)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return a dataset with a variable for each signal over the coordinate ``time`` (seconds)."""
+        import xarray as xr
+
+        variables = {}
+        for name in self:
+            dimensions = ["time", *(f"{name}_{axis}" for axis in range(len(self._columns[name][1])))]
+            attributes = {"units": self.units[name]} if name in self.units else {}
+            variables[name] = (dimensions, self[name], attributes)
+        attributes = {"metadata": json.dumps(self.metadata), "stopped": self.stopped or ""}
+        return xr.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})}, attrs=attributes)
+
+    def plot(self, signals: Iterable[str] | None = None) -> Figure:
+        """Return a figure with one panel for each unit and kind of signal.
+
+        Parameters
+        ----------
+        signals : iterable of str, optional
+            Which signals; by default all scalars and vectors.
+        """
+        from bayesftc.cosim.plotting import plot_signals
+
+        return plot_signals(self, signals)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the result to one file (a zip of NumPy arrays); it appears under its name only when it is whole.
+
+        Raises
+        ------
+        ResultFileError
+            If the file cannot be written.
+        """
+        path = Path(path)
+        header = {
+            "format": FORMAT,
+            "step": str(self.step),
+            "decimation": self.decimation,
+            "columns": {name: [start, list(shape)] for name, (start, shape) in self._columns.items()},
+            "units": self.units,
+            "metadata": self.metadata,
+            "stopped": self.stopped,
+        }
+        try:
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
+        except OSError as error:
+            raise ResultFileError(f"The result cannot be written to {path}: {error.strerror}; choose another folder.") from None
+        try:
+            with os.fdopen(handle, "wb") as file:
+                np.savez_compressed(file, header=np.array(json.dumps(header)), recording=self._recording)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException as error:
+            Path(temporary).unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                message = f"The result cannot be written to {path}: {error.strerror}; choose another folder."
+                raise ResultFileError(message) from None
+            raise
+        return path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Result:
+        """Read a result that `save` has written.
+
+        Raises
+        ------
+        ResultFileError
+            If the file is missing, damaged, or no result.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise ResultFileError(f"There is no result file {path}; check the path.")
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                header = json.loads(str(archive["header"]))
+                recording = archive["recording"]
+            if header["format"] != FORMAT:
+                raise KeyError(header["format"])
+            columns = {name: (start, tuple(shape)) for name, (start, shape) in header["columns"].items()}
+            step = Fraction(header["step"])
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+            raise ResultFileError(f"{path} is no result file of bayesftc, or it is damaged; run the simulation again.") from None
+        return cls(
+            recording,
+            columns,
+            step,
+            decimation=header["decimation"],
+            units=header["units"],
+            metadata=header["metadata"],
+            stopped=header["stopped"],
+        )
+
+
+def labels(name: str, shape: tuple[int, ...]) -> list[str]:
+    """Return a name for each scalar of a signal: itself, or ``name[i]``, ``name[i,j]``."""
+    return [name + (f"[{','.join(map(str, index))}]" if index else "") for index in np.ndindex(*shape)]

@@ -1,0 +1,262 @@
+"""From a diagram to a program: the order of calls, from per-port direct feedthrough, and the layout of memory.
+
+A step has two phases. *Evaluate* computes all outputs at t_k in the order of direct feedthrough. *Advance* takes every state
+to t_k+1: first the blocks that only know sampled time, in any order (no one's state can be seen before the next evaluation),
+then the FMUs in the order in which they were added; with Gauss-Seidel coupling an FMU's outputs are refreshed at once, so
+that an FMU it feeds directly sees them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from bayesftc.cosim.block import Definition, Floats, Kernel, argument_names
+from bayesftc.cosim.diagram import Diagram, Node, is_external
+from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, KernelError
+from bayesftc.cosim.ports import Port
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Sections = dict[str, tuple[str, int, tuple[int, ...]]]
+"""For each argument of a step function: its section, its offset in that section, its shape."""
+
+NOT_FINITE = 1_000_000
+"""A call's status from here on: the place in memory, plus this number, that came out NaN or infinite."""
+
+SECTIONS = ("state", "parameters", "inputs", "outputs")
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of a step function: whose, which one, and the copies (to, from) that bring its inputs."""
+
+    node: int
+    kind: Literal["output", "update"]
+    gathers: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One random number a step: the stream (block.port), the channel in it, its distribution and where it goes."""
+
+    stream: str
+    channel: int
+    draw: int
+    uniform: bool
+    offset: int
+
+
+@dataclass(frozen=True)
+class Slots:
+    """Where a node's sections begin in memory, and what each argument name means."""
+
+    start: dict[str, int]
+    sections: Sections
+
+    def offset(self, name: str) -> int:
+        """Return the place in memory of the first element of a named array."""
+        section, offset, _ = self.sections[name]
+        return self.start[section] + offset
+
+
+class Schedule:
+    """A diagram ready to run.
+
+    Attributes
+    ----------
+    evaluate, advance : tuple of Call
+        The two phases of a step.
+    draws : tuple of Draw
+        What the engine's random streams fill.
+    initial : ndarray
+        Memory as it stands before the first step: states, parameters, input defaults.
+    """
+
+    def __init__(self, diagram: Diagram, coupling: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"):
+        self.step = diagram.step
+        self.nodes = diagram.nodes
+        self.coupling = coupling
+        self.definitions: tuple[Definition | None, ...] = tuple(
+            None if is_external(node) else _definition(node, node.block.define(self.step * node.every)) for node in self.nodes
+        )
+        self.slots, self.initial = self._lay_out()
+        self.draws = self._check_inputs(diagram)
+        self._edges = self._feedthrough_edges(diagram)
+        order = self._order()
+        self.evaluate = tuple(
+            Call(i, "output", self._gathers(diagram, i, feedthrough_only=self._updates(i))) for i in order if self._outputs(i)
+        )
+        self.advance = self._advance(diagram)
+        self.compiled = all(d is None or d.compiled for d in self.definitions)
+
+    def kernel(self, call: Call) -> Kernel | None:
+        """Return the Python step function of a call; None for an external block."""
+        definition = self.definitions[call.node]
+        return getattr(definition, call.kind) if definition else None
+
+    def signal(self, node: Node, port: Port) -> slice:
+        """Return where a port's elements lie in memory."""
+        slots = self.slots[self.nodes.index(node)]
+        start = slots.offset(port.name)
+        return slice(start, start + port.size)
+
+    def describe(self) -> str:
+        """Return the order of a step as text, a line a call."""
+        lines = [f"at t_k     {self.nodes[c.node].name}" for c in self.evaluate]
+        lines += [f"to t_k+1   {self.nodes[c.node].name}" for c in self.advance if c.kind == "update"]
+        return "\n".join(lines)
+
+    def _updates(self, i: int) -> bool:
+        definition = self.definitions[i]
+        return definition.update is not None if definition else getattr(self.nodes[i].block, "timing", "plant") == "plant"
+
+    def _outputs(self, i: int) -> bool:
+        definition = self.definitions[i]
+        return definition.output is not None if definition else True
+
+    def _lay_out(self) -> tuple[tuple[Slots, ...], Floats]:
+        pieces: list[Floats] = []
+        total = 0
+        slots = []
+        for node, definition in zip(self.nodes, self.definitions, strict=True):
+            groups: dict[str, Mapping[str, Floats]] = {
+                "state": _arrays(definition.state) if definition else {},
+                "parameters": _arrays(definition.parameters) if definition else {"table": np.zeros(32)},
+                "inputs": {p.name: _filled(p, 0.0 if p.default is None else p.default) for p in node.block.inputs},
+                "outputs": {p.name: _filled(p, np.nan) for p in node.block.outputs},
+            }
+            start: dict[str, int] = {}
+            sections: Sections = {}
+            for section in SECTIONS:
+                start[section], offset = total, 0
+                for name, array in groups[section].items():
+                    if name in sections or name in {"t", "k"}:
+                        raise KernelError(
+                            f"Block {node.name!r} uses the name {name!r} twice among its ports, states and parameters "
+                            "(t and k are taken): rename one."
+                        )
+                    sections[name] = (section, offset, array.shape)
+                    pieces.append(array.ravel())
+                    offset += array.size
+                total += offset
+            slots.append(Slots(start, sections))
+        memory = np.concatenate([*pieces, np.zeros(1)]) if pieces else np.zeros(1)
+        return tuple(slots), memory
+
+    def _check_inputs(self, diagram: Diagram) -> tuple[Draw, ...]:
+        draws = []
+        for node, slots in zip(self.nodes, self.slots, strict=True):
+            for port in node.block.inputs:
+                unfed = [e for e in range(port.size) if diagram.source_of(node, port, e) is None]
+                if port.draw is not None:
+                    columns = port.shape[1] if len(port.shape) > 1 else 1
+                    draws += [
+                        Draw(f"{node.name}.{port.name}", e // columns, e % columns, port.draw == "uniform", slots.offset(port.name) + e)
+                        for e in unfed
+                    ]
+                elif unfed and port.default is None:
+                    element = f"[{unfed[0]}]" if len(unfed) < port.size else ""
+                    raise ConnectionError(
+                        f"The input {node.name}.{port.name}{element} has no source and no start value; connect an output to it."
+                    )
+        return tuple(draws)
+
+    def _gathers(self, diagram: Diagram, i: int, feedthrough_only: bool = False) -> tuple[tuple[int, int], ...]:
+        node, slots, copies = self.nodes[i], self.slots[i], []
+        for port in node.block.inputs:
+            if feedthrough_only and not port.feedthrough:
+                continue
+            for element in range(port.size):
+                source = diagram.source_of(node, port, element)
+                if source is not None:
+                    reference, taken = source
+                    origin = self.slots[self.nodes.index(reference.node)].offset(reference.port.name) + taken
+                    copies.append((slots.offset(port.name) + element, origin))
+        return tuple(copies)
+
+    def _feedthrough_edges(self, diagram: Diagram) -> dict[int, dict[int, tuple[str, str]]]:
+        edges: dict[int, dict[int, tuple[str, str]]] = {i: {} for i in range(len(self.nodes))}
+        for i, node in enumerate(self.nodes):
+            if not self._outputs(i):
+                continue
+            for port in node.block.inputs:
+                for element in range(port.size if port.feedthrough else 0):
+                    source = diagram.source_of(node, port, element)
+                    if source is not None:
+                        j = self.nodes.index(source[0].node)
+                        edges[j].setdefault(i, (f"{source[0].node.name}.{source[0].port.name}", f"{node.name}.{port.name}"))
+        return edges
+
+    def _order(self) -> list[int]:
+        waiting = {i: sum(i in targets for targets in self._edges.values()) for i in range(len(self.nodes))}
+        order: list[int] = []
+        while waiting:
+            ready = next((i for i, count in waiting.items() if count == 0), None)
+            if ready is None:
+                raise AlgebraicLoopError(self._loop_sentence(set(waiting)))
+            del waiting[ready]
+            order.append(ready)
+            for target in self._edges[ready]:
+                waiting[target] -= 1
+        return order
+
+    def _loop_sentence(self, stuck: set[int]) -> str:
+        # Walk backwards: each stuck block has a stuck predecessor, so the walk must close.
+        path = [min(stuck)]
+        while True:
+            before = next(j for j in sorted(stuck) if path[-1] in self._edges[j])
+            if before in path:
+                loop = [*path[path.index(before) :], before][::-1]
+                break
+            path.append(before)
+        lines = [
+            f"  {self._edges[a][b][0]} -> {self._edges[a][b][1]}  ({self.nodes[b].name} feeds it through)"
+            for a, b in zip(loop, loop[1:], strict=False)
+        ]
+        return (
+            "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
+            + "\n".join(lines)
+            + "\nPut a UnitDelay into one of these connections, or declare the input feedthrough=False where that is true."
+        )
+
+    def _advance(self, diagram: Diagram) -> tuple[Call, ...]:
+        sampled = [i for i in range(len(self.nodes)) if not is_external(self.nodes[i]) and self._updates(i)]
+        calls = [Call(i, "update", self._gathers(diagram, i)) for i in sampled]
+        plants = [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self._updates(i)]
+        for position, i in enumerate(plants):
+            calls.append(Call(i, "update", self._gathers(diagram, i)))
+            fed_later = any(self._feeds(diagram, i, j) for j in plants[position + 1 :])
+            if self.coupling == "gauss-seidel" and fed_later:
+                calls.append(Call(i, "output", ()))
+        return tuple(calls)
+
+    def _feeds(self, diagram: Diagram, i: int, j: int) -> bool:
+        node = self.nodes[j]
+        sources = (diagram.source_of(node, port, e) for port in node.block.inputs for e in range(port.size))
+        return any(source is not None and source[0].node is self.nodes[i] for source in sources)
+
+
+def _definition(node: Node, definition: Definition) -> Definition:
+    known = {p.name for p in (*node.block.inputs, *node.block.outputs)} | set(definition.state) | set(definition.parameters)
+    for kernel in (definition.output, definition.update):
+        if kernel is None:
+            continue
+        for name in argument_names(kernel):
+            if name not in known | {"t", "k"}:
+                raise KernelError(
+                    f"The step function {kernel.__name__!r} of block {node.name!r} asks for {name!r}, which is no port, state or "
+                    f"parameter of it (these are: {', '.join(sorted(known))}, t, k)."
+                )
+    return definition
+
+
+def _arrays(values: Mapping[str, object]) -> dict[str, Floats]:
+    return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
+
+
+def _filled(port: Port, value: float) -> Floats:
+    return np.full(port.shape or (1,), value)

@@ -1,0 +1,177 @@
+"""Runs a diagram: opens its FMUs, chooses the engine, records, and lets Ctrl-C, progress and time limits in between."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from bayesftc.cosim.block import Block, ExternalBlock, Floats
+from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
+from bayesftc.cosim.errors import KernelError, ModelError, SimulationError
+from bayesftc.cosim.random import check_seed
+from bayesftc.cosim.recording import Selection, select_signals
+from bayesftc.cosim.result import Result
+from bayesftc.cosim.schedule import NOT_FINITE, Schedule
+from bayesftc.cosim.timebase import show, whole_steps
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram import Diagram
+
+BREATH = 0.05
+"""Seconds between two returns of the compiled loop to Python."""
+
+Progress = Callable[[int, int], None]
+
+
+def simulate(
+    diagram: Diagram,
+    duration: float | str | Fraction,
+    *,
+    seed: int = 0,
+    record: Iterable[str] | None = None,
+    decimation: int = 1,
+    engine: Literal["auto", "compiled", "interpreted"] = "auto",
+    progress: Progress | None = None,
+    time_limit: float | None = None,
+) -> Result:
+    """Run `diagram` for `duration` seconds from its initial state.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        What to run; it is built and frozen if it is not yet.
+    duration : float, str or Fraction
+        Seconds; a whole number of base steps. The result has a row at both ends.
+    seed : int
+        Seed of all random streams. The same seed gives the same numbers, whatever else is in the diagram.
+    record : iterable of str, optional
+        Names of the signals to keep, ``*`` allowed (``["plant.v", "controller.*"]``); by default all outputs. Inputs can be
+        recorded as well, by name.
+    decimation : int
+        Keep every `decimation`-th step.
+    engine : {"auto", "compiled", "interpreted"}
+        ``auto`` is compiled where every block allows it. Both give the same bits.
+    progress : callable, optional
+        Called as ``progress(step, steps)`` about twenty times a second.
+    time_limit : float, optional
+        Seconds of computing after which the run is stopped.
+
+    Returns
+    -------
+    Result
+        The recorded signals.
+
+    Raises
+    ------
+    SimulationError
+        If a plant's output is NaN or infinite, an FMU reports an error, or the time limit is reached; its ``result`` has the
+        signals up to the last complete step.
+    """
+    schedule = diagram.schedule
+    steps = whole_steps(duration, schedule.step, "The duration")
+    if decimation < 1 or int(decimation) != decimation:
+        raise ModelError(f"decimation is {decimation!r}; it must be a whole number of steps, at least 1.")
+    selection = select_signals(schedule, record)
+    with ExitStack() as stack:
+        run = _open(schedule, stack, check_seed(seed), selection, steps, int(decimation))
+        machine = _engine(engine, run)
+        last, stopped = _advance(machine, steps, run, progress, time_limit)
+    metadata = {
+        "seed": run.seed,
+        "duration": steps * float(schedule.step),
+        "engine": "compiled" if isinstance(machine, CompiledEngine) else "interpreted",
+        "blocks": {node.name: type(node.block).__name__ for node in schedule.nodes},
+    }
+    rows = last // run.decimation + 1 if last >= 0 else 0
+    result = Result(
+        run.recording[:rows],
+        selection.columns,
+        schedule.step,
+        decimation=run.decimation,
+        units=selection.units,
+        metadata=metadata,
+        stopped=stopped,
+    )
+    if stopped:
+        raise SimulationError(stopped, result)
+    return result
+
+
+def _open(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection, steps: int, decimation: int) -> Run:
+    instances = {}
+    memory = schedule.initial.copy()
+    for i, node in enumerate(schedule.nodes):
+        if isinstance(node.block, ExternalBlock):
+            instance = node.block.instantiate(schedule.step * node.every, node.name)
+            stack.callback(instance.close)
+            instances[i] = instance
+            start = schedule.slots[i].start["parameters"]
+            memory[start : start + len(instance.table)] = instance.table.view(np.float64)
+    recording: Floats = np.empty((steps // decimation + 1, len(selection.places)))
+    return Run(schedule, seed, memory, instances, selection.places, recording, decimation)
+
+
+def _engine(wanted: str, run: Run) -> Engine:
+    if wanted not in {"auto", "compiled", "interpreted"}:
+        raise ModelError(f"engine is {wanted!r}; it must be 'auto', 'compiled' or 'interpreted'.")
+    if wanted == "compiled" and not run.schedule.compiled:
+        names = [n.name for n, d in zip(run.schedule.nodes, run.schedule.definitions, strict=True) if d and not d.compiled]
+        raise KernelError(f"The blocks {', '.join(names)} call back into Python, so the diagram can only run interpreted.")
+    if wanted == "interpreted" or not run.schedule.compiled:
+        return InterpretedEngine(run)
+    return CompiledEngine(run)
+
+
+def _advance(
+    engine: Engine, steps: int, run: Run, progress: Progress | None, time_limit: float | None
+) -> tuple[int, str | None]:
+    """Run in pieces of about `BREATH` seconds; return the last complete step and why the run stopped early, if it did."""
+    begin, piece, started = 0, 64, time.perf_counter()
+    while True:
+        before = time.perf_counter()
+        end = min(begin + piece, steps)
+        last, failure = engine.advance(begin, end, first=begin == 0)
+        now = time.perf_counter()
+        if failure:
+            return last, _explain(failure, run)
+        if progress:
+            progress(last, steps)
+        if end == steps:
+            return last, None
+        if time_limit is not None and now - started > time_limit:
+            t = float(end * run.schedule.step)
+            return last, f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {end} of {steps})."
+        piece = max(64, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
+        begin = end
+
+
+def _explain(failure: Failure, run: Run) -> str:
+    node = run.schedule.nodes[failure.node]
+    t = float(failure.k * run.schedule.step)
+    place = f"at t = {t:g} s (step {failure.k})"
+    if failure.status >= NOT_FINITE:
+        offset = failure.status - NOT_FINITE
+        value = run.memory[offset]
+        name = _signal_at(node.block, offset - run.schedule.slots[failure.node].start["outputs"])
+        return (
+            f"The run stopped {place}: {node.name}.{name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the plant's "
+            f"parameters and the step size of {show(run.schedule.step * node.every)} s; the signals up to the step before are kept."
+        )
+    detail = run.instances[failure.node].explain(failure.status) if failure.node in run.instances else ""
+    return f"The run stopped {place}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
+
+
+def _signal_at(block: Block, offset: int) -> str:
+    for port in block.outputs:
+        if offset < port.size:
+            return port.name + (f"[{offset}]" if port.size > 1 else "")
+        offset -= port.size
+    return "output"
+
+
+__all__: list[Any] = ["simulate"]
