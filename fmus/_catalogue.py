@@ -1,0 +1,88 @@
+"""Where the shipped FMUs are."""
+
+import difflib
+from pathlib import Path
+
+__all__ = ["FMI_VERSIONS", "check_version", "file_name", "names", "path"]
+
+FMI_VERSIONS = ("2.0", "3.0")
+_FOLDER = Path(__file__).resolve().parent
+
+
+def check_version(fmi: str) -> None:
+    """Raise ValueError unless the version of the standard is one that FMUs are built for."""
+    if fmi not in FMI_VERSIONS:
+        raise ValueError(f"There are no FMUs for fmi={fmi!r}; give fmi='2.0' or fmi='3.0'.")
+
+
+def file_name(name: str, fmi: str) -> str:
+    """Return the file name of a model's FMU: the plain name is the version that more tools read."""
+    return f"{name}.fmu" if fmi == "2.0" else f"{name}_fmi{fmi[0]}.fmu"
+
+
+def names() -> tuple[str, ...]:
+    """List the plants that are shipped as FMUs.
+
+    Returns
+    -------
+    tuple of str
+        Their names, for :func:`path`.
+
+    Examples
+    --------
+    >>> from bayesftc import fmus
+    >>> fmus.names()
+    ('CruiseControl',)
+    """
+    from bayesftc.fmus.plants import PLANTS
+
+    return tuple(sorted(plant.name for plant in PLANTS))
+
+
+def check_name(name: str) -> None:
+    """Raise ValueError, with the near names, unless a plant of that name is shipped."""
+    known = names()
+    if name in known:
+        return
+    by_lower = {other.lower(): other for other in known}
+    near = [by_lower[match] for match in difflib.get_close_matches(str(name).lower(), by_lower, n=3)]
+    hint = f"did you mean {' or '.join(repr(other) for other in near)}? " if near else ""
+    raise ValueError(f"No FMU named {name!r} is shipped; {hint}Shipped are: {', '.join(known)}.")
+
+
+def path(name: str, *, fmi: str = "2.0") -> Path:
+    """Find a shipped FMU.
+
+    Parameters
+    ----------
+    name : str
+        Name of the plant, one of :func:`names`.
+    fmi : {"2.0", "3.0"}
+        Version of the standard.
+
+    Returns
+    -------
+    pathlib.Path
+        Absolute path of the FMU.
+
+    Raises
+    ------
+    ValueError
+        If no plant has that name, or there is no such version.
+    FileNotFoundError
+        If the plant is known and its file is not there.
+
+    Examples
+    --------
+    >>> from bayesftc import fmus
+    >>> fmus.path("CruiseControl").name
+    'CruiseControl.fmu'
+    >>> fmus.path("CruiseControl", fmi="3.0").name
+    'CruiseControl_fmi3.fmu'
+    """
+    check_version(fmi)
+    check_name(name)
+    found = _FOLDER / file_name(name, fmi)
+    if not found.is_file():
+        raise FileNotFoundError(f"The FMU {found} is missing; write it with 'python -m bayesftc.fmus build {name}'.")
+    return found

@@ -1,0 +1,172 @@
+"""What a model is, said once: the model description and the C header of an FMU are both written from it."""
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+__all__ = ["Model", "Unit", "Variable"]
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*|\[[0-9]+(,[0-9]+)*\])*")
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+# What fits which causality; the first is the default.
+_VARIABILITY = {
+    "input": ("continuous", "discrete"),
+    "output": ("continuous", "discrete"),
+    "local": ("continuous", "discrete"),
+    "parameter": ("fixed", "tunable"),
+}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit and its exponents of the SI base units.
+
+    Parameters
+    ----------
+    name : str
+        As it stands in the model description, for example ``"N.s/m"``.
+    kg, m, s, rad : int
+        Exponents of the base units.
+    """
+
+    name: str
+    kg: int = 0
+    m: int = 0
+    s: int = 0
+    rad: int = 0
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One scalar variable of a model.
+
+    Parameters
+    ----------
+    name : str
+        Name in the model description, for example ``"force"`` or ``"y[1]"``.
+    causality : {"input", "output", "parameter", "local"}
+        Who sets it: the importer (inputs and parameters) or the model.
+    description : str
+        One sentence for the user of the FMU.
+    unit : Unit, optional
+        None for a number without a unit.
+    start : float
+        Value before initialization; of an output or a local variable, what it holds until the model computes it.
+    variability : {"continuous", "discrete", "fixed", "tunable"}, optional
+        Inputs, outputs and locals are continuous unless said otherwise, parameters fixed.
+    dependencies : tuple of str
+        Of an output: the inputs whose value at a communication point acts on the output at the same point. Empty means
+        no direct feedthrough, and says so to importers, which else find algebraic loops that are not there.
+    initial_dependencies : tuple of str
+        Of an output: the inputs and parameters that its initial value is computed from.
+    """
+
+    name: str
+    causality: Literal["input", "output", "parameter", "local"]
+    description: str
+    unit: Unit | None = None
+    start: float = 0.0
+    variability: Literal["", "continuous", "discrete", "fixed", "tunable"] = ""
+    dependencies: tuple[str, ...] = ()
+    initial_dependencies: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"The variable name {self.name!r} is not legal in FMI; use letters, digits, '.', '[1]'.")
+        if not math.isfinite(self.start):
+            raise ValueError(
+                f"The start value {self.start} of '{self.name}' is not finite; FMI has no spelling for it."
+            )
+        allowed = _VARIABILITY[self.causality]
+        if not self.variability:
+            object.__setattr__(self, "variability", allowed[0])
+        elif self.variability not in allowed:
+            raise ValueError(
+                f"'{self.name}' is {self.causality} and cannot be {self.variability}; use one of {', '.join(allowed)}."
+            )
+        if self.causality != "output" and (self.dependencies or self.initial_dependencies):
+            raise ValueError(f"'{self.name}' is {self.causality}; only an output has dependencies.")
+
+    @property
+    def symbol(self) -> str:
+        """The C name of its index in the vector of values."""
+        return "X_" + re.sub(r"[^A-Za-z0-9_]", "_", self.name)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model: its variables, and the C file that keeps the contract of ``c/model.h``.
+
+    Parameters
+    ----------
+    name : str
+        Model name, model identifier, and stem of the FMU's file.
+    description : str
+        One or two sentences for the user of the FMU.
+    source : pathlib.Path
+        C file that defines ``model_initialize`` and ``model_step``.
+    variables : tuple of Variable
+        In the order of their value references, which are their indices in the vector of values.
+    step : float
+        Preferred communication step size [s].
+    fixed_step : bool
+        Whether the model accepts that step size only.
+    stop_time : float
+        Stop time of the default experiment [s].
+    hidden : int
+        Number of doubles of state or scratch space that no importer sees.
+    timing : {"plant", "sampled"}
+        Whether the outputs at t_k are those before the step from t_k ("plant") or the result of a step that takes the
+        inputs at t_k ("sampled", as a controller is). Written as a vendor annotation.
+    libraries : tuple of str
+        System libraries that the C file needs, for example ``("m",)``.
+    """
+
+    name: str
+    description: str
+    source: Path
+    variables: tuple[Variable, ...]
+    step: float
+    fixed_step: bool = False
+    stop_time: float = 20.0
+    hidden: int = 0
+    timing: Literal["plant", "sampled"] = "plant"
+    libraries: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not _IDENTIFIER.fullmatch(self.name):
+            raise ValueError(f"The model name {self.name!r} is no C identifier; use letters, digits and '_'.")
+        if not (math.isfinite(self.step) and self.step > 0.0):
+            raise ValueError(f"The step size {self.step} of '{self.name}' must be positive and finite.")
+        symbols = [variable.symbol for variable in self.variables] + ["X_time", "X_TIME", "X_HIDDEN"]
+        for variable in self.variables:
+            if symbols.count(variable.symbol) > 1:
+                raise ValueError(
+                    f"The variable '{variable.name}' of '{self.name}' shares its C name {variable.symbol} with another "
+                    "or with the time; rename it."
+                )
+        known = {v.name for v in self.variables if v.causality in {"input", "parameter"}}
+        for variable in self.variables:
+            for name in variable.dependencies + variable.initial_dependencies:
+                if name not in known:
+                    raise ValueError(
+                        f"The output '{variable.name}' of '{self.name}' depends on '{name}', which is neither an input "
+                        "nor a parameter of it."
+                    )
+
+    @property
+    def outputs(self) -> tuple[Variable, ...]:
+        """The outputs, in order."""
+        return tuple(variable for variable in self.variables if variable.causality == "output")
+
+    @property
+    def units(self) -> tuple[Unit, ...]:
+        """The units in use, each once, in order of appearance; seconds first, for the time."""
+        used = [Unit("s", s=1)] + [variable.unit for variable in self.variables if variable.unit is not None]
+        return tuple(dict.fromkeys(used))
+
+    def index(self, name: str) -> int:
+        """Position of a variable in the vector of values, which is its value reference."""
+        return [variable.name for variable in self.variables].index(name)
