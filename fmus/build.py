@@ -34,7 +34,7 @@ def _fmi_headers(fmi: str) -> dict[str, bytes]:
     folder = Path(found.submodule_search_locations[0]) / "c-code"
     missing = [name for name in _FMI_HEADERS[fmi] if not (folder / name).is_file()]
     if missing:
-        raise RuntimeError(f"The installed fmpy lacks the FMI header {missing[0]}; install fmpy 0.3.22 or newer.")
+        raise RuntimeError(f"The installed fmpy lacks the FMI header {missing[0]}; upgrade fmpy.")
     return {f"sources/{name}": (folder / name).read_bytes() for name in _FMI_HEADERS[fmi]}
 
 

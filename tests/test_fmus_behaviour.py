@@ -135,12 +135,16 @@ def test_the_recursion_bit_for_bit(make):
 
 
 def test_parameters_and_step_size(make):
-    car = make().start(b=0.3, m=1234.5, v0=-3.0, force=77.0)
-    v, t = -3.0, 0.0
-    for h in (0.01, 0.5, 1e-6, 3.0):
+    # Awkward numbers, so that another order of the operations shows in the last digits.
+    b, m, force = 310.7, 777.3, 77.1
+    car = make().start(b=b, m=m, v0=-3.3, force=force)
+    v, t, reordered = -3.3, 0.0, 0
+    for h in (0.013, 0.51, 1e-6, 3.1, 0.7, 0.33, 0.021, 1.7):
+        reordered += car_map(v, force, 0.0, h, b, m) != (1.0 - b * h / m) * v + h / m * force
         car.fmu.doStep(t, h)
-        v, t = car_map(v, 77.0, 0.0, h, 0.3, 1234.5), t + h
+        v, t = car_map(v, force, 0.0, h, b, m), t + h
         assert car.get("v") == v
+    assert reordered
 
 
 @pytest.mark.parametrize("fmi", FMI_VERSIONS)
@@ -181,16 +185,20 @@ def test_nan_is_accepted_and_passed_on(make):
     assert car.log == []
 
 
-def test_time_in_fmi_3(make):
+def test_the_instances_own_time(make):
     car = make().start(start=2.0)
     if car.fmi == "3.0":
         assert car.get("time") == 2.0
         assert car.step(0, start=2.0) == (False, False, False, 2.0 + H)
         assert car.get("time") == 2.0 + H
+        # The master's own points count, rounded as they may be.
+        assert car.fmu.doStep(2.0 + H + 1e-9, H)[3] == 2.0 + H + 1e-9 + H
         assert "'time' (value reference 6) is computed" in car.refused(car.set, "time", 1.0)
     else:
         car.step(0, start=2.0)
         assert car.fmu.getRealStatus(fmi2.fmi2LastSuccessfulTime) == 2.0 + H
+        car.fmu.doStep(2.0 + H + 1e-9, H)
+        assert car.fmu.getRealStatus(fmi2.fmi2LastSuccessfulTime) == 2.0 + H + 1e-9 + H
         assert car.fmu.getBooleanStatus(fmi2.fmi2Terminated) is False
 
 
@@ -336,6 +344,16 @@ def test_what_a_master_must_not_do(make, prepare, call, message):
     car.get("v")
     car.fmu.reset()
     car.start().step(0)
+
+
+def test_what_only_one_version_can_get_wrong(make):
+    car = make()
+    if car.fmi == "2.0":
+        assert "call fmi2SetupExperiment first" in car.refused(car.fmu.enterInitializationMode)
+    else:
+        references, values = (ctypes.c_uint32 * 2)(0, 1), (ctypes.c_double * 2)()
+        message = car.refused(car.fmu.fmi3SetFloat64, car.fmu.component, references, 2, values, 1)
+        assert "1 values for 2 scalar variables" in message
 
 
 def test_an_unknown_value_reference_is_named(make):
