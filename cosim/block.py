@@ -85,6 +85,11 @@ class Block:
         """The name under which a diagram adds the block if none is given."""
         return type(self).__name__.lower()
 
+    @property
+    def sample_time(self) -> Fraction | None:
+        """The only sample time at which the block can run, in seconds; None where any will do."""
+        return None
+
     def define(self, step: Fraction) -> Definition:
         """Return what the block does when it runs every `step` seconds."""
         raise KernelError(f"{type(self).__name__} does not say what it does: give it a method define(step).")

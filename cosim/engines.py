@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bayesftc.cosim.block import External, Floats, argument_names
+from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key
-from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule
+from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule, bind
 
 @dataclass(frozen=True)
 class Failure:
@@ -152,17 +152,10 @@ class InterpretedEngine:
             return call, lambda t, k: function(inputs, outputs, t)
         kernel = schedule.kernel(call)
         assert kernel is not None
-        views: list[Any] = []
-        for name in argument_names(kernel):
-            if name in {"t", "k"}:
-                views.append(name)
-            else:
-                shape = slots.sections[name][2]
-                start = slots.offset(name)
-                views.append(memory[start : start + int(np.prod(shape))].reshape(shape))
+        plain = bind(kernel, slots, memory)
 
         def step(t: float, k: int) -> int:
-            kernel(*[(np.float64(t) if v == "t" else k) if isinstance(v, str) else v for v in views])
+            plain(t, k)
             return 0
 
         return call, step

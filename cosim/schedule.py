@@ -8,24 +8,31 @@ that an FMU it feeds directly sees them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from math import prod
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bayesftc.cosim.block import Definition, Floats, Kernel, argument_names
+from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
 from bayesftc.cosim.diagram import Diagram, Node, is_external
-from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, KernelError
+from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, KernelError, StepSizeError
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.timebase import show
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from fractions import Fraction
 
 Sections = dict[str, tuple[str, int, tuple[int, ...]]]
 """For each argument of a step function: its section, its offset in that section, its shape."""
 
 NOT_FINITE = 1_000_000
 """A call's status from here on: the place in memory, plus this number, that came out NaN or infinite."""
+
+TABLE = 32
+"""Places reserved for the addresses that an external block's step functions need."""
 
 SECTIONS = ("state", "parameters", "inputs", "outputs")
 
@@ -80,6 +87,8 @@ class Schedule:
         self.step = diagram.step
         self.nodes = diagram.nodes
         self.coupling = coupling
+        for node in self.nodes:
+            _check_sample_time(node, self.step * node.every)
         self.definitions: tuple[Definition | None, ...] = tuple(
             None if is_external(node) else _definition(node, node.block.define(self.step * node.every)) for node in self.nodes
         )
@@ -119,33 +128,13 @@ class Schedule:
         return definition.output is not None if definition else True
 
     def _lay_out(self) -> tuple[tuple[Slots, ...], Floats]:
-        pieces: list[Floats] = []
-        total = 0
-        slots = []
+        slots, pieces, total = [], [], 0
         for node, definition in zip(self.nodes, self.definitions, strict=True):
-            groups: dict[str, Mapping[str, Floats]] = {
-                "state": _arrays(definition.state) if definition else {},
-                "parameters": _arrays(definition.parameters) if definition else {"table": np.zeros(32)},
-                "inputs": {p.name: _filled(p, 0.0 if p.default is None else p.default) for p in node.block.inputs},
-                "outputs": {p.name: _filled(p, np.nan) for p in node.block.outputs},
-            }
-            start: dict[str, int] = {}
-            sections: Sections = {}
-            for section in SECTIONS:
-                start[section], offset = total, 0
-                for name, array in groups[section].items():
-                    if name in sections or name in {"t", "k"}:
-                        raise KernelError(
-                            f"Block {node.name!r} uses the name {name!r} twice among its ports, states and parameters "
-                            "(t and k are taken): rename one."
-                        )
-                    sections[name] = (section, offset, array.shape)
-                    pieces.append(array.ravel())
-                    offset += array.size
-                total += offset
-            slots.append(Slots(start, sections))
-        memory = np.concatenate([*pieces, np.zeros(1)]) if pieces else np.zeros(1)
-        return tuple(slots), memory
+            placed, values = arrange(node.block, definition, total)
+            slots.append(placed)
+            pieces.append(values)
+            total += len(values)
+        return tuple(slots), np.concatenate([*pieces, np.zeros(1)])
 
     def _check_inputs(self, diagram: Diagram) -> tuple[Draw, ...]:
         draws = []
@@ -238,6 +227,61 @@ class Schedule:
         node = self.nodes[j]
         sources = (diagram.source_of(node, port, e) for port in node.block.inputs for e in range(port.size))
         return any(source is not None and source[0].node is self.nodes[i] for source in sources)
+
+
+def arrange(block: Block, definition: Definition | None, begin: int) -> tuple[Slots, Floats]:
+    """Lay one block's sections out from place `begin` on; return where everything is and the initial values.
+
+    An external block, without a definition, gets room for its table of addresses as its parameters.
+    """
+    groups: dict[str, Mapping[str, Floats]] = {
+        "state": _arrays(definition.state) if definition else {},
+        "parameters": _arrays(definition.parameters) if definition else {"table": np.zeros(TABLE)},
+        "inputs": {p.name: _filled(p, 0.0 if p.default is None else p.default) for p in block.inputs},
+        "outputs": {p.name: _filled(p, np.nan) for p in block.outputs},
+    }
+    start: dict[str, int] = {}
+    sections: Sections = {}
+    pieces: list[Floats] = []
+    for section in SECTIONS:
+        start[section], offset = begin, 0
+        for name, array in groups[section].items():
+            if name in sections or name in {"t", "k"}:
+                raise KernelError(
+                    f"{type(block).__name__} uses the name {name!r} twice among its ports, states and parameters "
+                    "(t and k are taken): rename one."
+                )
+            sections[name] = (section, offset, array.shape)
+            pieces.append(array.ravel())
+            offset += array.size
+        begin += offset
+    return Slots(start, sections), np.concatenate([np.zeros(0), *pieces])
+
+
+def bind(kernel: Kernel, slots: Slots, memory: Floats) -> Callable[[float, int], None]:
+    """Return the plain Python step function with views of memory as its arguments; it still takes ``t`` and ``k``."""
+    views: list[Any] = []
+    for name in argument_names(kernel):
+        if name in {"t", "k"}:
+            views.append(name)
+        else:
+            shape = slots.sections[name][2]
+            start = slots.offset(name)
+            views.append(memory[start : start + prod(shape)].reshape(shape))
+
+    def step(t: float, k: int) -> None:
+        kernel(*[(np.float64(t) if v == "t" else k) if isinstance(v, str) else v for v in views])
+
+    return step
+
+
+def _check_sample_time(node: Node, step: Fraction) -> None:
+    wanted = node.block.sample_time
+    if wanted is not None and wanted != step:
+        raise StepSizeError(
+            f"Block {node.name!r} must run every {show(wanted)} s, but the diagram runs it every {show(step)} s; "
+            "change the diagram's dt, the block's every=, or the block's own sample time."
+        )
 
 
 def _definition(node: Node, definition: Definition) -> Definition:

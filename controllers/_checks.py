@@ -1,0 +1,102 @@
+"""Checks of matrices, with sentences that name the culprit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesftc.cosim.errors import ModelError
+
+Floats = NDArray[np.float64]
+Matrix = float | Sequence[float] | Sequence[Sequence[float]]
+"""What a user may give where a matrix is meant: rows, a diagonal, or one number."""
+
+
+def frozen(array: Floats) -> Floats:
+    """Return a read-only copy."""
+    copy = np.array(array, dtype=np.float64)
+    copy.flags.writeable = False
+    return copy
+
+
+def as_matrix(name: str, value: object, rows: int | None = None, columns: int | None = None) -> Floats:
+    """Return `value` as a finite matrix of the given size; numbers become 1 x 1, vectors one column.
+
+    Raises
+    ------
+    ModelError
+        If it has another size or is not finite.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ModelError(f"{name} is no matrix of numbers; give its rows, as [[1, 0.1], [0, 1]].") from None
+    if array.ndim < 2:
+        array = array.reshape(-1, 1)
+    if array.ndim != 2 or not array.size:
+        raise ModelError(f"{name} has the shape {array.shape}; it must be a matrix with rows and columns.")
+    wanted = (rows if rows is not None else array.shape[0], columns if columns is not None else array.shape[1])
+    if array.shape != wanted:
+        raise ModelError(f"{name} is {_size(array.shape)}; here it must be {_size(wanted)}.")
+    if not np.isfinite(array).all():
+        raise ModelError(f"{name} has entries that are NaN or infinite; check where it was computed.")
+    return frozen(array)
+
+
+def as_covariance(name: str, value: object, size: int, *, singular: bool = False) -> Floats:
+    """Return `value` as a covariance matrix: a number or a vector stands for a diagonal.
+
+    Parameters
+    ----------
+    name : str
+        What it is, for the error.
+    value : number, vector or matrix
+        The covariance.
+    size : int
+        Rows and columns it must have.
+    singular : bool
+        Whether zero eigenvalues are allowed (a state without process noise).
+
+    Raises
+    ------
+    ModelError
+        If it is not symmetric or not positive (semi-)definite.
+    """
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0:
+        array = array * np.eye(size)
+    elif array.ndim == 1 and array.shape == (size,):
+        array = np.diag(array)
+    matrix = as_matrix(name, array, size, size)
+    scale = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
+        raise ModelError(f"{name} is not symmetric; a covariance must be: use (M + M.T) / 2 if the difference is rounding.")
+    smallest = float(np.linalg.eigvalsh(matrix)[0])
+    if smallest < -1e-12 * scale or (not singular and smallest <= 1e-15 * scale):
+        kind = "positive semi-definite (no negative eigenvalue)" if singular else "positive definite"
+        raise ModelError(f"{name} is not {kind}: its smallest eigenvalue is {smallest:.3g}. A variance must be above zero.")
+    return frozen((matrix + matrix.T) / 2)
+
+
+def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Floats:
+    """Return `value` as a vector; one number is repeated.
+
+    Raises
+    ------
+    ModelError
+        If it has another length, or is not finite where it must be.
+    """
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0:
+        array = np.full(size, float(array))
+    if array.shape != (size,):
+        raise ModelError(f"{name} has the shape {array.shape}; here it must be a vector of {size}.")
+    if np.isnan(array).any() or (finite and not np.isfinite(array).all()):
+        raise ModelError(f"{name} is {array.tolist()}; its entries must be {'finite ' if finite else ''}numbers.")
+    return frozen(array)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))

@@ -1,0 +1,92 @@
+"""Dense linear algebra in scalar loops, for step functions: nothing is allocated, every result goes into a given array."""
+
+from bayesftc.cosim.ops import sqrt
+
+
+def multiply(a, b, out):
+    """``out = a @ b``."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            total = a[i, 0] * b[0, j]
+            for k in range(1, a.shape[1]):
+                total = total + a[i, k] * b[k, j]
+            out[i, j] = total
+
+
+def multiply_transposed(a, b, out):
+    """``out = a @ b.T``."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
+            total = a[i, 0] * b[j, 0]
+            for k in range(1, a.shape[1]):
+                total = total + a[i, k] * b[j, k]
+            out[i, j] = total
+
+
+def congruence(a, p, work, out):
+    """``out = a @ p @ a.T`` for symmetric `p`: exactly symmetric. `work` has the shape of `a`; `out` must not be `p`."""
+    multiply(a, p, work)
+    for i in range(a.shape[0]):
+        for j in range(i + 1):
+            total = work[i, 0] * a[j, 0]
+            for k in range(1, a.shape[1]):
+                total = total + work[i, k] * a[j, k]
+            out[i, j] = total
+            out[j, i] = total
+
+
+def apply(a, x, out):
+    """``out = a @ x`` for a vector `x`."""
+    for i in range(a.shape[0]):
+        total = a[i, 0] * x[0]
+        for k in range(1, a.shape[1]):
+            total = total + a[i, k] * x[k]
+        out[i] = total
+
+
+def cholesky(a, lower):
+    """Write the lower Cholesky factor of the symmetric positive definite `a` into `lower` (which may be `a`)."""
+    for j in range(a.shape[0]):
+        d = a[j, j]
+        for k in range(j):
+            d = d - lower[j, k] * lower[j, k]
+        d = sqrt(d)
+        lower[j, j] = d
+        for i in range(j + 1, a.shape[0]):
+            t = a[i, j]
+            for k in range(j):
+                t = t - lower[i, k] * lower[j, k]
+            lower[i, j] = t / d
+
+
+def solve_columns(lower, b):
+    """Replace `b` (rows x columns) by the solution of ``lower @ lower.T @ x = b``."""
+    n = lower.shape[0]
+    for c in range(b.shape[1]):
+        for i in range(n):
+            t = b[i, c]
+            for k in range(i):
+                t = t - lower[i, k] * b[k, c]
+            b[i, c] = t / lower[i, i]
+        for j in range(n):
+            i = n - 1 - j
+            t = b[i, c]
+            for k in range(i + 1, n):
+                t = t - lower[k, i] * b[k, c]
+            b[i, c] = t / lower[i, i]
+
+
+def solve_vector(lower, b):
+    """Replace the vector `b` by the solution of ``lower @ lower.T @ x = b``."""
+    n = lower.shape[0]
+    for i in range(n):
+        t = b[i]
+        for k in range(i):
+            t = t - lower[i, k] * b[k]
+        b[i] = t / lower[i, i]
+    for j in range(n):
+        i = n - 1 - j
+        t = b[i]
+        for k in range(i + 1, n):
+            t = t - lower[k, i] * b[k]
+        b[i] = t / lower[i, i]

@@ -1,0 +1,104 @@
+"""The paper's two baselines (section 5.2.1): they ignore a sensor or trust it fully, by a threshold on a residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.controllers.precision import Learner, PrecisionLearner
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import absolute, both, maximum, negate, select, sqrt
+from bayesftc.cosim.timebase import whole_steps
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+
+EFFDI_QUANTILE_999 = 19.76
+"""The 99.9 % quantile of EF-FDI's statistic without fault, in standard deviations of the sensor's noise (checked by a test)."""
+
+
+def _decide(i, ignored, nominal, nan, R, used, present, precision, beta, fault_probability):
+    for j in range(R.shape[0]):
+        R[i, j] = nominal[i, j]
+    trusted = both(present > 0.5, negate(ignored))
+    used[i] = select(trusted, 1.0, 0.0)
+    precision[i] = select(ignored, 0.0, 1.0 / nominal[i, i])
+    beta[i] = nan
+    fault_probability[i] = select(ignored, 1.0, 0.0)
+
+
+def learn_effdi(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
+    """``memory``: for each sensor the last two samples, the last two r, and the steps for which it is still ignored."""
+    for i in range(y.shape[0]):
+        at = 5 * i
+        r = absolute(y[i] - 2.0 * memory[at] + memory[at + 1])
+        jumped = r + memory[at + 2] + memory[at + 3] > settings[0] * sqrt(nominal[i, i])
+        left = select(jumped, settings[1], memory[at + 4])
+        memory[at + 1] = memory[at]
+        memory[at] = y[i]
+        memory[at + 3] = memory[at + 2]
+        memory[at + 2] = r
+        memory[at + 4] = maximum(left - 1.0, 0.0)
+        _decide(i, left > 0.5, nominal, settings[2], R, used, present[i], precision, beta, fault_probability)
+
+
+@dataclass(frozen=True)
+class EFFDI(PrecisionLearner):
+    """Easy and fast FDI: a jump of the sensor's signal, by its second differences, has it ignored for a fixed time.
+
+    ``R_k = r_k + r_k-1 + r_k-2`` with ``r_k = |y_k - 2 y_k-1 + y_k-2|``. It cannot see a frozen sensor, whose differences are
+    zero. The decision is ``fault_probability`` (0 or 1); precision is 0 while a sensor is ignored; beta is NaN.
+
+    Parameters
+    ----------
+    threshold : float
+        On R_k, in standard deviations of the sensor's noise; the default is its 99.9 % quantile without fault.
+    duration : float
+        Expected duration of a fault in seconds, for which the sensor is ignored.
+    """
+
+    threshold: float = EFFDI_QUANTILE_999
+    duration: float = 0.4
+
+    def __post_init__(self) -> None:
+        if not (self.threshold > 0 and self.duration > 0 and np.isfinite(self.duration)):
+            raise ModelError(f"EFFDI has threshold={self.threshold!r}, duration={self.duration!r}; both must be positive.")
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        steps = whole_steps(self.duration, model.step, "EFFDI's duration")
+        memory = np.tile([np.nan, np.nan, np.nan, np.nan, 0.0], model.sensors)  # no history yet: NaN exceeds no threshold
+        return Learner(learn_effdi, memory, np.array([self.threshold, steps, np.nan]))
+
+
+def learn_serfdi(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
+    """Compare each innovation with its standard deviation."""
+    for i in range(y.shape[0]):
+        ignored = absolute(e[i]) > settings[0] * sqrt(spread[i, i] + nominal[i, i])
+        _decide(i, ignored, nominal, settings[1], R, used, present[i], precision, beta, fault_probability)
+
+
+@dataclass(frozen=True)
+class SERFDI(PrecisionLearner):
+    """State estimation residual: a sensor whose innovation exceeds the threshold is ignored at this sample.
+
+    The estimate is a Kalman filter's that leaves ignored sensors out (`bayesftc.controllers.validation.ser_reference` is the
+    same on filterpy's). The decision is ``fault_probability`` (0 or 1); beta is NaN.
+
+    Parameters
+    ----------
+    threshold : float
+        On ``|y - C x_t|t-1|``, in standard deviations of the innovation.
+    """
+
+    threshold: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not self.threshold > 0:
+            raise ModelError(f"SERFDI has threshold={self.threshold!r}; it must be positive.")
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        return Learner(learn_serfdi, np.zeros(1), np.array([self.threshold, np.nan]))

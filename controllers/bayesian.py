@@ -1,0 +1,254 @@
+"""The Bayesian controller for linear models: filtering and control as one inference (paper, section 2.3)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+
+from bayesftc.controllers import _filter
+from bayesftc.controllers._checks import Floats, Matrix, as_covariance, as_matrix, as_vector, frozen
+from bayesftc.controllers._filter import decide, innovate, limit, measure, predict
+from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ports import Port
+
+
+class UnstableLoopWarning(UserWarning):
+    """The chosen goal and control priors make the closed loop unstable."""
+
+
+def _make_step(learn: Callable[..., None], fold: Callable[..., None]) -> Callable[..., None]:
+    """Return the controller's step function for a precision learner and a way of carrying the belief."""
+
+    def bayesian_controller(
+        y, goal, u, x_hat, P, R, precision, beta, fault_probability,
+        mean, covariance, applied, memory,
+        A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change,
+        e, present, used, CP, spread, S, K, KR, J, JP, GA, GAP, SG, pull, W, Lambda, N, V, Wt, L, GL, VGL, M, X, h,
+    ):  # fmt: skip
+        innovate(y, mean, covariance, C, e, present, CP, spread)
+        learn(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability)
+        measure(e, used, R, C, CP, spread, mean, covariance, S, K, KR, J, JP, x_hat, P)
+        decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, GA, GAP, SG, pull, W, Lambda, u)
+        limit(u, applied, u_min, u_max, u_change)
+        for i in range(pull.shape[0]):
+            pull[i] = pull[i] - goal_shift[i]
+        fold(pull, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
+        predict(x_hat, P, u, A, B, Q, J, mean, covariance)
+
+    return bayesian_controller
+
+
+@dataclass(frozen=True, eq=False)
+class BayesianController(Block):
+    """Infers the state and the control that brings the next state to the goal, from redundant and possibly faulty sensors.
+
+    At every sample the joint posterior of the state x_t, the control u_t and the next state x_t+1 is computed in closed form:
+    the prediction prior and the sensors give the belief p(x_t | y_1..t); the goal prior on x_t+1 and, if wanted, a control
+    prior give the control. How far each sensor is trusted is the precision learner's part.
+
+    Inputs ``y`` (m samples; NaN is a missing one) and ``goal`` (of x_t+1). Outputs ``u`` (p), ``x_hat`` (n), ``P`` (n x n),
+    ``R`` (m x m, the sensor covariance in use), ``precision`` (m), ``beta`` (m), ``fault_probability`` (m).
+
+    Parameters
+    ----------
+    model : LinearModel
+        What the controller believes about plant and sensors.
+    precision : PrecisionLearner
+        How sensor precisions are learned; by default they are fixed.
+    goal_on : {"states", "outputs"} or matrix
+        What the goal is given for: all states (disturbances excluded), one value for each distinct output (row of C), or
+        ``G x`` for a matrix G with a column for each state.
+    goal_covariance : number, vector or matrix
+        Covariance of the goal prior. The smaller, the more aggressive, where a control prior stands against it.
+    control_covariance : number, vector, matrix or None
+        Covariance of the control prior; None is a flat one, which makes the control deadbeat.
+    control_mean : number or vector
+        Mean of the control prior.
+    belief : {"filtered", "joint"}
+        Carry p(x_t | y_1..t), which is a Kalman filter's whatever the priors; or the marginal of the full joint, into which
+        the goal leaks.
+    u_min, u_max : number or vector
+        Limits of the control; the prediction uses the control that was applied.
+    u_rate : number or vector
+        Largest change of the control per second; the first step is measured from 0.
+    initial_mean, initial_covariance : optional
+        Belief before the first sample; by default 0 and the identity.
+
+    Raises
+    ------
+    ModelError
+        If dimensions do not fit, a covariance is not positive definite, or a flat control prior leaves a control undetermined.
+
+    Warns
+    -----
+    UnstableLoopWarning
+        If the closed loop (fixed precision, no limits) has a pole on or outside the unit circle.
+    """
+
+    model: LinearModel
+    precision: PrecisionLearner = field(default_factory=FixedPrecision)
+    goal_on: Literal["states", "outputs"] | Matrix = "states"
+    goal_covariance: Matrix = 1.0
+    control_covariance: Matrix | None = None
+    control_mean: float | tuple[float, ...] = 0.0
+    belief: Literal["filtered", "joint"] = "filtered"
+    u_min: float | tuple[float, ...] = float("-inf")
+    u_max: float | tuple[float, ...] = float("inf")
+    u_rate: float | tuple[float, ...] = float("inf")
+    initial_mean: float | tuple[float, ...] = 0.0
+    initial_covariance: Matrix = 1.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.model, LinearModel):
+            raise ModelError(f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control.")
+        if not isinstance(self.precision, PrecisionLearner):
+            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
+        if self.belief not in {"filtered", "joint"}:
+            raise ModelError(f"belief is {self.belief!r}; it must be 'filtered' or 'joint'.")
+        n, p = self.model.states, self.model.controls
+        G = self._goal_matrix()
+        values = {
+            "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, len(G)),
+            "control_mean": as_vector("The control_mean", self.control_mean, p),
+            "u_min": as_vector("u_min", self.u_min, p, finite=False),
+            "u_max": as_vector("u_max", self.u_max, p, finite=False),
+            "u_rate": as_vector("u_rate", self.u_rate, p, finite=False),
+            "initial_mean": as_vector("The initial_mean", self._extended(self.initial_mean), n),
+            "initial_covariance": as_covariance("The initial_covariance", self.initial_covariance, n, singular=True),
+        }
+        if self.control_covariance is not None:
+            values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        if (values["u_min"] > values["u_max"]).any():
+            raise ModelError(f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them.")
+        if (values["u_rate"] <= 0).any():
+            raise ModelError(f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second).")
+        if self.control_covariance is None and np.linalg.matrix_rank(G @ self.model.matrix("B")) < p:
+            raise ModelError(
+                f"With a flat control prior the goal must determine each of the {p} controls, but the goal reaches only "
+                f"{np.linalg.matrix_rank(G @ self.model.matrix('B'))} of them in one step; give a control_covariance."
+            )
+        self.precision.learner(self.model)  # settings that do not fit the model fail here, not in the loop
+        self._warn_if_unstable()
+
+    def _extended(self, mean: object) -> object:
+        # A mean for the plant's states alone is meant with disturbances of zero.
+        values = np.atleast_1d(np.asarray(mean, dtype=np.float64))
+        plant = self.model.states - self.model.disturbances
+        if self.model.disturbances and values.shape in {(plant,), (1,)}:
+            return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
+        return mean
+
+    def _goal_matrix(self) -> Floats:
+        n = self.model.states
+        if isinstance(self.goal_on, str):
+            if self.goal_on == "states":
+                return frozen(np.eye(n)[: n - self.model.disturbances])
+            if self.goal_on == "outputs":
+                C = self.model.matrix("C")
+                first = sorted(np.unique(C, axis=0, return_index=True)[1])
+                return frozen(C[first])
+            raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
+        return as_matrix("The matrix goal_on", np.atleast_2d(np.asarray(self.goal_on, float)), columns=n)
+
+    @property
+    def goals(self) -> int:
+        """Number of values that the goal has."""
+        return len(self._goal_matrix())
+
+    @property
+    def default_name(self) -> str:
+        """See `Block.default_name`."""
+        return "controller"
+
+    @property
+    def sample_time(self) -> Fraction:
+        """The model's sample time in seconds, at which the controller must run."""
+        return self.model.step
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Inputs ``y`` and ``goal``."""
+        return Port("y", (self.model.sensors,)), Port("goal", (self.goals,))
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Outputs ``u, x_hat, P, R, precision, beta, fault_probability``."""
+        n, p, m = self.model.states, self.model.controls, self.model.sensors
+        shapes = {"u": (p,), "x_hat": (n,), "P": (n, n), "R": (m, m), "precision": (m,), "beta": (m,)}
+        return (*(Port(name, shape) for name, shape in shapes.items()), Port("fault_probability", (m,)))
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        model, learner, G = self.model, self.precision.learner(self.model), self._goal_matrix()
+        n, p, m, g = model.states, model.controls, model.sensors, len(G)
+        A, B, Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
+        prior = self._prior_precision()
+        pull = prior @ np.asarray(self.control_mean)
+        parameters = {
+            "A": A, "B": B, "C": model.matrix("C"), "Q": Q, "nominal": model.matrix("sensor_covariance"),
+            "G": G, "GB": G @ B, "GQ": G @ Q @ G.T + self.goal_covariance, "prior_precision": prior, "prior_pull": pull,
+            "goal_shift": G @ B @ self.control_mean, "settings": learner.settings,
+            "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
+        }  # fmt: skip
+        scratch = {
+            "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "S": (m, m), "K": (m, n), "KR": (m, n),
+            "J": (n, n), "JP": (n, n), "GA": (g, n), "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
+        }  # fmt: skip
+        joint = self.belief == "joint"
+        folding = {"N": (g, g), "V": (g, g), "Wt": (p, g), "L": (n, n), "GL": (g, n), "VGL": (g, n), "M": (n, n), "X": (n, n), "h": (n,)}
+        scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
+        state = {
+            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
+            **{name: np.zeros(shape) for name, shape in scratch.items()},
+        }  # fmt: skip
+        fold = _filter.fold_goal if joint else _filter.keep_belief
+        return Definition(_make_step(learner.step, fold), state=state, parameters=parameters)
+
+    def closed_loop_poles(self) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
+        """Return the poles of the plant's states under this controller in steady state, at fixed precision and without limits.
+
+        The separation of estimation and control holds, so these are the eigenvalues of A - B L, with L the control's gain on
+        the belief. States of an estimated disturbance, which no control can move, are left out.
+        """
+        from scipy.linalg import solve_discrete_are
+
+        model, G = self.model, self._goal_matrix()
+        A, B, C = (model.matrix(name) for name in "ABC")
+        Q, R = model.matrix("process_covariance"), model.matrix("sensor_covariance")
+        try:
+            predicted = solve_discrete_are(A.T, C.T, Q, R)
+            P = predicted - predicted @ C.T @ np.linalg.solve(C @ predicted @ C.T + R, C @ predicted)
+        except (np.linalg.LinAlgError, ValueError):
+            P = Q  # no steady state of the filter; the gain's dependence on P is slight
+        GA, GB = G @ A, G @ B
+        weight = np.linalg.solve(GA @ P @ GA.T + G @ Q @ G.T + self.goal_covariance, GB)
+        gain = np.linalg.solve(self._prior_precision() + GB.T @ weight, weight.T @ GA)
+        plant = model.states - model.disturbances
+        poles: np.ndarray[tuple[int], np.dtype[np.complex128]] = np.linalg.eigvals((A - B @ gain)[:plant, :plant])
+        return poles
+
+    def _prior_precision(self) -> Floats:
+        p = self.model.controls
+        return np.zeros((p, p)) if self.control_covariance is None else np.linalg.inv(np.asarray(self.control_covariance))
+
+    def _warn_if_unstable(self) -> None:
+        poles = self.closed_loop_poles()
+        if np.abs(poles).max() >= 1.0:
+            shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
+            warnings.warn(
+                f"The goal and control priors make the closed loop unstable: its poles are {shown}, the largest of magnitude "
+                f"{np.abs(poles).max():.3g}. A goal for the next step alone is short-sighted: weaken it (goal_covariance), tighten "
+                "the control prior (control_covariance), or set goals only for what the control reaches in one step.",
+                UnstableLoopWarning,
+                stacklevel=4,
+            )

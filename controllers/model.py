@@ -1,0 +1,167 @@
+"""The linear Gaussian model that a controller believes in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers._checks import Floats, Matrix, as_covariance, as_matrix
+from bayesftc.cosim.errors import ModelError, StepSizeError
+from bayesftc.cosim.timebase import rational_step
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """``x_t+1 = A x_t + B u_t + q``, ``y_t = C x_t + eta`` with Gaussian ``q`` and ``eta`` (paper, section 2.1).
+
+    Parameters
+    ----------
+    A : matrix, n x n
+        Transition of the state in one step.
+    B : matrix, n x p
+        Effect of the controls.
+    C : matrix, m x n
+        What each sensor reads; redundant sensors are equal rows.
+    process_covariance : number, vector or matrix
+        Covariance of ``q`` per step (n x n); a number or vector stands for a diagonal. May be singular.
+    sensor_covariance : number, vector or matrix
+        Nominal covariance of ``eta`` (m x m), positive definite.
+    dt : float, str or Fraction
+        Sample time in seconds.
+    disturbances : int
+        How many states, the last ones, are input disturbances (see `with_disturbance`); goals do not concern them.
+
+    Raises
+    ------
+    ModelError
+        If dimensions do not fit or a covariance is not positive (semi-)definite.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    process_covariance: Matrix
+    sensor_covariance: Matrix
+    dt: float | str | Fraction
+    disturbances: int = 0
+
+    def __post_init__(self) -> None:
+        A = as_matrix("The model's A", self.A)
+        n = A.shape[0]
+        if A.shape != (n, n):
+            raise ModelError(f"The model's A is {A.shape[0]} x {A.shape[1]}; it must be square, a row for each state.")
+        C = as_matrix("The model's C", np.atleast_2d(np.asarray(self.C, float)), columns=n)
+        values = {
+            "A": A,
+            "B": as_matrix("The model's B", self.B, rows=n),
+            "C": C,
+            "process_covariance": as_covariance("The model's process_covariance", self.process_covariance, n, singular=True),
+            "sensor_covariance": as_covariance("The model's sensor_covariance", self.sensor_covariance, C.shape[0]),
+            "dt": rational_step(self.dt, "The model's sample time"),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        if not 0 <= self.disturbances < n:
+            raise ModelError(f"The model has disturbances={self.disturbances} among {n} states; at least one must be the plant's.")
+
+    @property
+    def states(self) -> int:
+        """Number of states n, disturbances included."""
+        return len(self.matrix("A"))
+
+    @property
+    def controls(self) -> int:
+        """Number of controls p."""
+        return self.matrix("B").shape[1]
+
+    @property
+    def sensors(self) -> int:
+        """Number of sensors m."""
+        return len(self.matrix("C"))
+
+    @property
+    def step(self) -> Fraction:
+        """Sample time in seconds, exact."""
+        return rational_step(self.dt)
+
+    def matrix(self, name: str) -> Floats:
+        """Return one of the matrices by name, as an array."""
+        return np.asarray(getattr(self, name), dtype=np.float64)
+
+    @classmethod
+    def from_control(
+        cls,
+        system: Any,
+        *,
+        process_covariance: Matrix,
+        sensor_covariance: Matrix,
+        dt: float | str | Fraction | None = None,
+        sensors: int | None = None,
+    ) -> LinearModel:
+        """Return the model of a python-control linear system.
+
+        Parameters
+        ----------
+        system : control.StateSpace or control.TransferFunction
+            Continuous (then discretised by zero-order hold at `dt`) or discrete. Its outputs must not depend directly on its
+            inputs (D = 0).
+        process_covariance : number, vector or matrix
+            Covariance of the process noise per step.
+        sensor_covariance : number, vector or matrix
+            Covariance of the sensors' noise.
+        dt : float, str or Fraction, optional
+            Sample time in seconds; needed for a continuous system.
+        sensors : int, optional
+            Number of sensors, a multiple of the system's outputs: sensor i reads output i modulo their number. By default one
+            a output, or as many as `sensor_covariance` has rows.
+        """
+        import control
+
+        linear = control.ss(system)
+        if linear.isctime(strict=True) or linear.dt is None or linear.dt == 0:
+            if dt is None:
+                raise StepSizeError("The system is continuous; give dt= in seconds, at which it is to be controlled.")
+            linear = control.sample_system(linear, float(rational_step(dt)), method="zoh")
+            step = rational_step(dt)
+        else:
+            given = linear.dt if linear.dt is not True else dt
+            if given is None:
+                raise StepSizeError("The system is discrete without a sample time (dt=True); give dt= in seconds.")
+            step = rational_step(float(given)) if not isinstance(given, str | Fraction) else rational_step(given)
+            if dt is not None and rational_step(dt) != step:
+                raise StepSizeError(f"The system's sample time is {float(step):g} s, but dt={dt!r} was asked; resample it first.")
+        if np.any(linear.D != 0):
+            raise ModelError("The system has direct feedthrough (D is not 0), which the model y = C x cannot express; delay the input.")
+        outputs = linear.C.shape[0]
+        if sensors is None:
+            rows = np.asarray(sensor_covariance, float)
+            sensors = rows.shape[0] if rows.ndim else outputs
+        if sensors % outputs:
+            raise ModelError(f"{sensors} sensors cannot be shared evenly by {outputs} outputs; give C= to LinearModel itself.")
+        C = np.tile(linear.C, (sensors // outputs, 1))
+        return cls(linear.A, linear.B, C, process_covariance, sensor_covariance, step)
+
+    def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:
+        """Return the model extended by an unknown disturbance on each control, which the controller then estimates.
+
+        The disturbance ``d`` adds to the control, ``x_t+1 = A x_t + B (u_t + d_t) + q``, and drifts as a random walk, so that
+        a constant load or a wrong model leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003).
+
+        Parameters
+        ----------
+        covariance : number, vector or matrix
+            Covariance of the walk per step (p x p), in units of the control.
+        """
+        if self.disturbances:
+            raise ModelError("The model has a disturbance already; apply with_disturbance() once.")
+        n, p = self.states, self.controls
+        A = np.block([[self.matrix("A"), self.matrix("B")], [np.zeros((p, n)), np.eye(p)]])
+        B = np.vstack([self.matrix("B"), np.zeros((p, p))])
+        C = np.hstack([self.matrix("C"), np.zeros((self.sensors, p))])
+        Q = np.zeros((n + p, n + p))
+        Q[:n, :n] = self.matrix("process_covariance")
+        Q[n:, n:] = as_covariance("The disturbance's covariance", covariance, p)
+        return replace(self, A=A, B=B, C=C, process_covariance=Q, disturbances=p)

@@ -1,0 +1,117 @@
+"""The usual diagram in one call: reference, controller, plant, sensors and their faults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+from bayesftc.cosim.block import Block
+from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError
+from bayesftc.cosim.faults import Fault
+from bayesftc.cosim.sensors import Sensors
+from bayesftc.cosim.sources import Constant
+
+Names = str | Sequence[str]
+
+
+def closed_loop(
+    plant: Block,
+    controller: Block,
+    *,
+    control: Names,
+    measured: Names,
+    reference: Block | float | Sequence[Block | float],
+    sensors: Sensors | None = None,
+    faults: Sequence[Fault] = (),
+    noise: Mapping[str, Block] | None = None,
+    dt: float | str | Fraction | None = None,
+) -> Diagram:
+    """Return the diagram of a plant under a controller that sees it through faulty sensors.
+
+    ``reference -> controller.goal``; ``plant -> sensors -> faults -> controller.y``; ``controller.u -> plant``; ``noise`` into
+    further inputs of the plant. The blocks are named ``plant``, ``controller``, ``sensors``, ``reference`` (``reference_0``,
+    ... where there are several), ``freeze_0`` and the like for faults, and ``<input>_noise``.
+
+    Parameters
+    ----------
+    plant : Block
+        An `FMU`, a `StateSpace`, or any block.
+    controller : Block
+        A block with inputs ``y`` and ``goal`` and the output ``u``.
+    control : str or sequence of str
+        The plant's inputs that ``u`` drives, in its order.
+    measured : str or sequence of str
+        The plant's outputs that the sensors see.
+    reference : Block, float or a sequence of them
+        Where the plant is to go: a source, a constant, or one for each element of the controller's goal.
+    sensors : Sensors, optional
+        By default one perfect sensor for each measured output.
+    faults : sequence of Fault
+        Applied to the samples one after the other.
+    noise : mapping of plant input to Block, optional
+        Sources for further inputs of the plant.
+    dt : float, str or Fraction, optional
+        Base step in seconds; by default the controller's own sample time.
+
+    Returns
+    -------
+    Diagram
+        Built and ready: ``closed_loop(...).simulate(20.0, seed=1)``.
+    """
+    step = controller.sample_time if dt is None else dt
+    if step is None:
+        raise StepSizeError(f"{type(controller).__name__} does not know its sample time; give closed_loop(dt=...) in seconds.")
+    diagram = Diagram(step)
+    goals = [diagram.add(block, name) for name, block in _references(reference)]
+    node = diagram.add(plant, "plant")
+    outputs = [node[name] for name in _names(measured, "measured")]
+    sensors = _fitted(sensors, len(outputs))
+    seen = diagram.add(sensors, "sensors")
+    diagram.connect(outputs, seen["u"])
+    last: Node = seen
+    for fault in faults:
+        if not isinstance(fault, Fault):
+            raise ModelError(f"faults must be faults such as Freeze(sensor=0, start=6.0), not {fault!r}.")
+        modifier = diagram.add(replace(fault, channels=sensors.count))
+        diagram.connect(last["y"], modifier["u"])
+        last = modifier
+    brain = diagram.add(controller, "controller")
+    if len(brain["y"]) != sensors.count:
+        raise ConnectionError(
+            f"The controller's model has {len(brain['y'])} sensors, but the loop has {sensors.count}; give the model's C a row "
+            "for each sensor, and Sensors the same count."
+        )
+    diagram.connect(last["y"], brain["y"])
+    diagram.connect([g["y"] for g in goals], brain["goal"])
+    inputs = _names(control, "control")
+    if len(brain["u"]) != len(inputs):
+        raise ConnectionError(
+            f"The controller has {len(brain['u'])} controls, but control= names {len(inputs)} inputs of the plant: {inputs}."
+        )
+    for i, name in enumerate(inputs):
+        diagram.connect(brain["u"][i], node[name])
+    for name, source in (noise or {}).items():
+        diagram.connect(diagram.add(source, f"{name}_noise")["y"], node[name])
+    return diagram.build()
+
+
+def _names(given: Names, what: str) -> list[str]:
+    names = [given] if isinstance(given, str) else list(given)
+    if not names:
+        raise ModelError(f"{what}= is empty; name at least one variable of the plant.")
+    return names
+
+
+def _references(given: Block | float | Sequence[Block | float]) -> list[tuple[str, Block]]:
+    several = list(given) if isinstance(given, Sequence) else [given]
+    blocks: list[Any] = [Constant(float(r)) if isinstance(r, int | float) else r for r in several]
+    return [("reference" if len(blocks) == 1 else f"reference_{i}", block) for i, block in enumerate(blocks)]
+
+
+def _fitted(sensors: Sensors | None, signals: int) -> Sensors:
+    if sensors is None:
+        return Sensors(count=signals, signals=signals)
+    return replace(sensors, signals=signals) if sensors.signals == 1 else sensors
