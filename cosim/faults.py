@@ -1,0 +1,230 @@
+"""Faults as modifiers of one channel of a vector signal: what reaches the controller is no longer what the sensor said.
+
+A fault stands between a vector signal (sensors, or a control) and its reader, and touches one channel; several are
+chained. It is *scheduled* (present while ``start <= t < stop``) or comes and goes at *random* in that window, as a
+two-state Markov chain. Its output ``active`` is the ground truth that a detector is judged by.
+
+To add a kind of fault you must:
+
+1. write in ``_fault_kernels.py`` the value that a faulty sensor shows, ``value(sample, held, age, chance, noise,
+   settings)``, by the rules for step functions (`Block`);
+2. write here a frozen, keyword-only dataclass derived from `Fault` whose fields, numbers all, are the settings in the
+   order in which the function finds them, with ``value = staticmethod(...)``;
+3. name in its ``draws`` the random numbers that it uses: ``"chance"`` (uniform in (0, 1)), ``"noise"`` (standard
+   normal);
+4. override ``check`` where a setting can be wrong in other ways than not being finite;
+5. put it into `Kind` and `FAULTS`, and into the list of ``tests/test_faults.py`` with its formula in NumPy.
+
+Random, scheduled and mixed faults, both engines and the exported C code then have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from typing import TypeAlias
+
+import numpy as np
+
+from bayesftc.cosim import _fault_kernels as kernels
+from bayesftc.cosim._fault_base import DRAWS, STATE, Fault
+from bayesftc.cosim.block import Definition
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ports import Port
+
+
+@dataclass(frozen=True, kw_only=True)
+class Freeze(Fault):
+    """The channel keeps, to the bit, the last sample before the onset, also a missing one.
+
+    Present from the first step on, it keeps the first sample.
+    """
+
+    value = staticmethod(kernels.frozen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Injection(Fault):
+    """``magnitude + amplitude * sin(2 pi age / period + phase)`` is added.
+
+    Age and period are in seconds, the phase in radians; the age counts from the onset, in whole steps.
+    """
+
+    magnitude: float = 0.0
+    amplitude: float = 0.0
+    period: float = 1.0
+    phase: float = 0.0
+    value = staticmethod(kernels.injected)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.period <= 0:
+            raise ModelError(f"Injection has period={self.period!r}; it must be positive.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bias(Fault):
+    """A sensor with a constant offset, `magnitude`: from the very beginning, unless it has a start."""
+
+    magnitude: float
+    value = staticmethod(kernels.biased)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(Fault):
+    """An offset that grows by `slope` each second.
+
+    It is ``slope * age``; the age is the number of steps since the onset times the step, so the first faulty sample is
+    still right.
+    """
+
+    slope: float
+    value = staticmethod(kernels.drifted)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainFault(Fault):
+    """The sample times `factor`."""
+
+    factor: float
+    value = staticmethod(kernels.scaled)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dropout(Fault):
+    """No sample: NaN."""
+
+    value = staticmethod(kernels.dropped)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spikes(Fault):
+    """Outliers: at each step, with `probability`, `magnitude` is added with a random sign.
+
+    With ``random_size`` each outlier is `magnitude` times a standard normal number instead. Two numbers are drawn a
+    step, a uniform and a normal one, whether there is an outlier or not. ``active`` is 1 between outliers as well.
+    """
+
+    magnitude: float
+    probability: float = 0.1
+    random_size: bool = False
+    value = staticmethod(kernels.spiked)
+    draws = ("chance", "noise")
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if not 0 <= self.probability <= 1:
+            raise ModelError(f"Spikes has probability={self.probability!r}; it must lie between 0 and 1.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseIncrease(Fault):
+    """Normal noise of standard deviation `std` on top of the sensor's own: the variances add."""
+
+    std: float
+    value = staticmethod(kernels.noisier)
+    draws = ("noise",)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.std < 0:
+            raise ModelError(f"NoiseIncrease has std={self.std!r}; it must not be negative.")
+
+
+Kind: TypeAlias = Freeze | Injection | Bias | Drift | GainFault | Dropout | Spikes | NoiseIncrease
+"""A fault of one kind."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomFaults(Fault):
+    """Faults of several kinds, one at a time: whenever the fault comes, its kind is drawn.
+
+    A further output ``kind`` is the number of the kind that is present, -1 for none.
+
+    Parameters
+    ----------
+    kinds : sequence of Fault
+        What can come. Only each kind's own settings count: sensor, window, mean times and name are those of the whole.
+    weights : sequence of float, optional
+        How often each kind comes, in any unit; by default all equally often.
+
+    Raises
+    ------
+    ModelError
+        If a setting cannot be right, or a kind has a window, mean times or name of its own.
+    """
+
+    kinds: Sequence[Kind] = (Freeze(), Injection(magnitude=3.0), Drift(slope=5.0))
+    weights: Sequence[float] | None = None
+    mean_time_to_fault: float | None = 2.8
+    mean_time_to_recovery: float | None = 0.4
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        object.__setattr__(self, "kinds", tuple(self.kinds))
+        if not self.kinds or not all(isinstance(k, Fault) and not isinstance(k, RandomFaults) for k in self.kinds):
+            raise ModelError("RandomFaults needs at least one kind of fault, as kinds=(Freeze(), Drift(slope=5.0)).")
+        for kind in self.kinds:
+            for field in fields(Fault):
+                allowed = {field.default, self.sensor} if field.name == "sensor" else {field.default}
+                if getattr(kind, field.name) not in allowed:
+                    raise ModelError(
+                        f"RandomFaults has a {type(kind).__name__} with {field.name}={getattr(kind, field.name)!r} "
+                        f"of its own; give {field.name} to RandomFaults itself, or use that {type(kind).__name__} alone."
+                    )
+        if self.weights is not None:
+            weights = np.asarray(self.weights, float)
+            if (
+                weights.shape != (len(self.kinds),)
+                or not np.isfinite(weights).all()
+                or (weights < 0).any()
+                or not weights.any()
+            ):
+                raise ModelError(
+                    f"RandomFaults has weights={self.weights!r} for {len(self.kinds)} kinds; give each a number that "
+                    "is not negative, and one at least a positive one."
+                )
+            object.__setattr__(self, "weights", tuple(weights.tolist()))
+
+    @property
+    def settings(self) -> tuple[float, ...]:
+        """The settings of all kinds, one after the other."""
+        return tuple(value for kind in self.kinds for value in kind.settings)
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u``, and the random inputs that any of the kinds uses."""
+        used = {"pick", "transition"} if self.mean_time_to_fault is not None else {"pick"}
+        used |= {name for kind in self.kinds for name in kind.draws}
+        return (Port("u", self.shape), *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Outputs ``y``, ``active`` and ``kind``."""
+        return (*super().outputs, Port("kind"))
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        settings = np.zeros((len(self.kinds), max(len(kind.settings) for kind in self.kinds) + 1))
+        for row, kind in zip(settings, self.kinds, strict=True):
+            row[: len(kind.settings)] = kind.settings
+        weights = np.ones(len(self.kinds)) if self.weights is None else np.asarray(self.weights)
+        parameters = {
+            **self.common_parameters(step),
+            "settings": settings,
+            "shares": np.cumsum(weights) / np.cumsum(weights)[-1],
+        }
+        kernel = kernels.several_kinds(tuple(type(kind).value for kind in self.kinds))
+        return Definition(kernel, state={**STATE, "chosen": 0.0}, parameters=parameters)
+
+
+FAULTS: tuple[type[Fault], ...] = (
+    Freeze, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, RandomFaults,
+)  # fmt: skip
+"""All kinds; the last one mixes the others."""
+
+__all__ = ["FAULTS", "Fault", "Kind", *(fault.__name__ for fault in FAULTS)]
