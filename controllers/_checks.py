@@ -72,11 +72,15 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
     matrix = as_matrix(name, array, size, size)
     scale = float(np.abs(matrix).max())
     if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
-        raise ModelError(f"{name} is not symmetric; a covariance must be: use (M + M.T) / 2 if the difference is rounding.")
+        raise ModelError(
+            f"{name} is not symmetric; a covariance must be: use (M + M.T) / 2 if the difference is rounding."
+        )
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest < -1e-12 * scale or (not singular and smallest <= 1e-15 * scale):
         kind = "positive semi-definite (no negative eigenvalue)" if singular else "positive definite"
-        raise ModelError(f"{name} is not {kind}: its smallest eigenvalue is {smallest:.3g}. A variance must be above zero.")
+        raise ModelError(
+            f"{name} is not {kind}: its smallest eigenvalue is {smallest:.3g}. A variance must be above zero."
+        )
     return frozen((matrix + matrix.T) / 2)
 
 

@@ -64,12 +64,16 @@ class EFFDI(PrecisionLearner):
 
     def __post_init__(self) -> None:
         if not (self.threshold > 0 and self.duration > 0 and np.isfinite(self.duration)):
-            raise ModelError(f"EFFDI has threshold={self.threshold!r}, duration={self.duration!r}; both must be positive.")
+            raise ModelError(
+                f"EFFDI has threshold={self.threshold!r}, duration={self.duration!r}; both must be positive."
+            )
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
         steps = whole_steps(self.duration, model.step, "EFFDI's duration")
-        memory = np.tile([np.nan, np.nan, np.nan, np.nan, 0.0], model.sensors)  # no history yet: NaN exceeds no threshold
+        memory = np.tile(
+            [np.nan, np.nan, np.nan, np.nan, 0.0], model.sensors
+        )  # no history yet: NaN exceeds no threshold
         return Learner(learn_effdi, memory, np.array([self.threshold, steps, np.nan]))
 
 

@@ -108,7 +108,9 @@ class BayesianController(Block):
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
-            raise ModelError(f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control.")
+            raise ModelError(
+                f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control."
+            )
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
         if self.belief not in {"filtered", "joint"}:
@@ -129,9 +131,13 @@ class BayesianController(Block):
         for name, value in values.items():
             object.__setattr__(self, name, value)
         if (values["u_min"] > values["u_max"]).any():
-            raise ModelError(f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them.")
+            raise ModelError(
+                f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them."
+            )
         if (values["u_rate"] <= 0).any():
-            raise ModelError(f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second).")
+            raise ModelError(
+                f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."
+            )
         if self.control_covariance is None and np.linalg.matrix_rank(G @ self.model.matrix("B")) < p:
             raise ModelError(
                 f"With a flat control prior the goal must determine each of the {p} controls, but the goal reaches only "
@@ -205,7 +211,17 @@ class BayesianController(Block):
             "J": (n, n), "JP": (n, n), "GA": (g, n), "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
         }  # fmt: skip
         joint = self.belief == "joint"
-        folding = {"N": (g, g), "V": (g, g), "Wt": (p, g), "L": (n, n), "GL": (g, n), "VGL": (g, n), "M": (n, n), "X": (n, n), "h": (n,)}
+        folding = {
+            "N": (g, g),
+            "V": (g, g),
+            "Wt": (p, g),
+            "L": (n, n),
+            "GL": (g, n),
+            "VGL": (g, n),
+            "M": (n, n),
+            "X": (n, n),
+            "h": (n,),
+        }
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
@@ -239,7 +255,9 @@ class BayesianController(Block):
 
     def _prior_precision(self) -> Floats:
         p = self.model.controls
-        return np.zeros((p, p)) if self.control_covariance is None else np.linalg.inv(np.asarray(self.control_covariance))
+        return (
+            np.zeros((p, p)) if self.control_covariance is None else np.linalg.inv(np.asarray(self.control_covariance))
+        )
 
     def _warn_if_unstable(self) -> None:
         poles = self.closed_loop_poles()

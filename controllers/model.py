@@ -58,14 +58,18 @@ class LinearModel:
             "A": A,
             "B": as_matrix("The model's B", self.B, rows=n),
             "C": C,
-            "process_covariance": as_covariance("The model's process_covariance", self.process_covariance, n, singular=True),
+            "process_covariance": as_covariance(
+                "The model's process_covariance", self.process_covariance, n, singular=True
+            ),
             "sensor_covariance": as_covariance("The model's sensor_covariance", self.sensor_covariance, C.shape[0]),
             "dt": rational_step(self.dt, "The model's sample time"),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
         if not 0 <= self.disturbances < n:
-            raise ModelError(f"The model has disturbances={self.disturbances} among {n} states; at least one must be the plant's.")
+            raise ModelError(
+                f"The model has disturbances={self.disturbances} among {n} states; at least one must be the plant's."
+            )
 
     @property
     def states(self) -> int:
@@ -132,15 +136,21 @@ class LinearModel:
                 raise StepSizeError("The system is discrete without a sample time (dt=True); give dt= in seconds.")
             step = rational_step(float(given)) if not isinstance(given, str | Fraction) else rational_step(given)
             if dt is not None and rational_step(dt) != step:
-                raise StepSizeError(f"The system's sample time is {float(step):g} s, but dt={dt!r} was asked; resample it first.")
+                raise StepSizeError(
+                    f"The system's sample time is {float(step):g} s, but dt={dt!r} was asked; resample it first."
+                )
         if np.any(linear.D != 0):
-            raise ModelError("The system has direct feedthrough (D is not 0), which the model y = C x cannot express; delay the input.")
+            raise ModelError(
+                "The system has direct feedthrough (D is not 0), which the model y = C x cannot express; delay the input."
+            )
         outputs = linear.C.shape[0]
         if sensors is None:
             rows = np.asarray(sensor_covariance, float)
             sensors = rows.shape[0] if rows.ndim else outputs
         if sensors % outputs:
-            raise ModelError(f"{sensors} sensors cannot be shared evenly by {outputs} outputs; give C= to LinearModel itself.")
+            raise ModelError(
+                f"{sensors} sensors cannot be shared evenly by {outputs} outputs; give C= to LinearModel itself."
+            )
         C = np.tile(linear.C, (sensors // outputs, 1))
         return cls(linear.A, linear.B, C, process_covariance, sensor_covariance, step)
 

@@ -205,16 +205,27 @@ class GammaPrecision(PrecisionLearner):
 
     def __post_init__(self) -> None:
         if self.forgetting is not None and not 0.0 < self.forgetting <= 1.0:
-            raise ModelError(f"GammaPrecision has forgetting={self.forgetting!r}; it must lie in (0, 1], or be None for none.")
+            raise ModelError(
+                f"GammaPrecision has forgetting={self.forgetting!r}; it must lie in (0, 1], or be None for none."
+            )
         if self.window is not None and (int(self.window) != self.window or not 1 <= self.window <= 64):
-            raise ModelError(f"GammaPrecision has window={self.window!r}; it must be a whole number of steps from 1 to 64.")
+            raise ModelError(
+                f"GammaPrecision has window={self.window!r}; it must be a whole number of steps from 1 to 64."
+            )
         least = 1.0 if self.estimate == "mode" else 0.0
         if not (np.isfinite(self.prior_shape) and self.prior_shape > least):
             raise ModelError(f"GammaPrecision has prior_shape={self.prior_shape!r}; it must be above {least:g}.")
         if self.estimate not in {"mean", "mode"} or self.forget_to not in {"prior", "zero"}:
             raise ModelError("GammaPrecision takes estimate 'mean' or 'mode' and forget_to 'prior' or 'zero'.")
-        if self.forget_to == "zero" and self.estimate == "mode" and self.forgetting is not None and self.forgetting <= 0.5:
-            raise ModelError("With forget_to='zero' the mode needs a forgetting factor above 0.5: else the shape falls below 1.")
+        if (
+            self.forget_to == "zero"
+            and self.estimate == "mode"
+            and self.forgetting is not None
+            and self.forgetting <= 0.5
+        ):
+            raise ModelError(
+                "With forget_to='zero' the mode needs a forgetting factor above 0.5: else the shape falls below 1."
+            )
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""

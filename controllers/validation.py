@@ -1,0 +1,163 @@
+"""The Kalman cross-check: our estimates beside those of filterpy's Kalman filter, fed the same samples and controls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from bayesftc.controllers._checks import Floats
+from bayesftc.controllers.model import LinearModel
+from bayesftc.cosim.errors import ModelError, UnknownNameError
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.bayesian import BayesianController
+
+
+@dataclass(frozen=True)
+class KalmanCheck:
+    """Largest differences between a controller's belief and filterpy's over a run.
+
+    Attributes
+    ----------
+    mean_difference : float
+        Largest ``|x_hat - x_kf|`` relative to the larger of ``|x_kf|`` and the belief's own standard deviation.
+    covariance_difference : float
+        Largest ``|P - P_kf|`` relative to ``|P_kf|`` (Frobenius norms).
+    mean_absolute, covariance_absolute : float
+        The same in the state's units.
+    steps : int
+        Number of samples compared.
+    """
+
+    mean_difference: float
+    covariance_difference: float
+    mean_absolute: float
+    covariance_absolute: float
+    steps: int
+
+
+class Estimates(NamedTuple):
+    """What filterpy's filter makes of a recording: means (steps x n), covariances (steps x n x n), ignored (steps x m)."""
+
+    x_hat: Floats
+    P: Floats
+    ignored: np.ndarray[Any, np.dtype[np.bool_]]
+
+
+def ser_reference(
+    model: LinearModel,
+    y: Floats,
+    u: Floats,
+    *,
+    threshold: float = float("inf"),
+    R: Floats | None = None,
+    initial_mean: Any = 0.0,
+    initial_covariance: Any = 1.0,
+) -> Estimates:
+    """Run filterpy's Kalman filter over recorded samples: the SER baseline in its reference form (paper, section 5.2.1).
+
+    Parameters
+    ----------
+    model : LinearModel
+        The model.
+    y : ndarray, steps x m
+        Samples; one that is not finite is missing.
+    u : ndarray, steps x p
+        The controls that were applied after each sample.
+    threshold : float
+        A sample whose innovation exceeds this many of its standard deviations is left out; infinite for a plain Kalman filter.
+    R : ndarray, steps x m x m, optional
+        Sensor covariance at each step, instead of the model's; a sensor with an infinite variance is left out.
+    initial_mean, initial_covariance
+        Belief before the first sample.
+
+    Returns
+    -------
+    Estimates
+        Filtered means and covariances, and which present samples were left out.
+    """
+    from filterpy.kalman import KalmanFilter
+
+    n, m, p = model.states, model.sensors, model.controls
+    y, u = np.asarray(y, float).reshape(-1, m), np.asarray(u, float).reshape(-1, p)
+    kf = KalmanFilter(dim_x=n, dim_z=m, dim_u=p)
+    kf.F, kf.B, kf.Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
+    kf.x = np.broadcast_to(np.asarray(initial_mean, float), n).reshape(n, 1).copy()
+    covariance = np.asarray(initial_covariance, float)
+    kf.P = covariance * np.eye(n) if covariance.ndim == 0 else covariance.copy()
+    C, nominal = model.matrix("C"), model.matrix("sensor_covariance")
+    means, covariances, ignored = np.empty((len(y), n)), np.empty((len(y), n, n)), np.zeros((len(y), m), bool)
+    for k, sample in enumerate(y):
+        noise = nominal if R is None else R[k]
+        spread = C @ kf.P @ C.T
+        deviation = np.abs(sample - (C @ kf.x)[:, 0])
+        present = np.isfinite(sample) & np.isfinite(np.diag(noise))
+        with np.errstate(invalid="ignore"):
+            ignored[k] = present & (deviation > threshold * np.sqrt(np.diag(spread) + np.diag(noise)))
+        keep = np.flatnonzero(present & ~ignored[k])
+        if len(keep):
+            kf.update(sample[keep].reshape(-1, 1), R=noise[np.ix_(keep, keep)], H=C[keep])
+        means[k], covariances[k] = kf.x[:, 0], kf.P
+        kf.predict(u=u[k].reshape(p, 1))
+    return Estimates(means, covariances, ignored)
+
+
+def check_kalman(
+    signals: Mapping[str, Any], controller: BayesianController, *, y: str | None = None, name: str = "controller"
+) -> KalmanCheck:
+    """Compare a controller's recorded belief with filterpy's Kalman filter, step by step.
+
+    filterpy gets the same samples, the controls that were applied, and at each step the sensor covariance that the controller
+    used (``R``), so the comparison also holds where precision is learned: it is then a check of everything but the learning.
+
+    Parameters
+    ----------
+    signals : Result
+        Must hold ``u``, ``x_hat``, ``P`` and ``R`` of the controller and the samples it saw, at every step (decimation 1).
+    controller : BayesianController
+        The controller that ran, for its model and initial belief.
+    y : str, optional
+        Name of the signal that was connected to the controller's ``y``; by default its recorded input.
+    name : str
+        The controller's name in the diagram.
+
+    Returns
+    -------
+    KalmanCheck
+        The largest differences. With ``belief="filtered"`` they are rounding; with ``"joint"`` they need not be.
+    """
+    source = f"{name}.y" if y is None else y
+    for needed in (source, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R"))):
+        if needed not in signals:
+            raise UnknownNameError(
+                f"The Kalman check needs the signal {needed!r}, which was not recorded; add it to record=[...]."
+            )
+    if getattr(signals, "decimation", 1) != 1:
+        raise ModelError("The Kalman check needs every step; run with decimation=1.")
+    reference = ser_reference(
+        controller.model,
+        signals[source],
+        signals[f"{name}.u"],
+        R=signals[f"{name}.R"],
+        initial_mean=controller.initial_mean,
+        initial_covariance=controller.initial_covariance,
+    )
+    return compare(signals[f"{name}.x_hat"], signals[f"{name}.P"], reference)
+
+
+def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:
+    """Return the largest differences of recorded means (steps x n) and covariances (steps x n x n) from the reference's."""
+    mean = np.linalg.norm(x_hat - reference.x_hat, axis=1)
+    scale = np.maximum(np.linalg.norm(reference.x_hat, axis=1), np.sqrt(np.trace(reference.P, axis1=1, axis2=2)))
+    covariance = np.linalg.norm(P - reference.P, axis=(1, 2))
+    size = np.linalg.norm(reference.P, axis=(1, 2))
+    return KalmanCheck(
+        mean_difference=float(np.max(mean / scale)),
+        covariance_difference=float(np.max(covariance / size)),
+        mean_absolute=float(mean.max()),
+        covariance_absolute=float(covariance.max()),
+        steps=len(mean),
+    )

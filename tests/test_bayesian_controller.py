@@ -1,0 +1,210 @@
+"""The control law against dense Gaussian conditioning and scipy's optimiser; limits, disturbances, warnings, bad settings."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from bayesftc import controllers
+from bayesftc.controllers import BayesianController, LinearModel
+from bayesftc.cosim.errors import ModelError
+
+
+def random_model(rng, n, p, m):
+    A = rng.normal(size=(n, n))
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    F, G = rng.normal(size=(n, n)), rng.normal(size=(m, m))
+    return LinearModel(
+        A, rng.normal(size=(n, p)), rng.normal(size=(m, n)), 0.1 * F @ F.T, G @ G.T + 0.1 * np.eye(m), 0.1
+    )
+
+
+def quadratic(model, G, goal_cov, control_cov, control_mean, mean, cov, y, goal):
+    """Return the negative log joint of the paper's section 2.3 over z = [x_t, u_t, x_t+1], as a function and its Hessian."""
+    A, B, C = (model.matrix(name) for name in "ABC")
+    n, p = B.shape
+    X, U, N = np.eye(n, 2 * n + p), np.eye(p, 2 * n + p, n), np.eye(n, 2 * n + p, n + p)
+    terms = [
+        (X, mean, cov),
+        (C @ X, y, model.matrix("sensor_covariance")),
+        (N - A @ X - B @ U, np.zeros(n), model.matrix("process_covariance")),
+        (G @ N, goal, goal_cov),
+        (U, control_mean, control_cov),
+    ]
+    H = sum(J.T @ np.linalg.solve(S, J) for J, _, S in terms)
+    b = sum(J.T @ np.linalg.solve(S, r) for J, r, S in terms)
+    return H, b
+
+
+@pytest.mark.parametrize(("n", "p", "m", "outputs"), [(1, 1, 2, 1), (3, 2, 2, 3), (3, 2, 4, 1), (2, 3, 1, 2)])
+def test_control_and_joint_belief_are_the_dense_posteriors(n, p, m, outputs):
+    rng = np.random.default_rng(n + 10 * p)
+    model = random_model(rng, n, p, m)
+    G = np.eye(n) if outputs == n else rng.normal(size=(outputs, n))
+    mean, goal, y = rng.normal(size=n), rng.normal(size=len(G)), rng.normal(size=m)
+    cov = 0.5 * np.eye(n)
+    priors = {"control_covariance": 2.0, "control_mean": 0.3, "goal_covariance": 0.2, "goal_on": G}
+    for belief in ("filtered", "joint"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
+            controller = BayesianController(model, belief=belief, initial_mean=mean, initial_covariance=cov, **priors)
+        out = controller.online(compiled=False)(y=y, goal=goal)
+        H, b = quadratic(model, G, 0.2 * np.eye(len(G)), 2.0 * np.eye(p), np.full(p, 0.3), mean, cov, y, goal)
+        posterior = np.linalg.solve(H, b)
+        np.testing.assert_allclose(out.u, posterior[n : n + p], rtol=1e-9, atol=1e-11)
+        if belief == "joint":
+            np.testing.assert_allclose(out.x_hat, posterior[:n], rtol=1e-9, atol=1e-11)
+            np.testing.assert_allclose(out.P, np.linalg.inv(H)[:n, :n], rtol=1e-8, atol=1e-11)
+        optimum = minimize(
+            lambda z, H=H, b=b: 0.5 * z @ H @ z - b @ z, np.zeros(len(b)), jac=lambda z, H=H, b=b: H @ z - b, tol=1e-12
+        )
+        np.testing.assert_allclose(out.u, optimum.x[n : n + p], rtol=1e-4, atol=1e-4)
+
+
+def test_closed_form_of_the_cruise_control():
+    a, B, Vg, Vu, Q = 1 - 5 / 100 * 0.02, 0.02 / 100, 0.5, 1e5, 0.001
+    model = LinearModel([[a]], [[B]], [[1.0], [1.0]], Q, 1.0, 0.02)
+    controller = BayesianController(model, goal_covariance=Vg, control_covariance=Vu, initial_mean=18.0)
+    out = controller.online()(y=[18.4, 17.9], goal=[20.0])
+    mu, P = out.x_hat[0], out.P[0, 0]
+    assert out.u[0] == pytest.approx(B * Vu * (20.0 - a * mu) / (B * B * Vu + Vg + Q + a * a * P), rel=1e-12)
+    deadbeat = BayesianController(model, initial_mean=18.0).online()(y=[18.4, 17.9], goal=[20.0])
+    assert deadbeat.u[0] == pytest.approx((20.0 - a * deadbeat.x_hat[0]) / B, rel=1e-12)
+
+
+def test_goals_on_outputs_take_each_distinct_output_once():
+    model = LinearModel(np.diag([0.9, 0.8]), np.eye(2), [[1.0, 1.0], [1.0, 1.0], [0.0, 1.0]], 0.1, 1.0, 0.1)
+    controller = BayesianController(model, goal_on="outputs")
+    assert controller.goals == 2
+    out = controller.online()(y=[0.0, 0.0, 0.0], goal=[3.0, 1.0])
+    next_state = model.matrix("A") @ out.x_hat + out.u
+    np.testing.assert_allclose([next_state.sum(), next_state[1]], [3.0, 1.0], atol=1e-12)
+
+
+def test_limits_hold_and_the_prediction_uses_the_applied_control():
+    model = LinearModel(
+        [[1.0]], [[1.0]], [[1.0]], 1e-9, 1e9, 0.5
+    )  # the sensor tells nothing: the belief is the prediction
+    controller = BayesianController(
+        model, u_min=-1.0, u_max=2.0, u_rate=2.0, initial_mean=0.0, initial_covariance=1e-12
+    )
+    step = controller.online()
+    out = [step(y=[0.0], goal=[10.0]) for _ in range(4)]
+    np.testing.assert_allclose([o.u[0] for o in out], [1.0, 2.0, 2.0, 2.0])  # at most 2.0 a second times 0.5 s, then 2
+    np.testing.assert_allclose([o.x_hat[0] for o in out], [0.0, 1.0, 3.0, 5.0], atol=1e-6)
+    down = [step(y=[0.0], goal=[-50.0]).u[0] for _ in range(5)]
+    np.testing.assert_allclose(down, [1.0, 0.0, -1.0, -1.0, -1.0])
+
+
+def simulate_with_load(controller, load, steps=4000):
+    """The car on a slope: a constant force that the model does not know. Returns the mean error over the last quarter."""
+    rng, step = np.random.default_rng(0), controller.online()
+    x, errors = 20.0, []
+    for _ in range(steps):
+        out = step(y=x + 0.1 * rng.normal(size=2), goal=[20.0])
+        x = 0.999 * x + 2e-4 * (out.u[0] + load)
+        errors.append(x - 20.0)
+    return np.mean(errors[-steps // 4 :])
+
+
+def test_an_estimated_disturbance_leaves_no_steady_error():
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-5, 0.01, 0.02)
+    without = simulate_with_load(BayesianController(model, initial_mean=20.0), load=-200.0)
+    extended = model.with_disturbance(100.0)
+    assert (extended.states, extended.disturbances) == (2, 1)
+    controller = BayesianController(extended, initial_mean=20.0)
+    assert controller.goals == 1
+    with_estimate = simulate_with_load(controller, load=-200.0)
+    assert abs(without) > 0.1
+    assert abs(with_estimate) < 0.01
+
+
+def test_a_short_sighted_goal_is_warned_about_with_its_poles():
+    servo = LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]], 1e-4, 1e-2, 0.1)
+    with pytest.warns(controllers.UnstableLoopWarning, match=r"poles are .*magnitude 1\.05"):
+        controller = BayesianController(servo, goal_covariance=1e-4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        BayesianController(servo, goal_covariance=1.0)
+    # The poles are those of the loop: with goals met exactly, the error obeys A - B L.
+    poles = controller.closed_loop_poles()
+    step = controller.online(compiled=False)
+    x, sizes = np.array([1.0, 0.0]), []
+    for _ in range(400):
+        out = step(y=[x[0]], goal=[0.0, 0.0])
+        x = servo.matrix("A") @ x + servo.matrix("B") @ out.u
+        sizes.append(np.linalg.norm(x))
+    assert np.log(sizes[-1] / sizes[200]) / 199 == pytest.approx(np.log(np.abs(poles).max()), rel=0.02)
+
+
+def test_controllers_and_models_pickle():
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-5, 0.01, 0.02)
+    controller = BayesianController(model, precision=controllers.GammaPrecision(forgetting=0.9))
+    copy = pickle.loads(pickle.dumps(controller))
+    a, b = controller.online()(y=[1.0, 2.0], goal=[3.0]), copy.online()(y=[1.0, 2.0], goal=[3.0])
+    assert all(np.array_equal(a[name], b[name], equal_nan=True) for name in a)
+
+
+MODEL = {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "process_covariance": 0.1, "sensor_covariance": 1.0, "dt": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"A": [[1.0, 0.0]]}, "must be square"),
+        ({"B": [[1.0], [2.0]]}, "B is 2 x 1; here it must be 1 x 1"),
+        ({"C": [[1.0, 2.0]]}, "C is 1 x 2"),
+        ({"A": [[float("nan")]]}, "NaN or infinite"),
+        ({"sensor_covariance": 0.0}, "not positive definite: its smallest eigenvalue is 0"),
+        ({"sensor_covariance": -1.0}, "smallest eigenvalue is -1"),
+        ({"process_covariance": -0.1}, "positive semi-definite"),
+        ({"C": [[1.0], [1.0]], "sensor_covariance": [[1.0, 0.5], [0.0, 1.0]]}, "not symmetric"),
+        ({"C": [[1.0], [1.0]], "sensor_covariance": [[1.0, 2.0], [2.0, 1.0]]}, "smallest eigenvalue is -1"),
+        ({"dt": 0}, "must be positive"),
+        ({"disturbances": 1}, "at least one must be the plant's"),
+    ],
+)
+def test_models_that_cannot_be_right(change, words):
+    with pytest.raises(ValueError, match=words):
+        LinearModel(**{**MODEL, **change})
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"goal_covariance": 0.0}, "goal_covariance is not positive definite"),
+        ({"control_covariance": -1.0}, "control_covariance is not positive definite"),
+        ({"initial_mean": [1.0, 2.0]}, "initial_mean has the shape"),
+        ({"u_min": 1.0, "u_max": 0.0}, "lies above u_max"),
+        ({"u_rate": 0.0}, "u_rate"),
+        ({"belief": "kalman"}, "must be 'filtered' or 'joint'"),
+        ({"goal_on": "inputs"}, "must be 'states', 'outputs' or a matrix"),
+        ({"goal_on": [[1.0, 0.0]]}, "goal_on is 1 x 2"),
+        ({"goal_on": [[0.0]]}, "flat control prior"),
+        ({"precision": 3.0}, "precision learner"),
+    ],
+)
+def test_controllers_that_cannot_be_right(settings, words):
+    with pytest.raises(ModelError, match=words):
+        BayesianController(LinearModel(**MODEL), **settings)
+
+
+def test_from_control():
+    control = pytest.importorskip("control")
+    system = control.ss([[0.0, 1.0], [-2.0, -3.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
+    model = LinearModel.from_control(system, process_covariance=1e-3, sensor_covariance=[1.0, 1.0], dt="1/50")
+    exact = control.sample_system(system, 0.02, "zoh")
+    np.testing.assert_allclose(model.matrix("A"), exact.A)
+    np.testing.assert_allclose(model.matrix("B"), exact.B)
+    assert model.sensors == 2
+    assert model.step.denominator == 50
+    with pytest.raises(ValueError, match="continuous; give dt="):
+        LinearModel.from_control(system, process_covariance=1e-3, sensor_covariance=1.0)
+    with pytest.raises(ModelError, match="direct feedthrough"):
+        LinearModel.from_control(
+            control.ss([[-1.0]], [[1.0]], [[1.0]], [[1.0]]), process_covariance=1.0, sensor_covariance=1.0, dt=0.1
+        )
+    with pytest.raises(ValueError, match="sample time is 0.02 s"):
+        LinearModel.from_control(exact, process_covariance=1e-3, sensor_covariance=1.0, dt=0.1)

@@ -1,0 +1,210 @@
+"""Precision learners: conjugacy against numerical integration, the update rules against NumPy, and the whole list in the loop."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, stats
+
+from bayesftc import controllers
+from bayesftc.controllers import EFFDI, SERFDI, Calibration, FixedPrecision, GammaPrecision
+from bayesftc.cosim.errors import BayesFTCError
+
+MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], 0.02)
+
+EXAMPLES = [
+    FixedPrecision(),
+    GammaPrecision(forgetting=0.9),
+    GammaPrecision(forgetting=None),
+    GammaPrecision(forgetting=0.8, forget_to="zero", belief_uncertainty=True),
+    GammaPrecision(window=5, estimate="mode", calibration=Calibration(2.0, -3.0)),
+    GammaPrecision(calibration=Calibration(0.5, -3.0, "linear")),
+    EFFDI(),
+    SERFDI(),
+]
+
+
+def test_every_learner_is_in_the_examples():
+    assert {type(e) for e in EXAMPLES} == set(controllers.LEARNERS)
+
+
+def samples(steps=300):
+    """Two sensors around 20: the first jumps by 8 and returns, the second drops out at times."""
+    rng = np.random.default_rng(2)
+    y = 20.0 + rng.normal(size=(steps, 2)) * [1.0, 2.0]
+    y[100:200, 0] += 8.0
+    y[rng.random(steps) < 0.1, 1] = np.nan
+    return y
+
+
+def run(precision, y, compiled=True, **options):
+    controller = controllers.BayesianController(MODEL, precision=precision, initial_mean=20.0, **options)
+    step = controller.online(compiled=compiled)
+    return [step(y=row, goal=[20.0]) for row in y]
+
+
+@pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
+def test_compiled_and_plain_agree_to_the_last_bit_and_stay_finite(precision):
+    y = samples()
+    for a, b in zip(run(precision, y), run(precision, y, compiled=False), strict=True):
+        for name in a:
+            np.testing.assert_array_equal(a[name], b[name])
+        assert np.isfinite(a.u).all()
+        assert np.isfinite(a.x_hat).all()
+        assert (np.linalg.eigvalsh(a.P) > 0).all()
+        probability = a.fault_probability[np.isfinite(a.fault_probability)]
+        assert ((probability >= 0) & (probability <= 1)).all()
+
+
+@pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
+def test_absurd_samples_are_survived(precision):
+    y = samples(120)
+    y[20], y[25], y[30], y[40:60], y[70] = 1e300, [np.inf, -np.inf], [np.nan, 1e300], np.nan, [-1e300, 20.0]
+    for out in run(precision, y):
+        assert np.isfinite(out.P).all()
+        assert (np.linalg.eigvalsh(out.P) > 0).all()
+        assert np.isfinite(out.x_hat).all()
+
+
+def prior_predictions(y, outs):
+    """Recover each step's innovation and predicted variance from the outputs of the step before."""
+    mean, variance = 20.0, 1.0
+    for row, out in zip(y, outs, strict=True):
+        yield row - mean, variance
+        mean = 0.999 * out.x_hat[0] + 2e-4 * out.u[0]
+        variance = 0.999**2 * out.P[0, 0] + 0.001
+
+
+@pytest.mark.parametrize("belief", [False, True])
+@pytest.mark.parametrize("forget_to", ["prior", "zero"])
+def test_gamma_update_with_forgetting(forget_to, belief):
+    y, rho, a0, R = samples(), 0.9, 3.0, np.array([1.0, 4.0])
+    outs = run(GammaPrecision(forgetting=rho, prior_shape=a0, forget_to=forget_to, belief_uncertainty=belief), y)
+    a, b = np.full(2, a0), a0 * R
+    for (e, variance), out in zip(prior_predictions(y, outs), outs, strict=True):
+        back = (1 - rho) if forget_to == "prior" else 0.0
+        a, b = rho * a + back * a0, rho * b + back * a0 * R
+        present = np.isfinite(e)
+        a = a + 0.5 * present
+        b = b + np.where(present, 0.5 * (e**2 + belief * variance), 0.0)
+        np.testing.assert_allclose(out.beta, b, rtol=1e-9)
+        np.testing.assert_allclose(out.precision, a / b, rtol=1e-9)
+        np.testing.assert_allclose(np.diag(out.R), b / a, rtol=1e-9)
+    assert a0 < a[0] <= a0 + 0.5 / (1 - rho) + 1e-9 or forget_to == "zero"
+
+
+def test_gamma_update_with_a_window():
+    y, length = samples(60), 7
+    outs = run(GammaPrecision(window=length, prior_shape=2.5, estimate="mode"), y)
+    history = []
+    for (e, _), out in zip(prior_predictions(y, outs), outs, strict=True):
+        history.append(e)
+        last = np.array(history[-length:])
+        a = 2.5 + 0.5 * np.isfinite(last).sum(axis=0)
+        b = 2.5 * np.array([1.0, 4.0]) + 0.5 * np.nansum(last**2, axis=0)
+        np.testing.assert_allclose(out.beta, b, rtol=1e-9)
+        np.testing.assert_allclose(out.precision, (a - 1) / b, rtol=1e-9)
+
+
+def test_the_literal_update_never_forgets():
+    y = samples()
+    outs = run(GammaPrecision(forgetting=None, prior_shape=1.0), y)
+    errors = np.array([e for e, _ in prior_predictions(y, outs)])
+    assert outs[-1].beta[0] == pytest.approx(1.0 + 0.5 * np.sum(errors[:, 0] ** 2), rel=1e-9)
+    assert all(later.beta[0] >= earlier.beta[0] for earlier, later in zip(outs, outs[1:], strict=False))
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.floats(0.5, 20.0), st.floats(0.2, 30.0), st.floats(-6.0, 6.0))
+def test_gamma_is_conjugate_by_numerical_integration(a, b, e):
+    """Prior times likelihood, integrated numerically, has the moments of Gamma(a + 1/2, b + e^2/2)."""
+    posterior = stats.gamma(a + 0.5, scale=1 / (b + e * e / 2))
+    end = posterior.ppf(1 - 1e-13)
+
+    def weight(w):
+        return stats.gamma.pdf(w, a, scale=1 / b) * stats.norm.pdf(e, scale=w**-0.5)
+
+    def moment(power):
+        points = posterior.ppf([0.01, 0.5, 0.99])
+        return integrate.quad(lambda w: w**power * weight(w), 0, end, points=points, limit=200)[0]
+
+    total = moment(0)
+    assert moment(1) / total == pytest.approx(posterior.mean(), rel=1e-6)
+    assert moment(2) / total - (moment(1) / total) ** 2 == pytest.approx(posterior.var(), rel=1e-5)
+
+
+def test_the_step_function_makes_that_conjugate_update():
+    """One sample of a sensor with known mean: shape + 1/2, rate + e^2/2, read off the block's outputs."""
+    model = controllers.LinearModel([[1.0]], [[1.0]], [[1.0]], 1e-12, 2.0, 1.0)
+    controller = controllers.BayesianController(
+        model, precision=GammaPrecision(forgetting=None, prior_shape=3.0), initial_mean=5.0, initial_covariance=1e-12
+    )
+    out = controller.online()(y=[8.0], goal=[0.0])
+    assert out.beta[0] == pytest.approx(3.0 * 2.0 + 0.5 * 9.0)
+    assert out.precision[0] == pytest.approx(3.5 / 10.5)
+
+
+def test_logistic_map():
+    for feature, x in (("log", lambda r: np.log(r)), ("linear", lambda r: r)):
+        precision = GammaPrecision(prior_shape=2.0, calibration=Calibration(1.5, -2.0, feature))
+        for out in run(precision, samples(50)):
+            expected = 1 / (1 + np.exp(-(1.5 * x(out.beta / (2.0 * np.array([1.0, 4.0]))) - 2.0)))
+            np.testing.assert_allclose(out.fault_probability, expected, rtol=1e-12)
+        assert precision.why_no_probability is None
+    assert "calibrate" in str(GammaPrecision().why_no_probability)
+    assert np.isnan(run(GammaPrecision(), samples(3))[-1].fault_probability).all()
+
+
+def test_effdi_ignores_a_jump_for_its_duration_and_cannot_see_a_freeze():
+    sd, steps = np.array([1.0, 2.0]), 200
+    rng = np.random.default_rng(0)
+    y = 20 + 0.1 * rng.normal(size=(steps, 2))
+    y[50:, 0] += 12.0
+    y[100:, 1] = y[99, 1]
+    outs = run(EFFDI(duration=0.4), y)
+    decided = np.array([o.fault_probability for o in outs])
+    r = np.abs(y[2:] - 2 * y[1:-1] + y[:-2])
+    R = np.full((steps, 2), np.nan)
+    R[4:] = r[2:] + r[1:-1] + r[:-2]
+    expected = np.zeros((steps, 2))
+    for k, i in np.argwhere(R > EFFDI().threshold * sd):
+        expected[k : k + 20, i] = 1.0
+    np.testing.assert_array_equal(decided, expected)
+    assert expected[:, 0].sum() >= 20
+    assert not decided[:, 1].any()
+    assert all(o.precision[0] == 0 for o, d in zip(outs, decided, strict=True) if d[0])
+
+
+def test_effdi_threshold_is_the_statistics_quantile():
+    y = np.random.default_rng(1).normal(size=2_000_000)
+    r = np.abs(np.diff(y, 2))
+    R = r[2:] + r[1:-1] + r[:-2]
+    assert np.quantile(R, 0.999) == pytest.approx(EFFDI().threshold, rel=0.01)
+
+
+def test_serfdi_compares_with_the_innovations_deviation():
+    y = samples()
+    outs = run(SERFDI(3.0), y)
+    for (e, variance), out in zip(prior_predictions(y, outs), outs, strict=True):
+        expected = np.abs(e) > 3.0 * np.sqrt(variance + np.array([1.0, 4.0]))
+        np.testing.assert_array_equal(out.fault_probability > 0.5, expected)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: GammaPrecision(forgetting=0.0), r"must lie in \(0, 1\]"),
+        (lambda: GammaPrecision(forgetting=1.2), r"must lie in \(0, 1\]"),
+        (lambda: GammaPrecision(window=0), "whole number of steps from 1 to 64"),
+        (lambda: GammaPrecision(prior_shape=0.0), "must be above 0"),
+        (lambda: GammaPrecision(prior_shape=1.0, estimate="mode"), "must be above 1"),
+        (lambda: GammaPrecision(estimate="median"), "'mean' or 'mode'"),
+        (lambda: EFFDI(threshold=-1.0), "must be positive"),
+        (lambda: SERFDI(threshold=0.0), "must be positive"),
+        (lambda: Calibration(float("nan"), 0.0), "must be finite"),
+        (lambda: controllers.BayesianController(MODEL, precision=EFFDI(duration=0.03)), "no whole number of steps"),
+    ],
+)
+def test_bad_settings(make, words):
+    with pytest.raises(BayesFTCError, match=words):
+        make()
