@@ -32,8 +32,7 @@ def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
 
 
 @register_jitable(error_model="numpy")
-def _phase(calls, begin, end, gathers, memory, t, k, failed):
-    base = memory.ctypes.data
+def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
     for c in range(begin, end):
         every = calls[c, EVERY]
         count = k
@@ -66,6 +65,7 @@ def run(
 
     Evaluates step `begin` only if `first` is not 0. On failure ``failed`` holds the call and its status.
     """
+    base = memory.ctypes.data
     chunk = -1
     k = begin
     evaluate = first != 0
@@ -78,7 +78,7 @@ def run(
                     fill(seed, streams, chunk * CHUNK, buffer)
                 for j in range(drawn.size):
                     memory[drawn[j]] = buffer[k - chunk * CHUNK, j]
-            if not _phase(calls, 0, evaluations, gathers, memory, t, k, failed):
+            if not _phase(calls, 0, evaluations, gathers, memory, base, t, k, failed):
                 return k - 1
             if k % decimation == 0:
                 row = k // decimation
@@ -86,7 +86,7 @@ def run(
                     recording[row, j] = memory[recorded[j]]
         if k == end:
             return k
-        if not _phase(calls, evaluations, calls.shape[0], gathers, memory, t, k, failed):
+        if not _phase(calls, evaluations, calls.shape[0], gathers, memory, base, t, k, failed):
             return k
         k += 1
         evaluate = True
