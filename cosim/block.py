@@ -55,8 +55,9 @@ class Block:
     2. give its ``inputs`` and ``outputs`` as tuples of `Port` (properties, where they depend on the settings);
     3. return from ``define(step)`` a `Definition`: the initial state, the parameters, and the step functions;
     4. write a step function as a plain Python function whose *argument names* say what it gets: the names of ports, of
-       state entries and of parameters, each as a float64 array (a scalar is an array of one element), and ``t`` (time in
-       seconds) and ``k`` (the block's own step count);
+       state entries and of parameters, each as a float64 array (a scalar is an array of one element), ``t`` (time in
+       seconds) and ``k`` (the block's own step count), and ``inputs`` and ``outputs``: all ports of that side, one after
+       the other, as one flat array, for blocks whose ports are not known when the function is written;
     5. in a step function, read inputs, parameters and state, write outputs and state in place, allocate nothing, use scalar
        loops, take all mathematics from `bayesftc.cosim.ops`, and branch on data with ``ops.select`` only;
     6. keep random numbers out of it: declare an input port with ``draw="normal"`` or ``draw="uniform"``;
@@ -138,9 +139,15 @@ class ExternalBlock(Block):
 class External(Protocol):
     """A running instance of an external block."""
 
-    output_address: int
-    update_address: int
     table: NDArray[np.int64]
+
+    @property
+    def output_address(self) -> int:
+        """Address of the compiled output function."""
+
+    @property
+    def update_address(self) -> int:
+        """Address of the compiled update function; 0 where the output function does everything."""
 
     def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
         """Write the outputs; return 0, or a status that stops the run."""

@@ -36,6 +36,9 @@ TABLE = 32
 
 SECTIONS = ("state", "parameters", "inputs", "outputs")
 
+RESERVED = frozenset({"t", "k", "inputs", "outputs"})
+"""Argument names of step functions that are no ports: time, step count, and all inputs or outputs as one flat array."""
+
 
 @dataclass(frozen=True)
 class Call:
@@ -236,7 +239,7 @@ def arrange(block: Block, definition: Definition | None, begin: int) -> tuple[Sl
     """
     groups: dict[str, Mapping[str, Floats]] = {
         "state": _arrays(definition.state) if definition else {},
-        "parameters": _arrays(definition.parameters) if definition else {"table": np.zeros(TABLE)},
+        "parameters": _arrays(definition.parameters) if definition else {"<table>": np.zeros(TABLE)},
         "inputs": {p.name: _filled(p, 0.0 if p.default is None else p.default) for p in block.inputs},
         "outputs": {p.name: _filled(p, np.nan) for p in block.outputs},
     }
@@ -246,15 +249,17 @@ def arrange(block: Block, definition: Definition | None, begin: int) -> tuple[Sl
     for section in SECTIONS:
         start[section], offset = begin, 0
         for name, array in groups[section].items():
-            if name in sections or name in {"t", "k"}:
+            if name in sections or (definition is not None and name in RESERVED):
                 raise KernelError(
                     f"{type(block).__name__} uses the name {name!r} twice among its ports, states and parameters "
-                    "(t and k are taken): rename one."
+                    f"({', '.join(sorted(RESERVED))} are taken): rename one."
                 )
             sections[name] = (section, offset, array.shape)
             pieces.append(array.ravel())
             offset += array.size
         begin += offset
+        if section in {"inputs", "outputs"}:
+            sections.setdefault(section, (section, 0, (offset,)))
     return Slots(start, sections), np.concatenate([np.zeros(0), *pieces])
 
 
@@ -290,10 +295,10 @@ def _definition(node: Node, definition: Definition) -> Definition:
         if kernel is None:
             continue
         for name in argument_names(kernel):
-            if name not in known | {"t", "k"}:
+            if name not in known | RESERVED:
                 raise KernelError(
                     f"The step function {kernel.__name__!r} of block {node.name!r} asks for {name!r}, which is no port, state or "
-                    f"parameter of it (these are: {', '.join(sorted(known))}, t, k)."
+                    f"parameter of it (these are: {', '.join(sorted(known | RESERVED))})."
                 )
     return definition
 
