@@ -1,0 +1,157 @@
+"""The file of an FMU: checked before anything of it is believed, and unpacked once per machine."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+import zipfile
+import zlib
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+
+from bayesftc.cosim._cache import cache_directory
+from bayesftc.cosim.errors import FMUError
+
+DESCRIPTION = "modelDescription.xml"
+_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError)
+"""What zipfile raises for files that are damaged, encrypted or packed in a way it does not know."""
+
+
+@dataclass(frozen=True)
+class Archive:
+    """An FMU file whose table of contents is in order.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        Where it lies.
+    digest : str
+        SHA-256 of its content: two copies of a file are the same FMU, an edited file is another.
+    names : tuple of str
+        Names of its entries.
+    """
+
+    path: Path
+    digest: str
+    names: tuple[str, ...]
+
+    def platforms(self) -> tuple[str, ...]:
+        """Return the names of the platforms that it has binaries for, as FMI spells them."""
+        found = (PurePosixPath(name).parts for name in self.names)
+        return tuple(sorted({parts[1] for parts in found if len(parts) > 2 and parts[0] == "binaries"}))
+
+
+def open_archive(path: Path) -> Archive:
+    """Read the table of contents of an FMU; nothing is unpacked.
+
+    Raises
+    ------
+    FMUError
+        If there is no such file, it is no FMU, or an entry would be unpacked to somewhere else.
+    """
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check the path.") from None
+    if path.is_dir():
+        raise FMUError(f"{path} is a folder; give the .fmu file itself, or zip the folder's content into one.")
+    return _read(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=256)
+def _read(path: Path, changed: int, size: int) -> Archive:
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        with zipfile.ZipFile(path) as archive:
+            names = tuple(archive.namelist())
+    except OSError as error:
+        raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check its permissions.") from None
+    except _DAMAGE:
+        raise FMUError(
+            f"{path} is no FMU: it is not a zip file, or it is damaged; get or export the file again."
+        ) from None
+    for name in names:
+        if "\\" in name or ":" in name or name.startswith("/") or ".." in PurePosixPath(name).parts:
+            raise FMUError(
+                f"The FMU {path} has an entry called {name!r}, which could be unpacked outside of its folder; nothing was "
+                "unpacked. Do not use this file; ask its maker for one with plain relative names."
+            )
+    if DESCRIPTION not in names:
+        raise FMUError(f"{path} is no FMU: it is a zip file without {DESCRIPTION} at its top; export the model again.")
+    return Archive(path, digest, names)
+
+
+def read_entry(archive: Archive, name: str) -> bytes:
+    """Return the content of one entry.
+
+    Raises
+    ------
+    FMUError
+        If it is damaged.
+    """
+    try:
+        with zipfile.ZipFile(archive.path) as file:
+            return file.read(name)
+    except (*_DAMAGE, KeyError, OSError):
+        raise _damaged(archive) from None
+
+
+def extract(archive: Archive, wanted: str) -> Path:
+    """Unpack an FMU into the user's cache, unless it is there already.
+
+    Parameters
+    ----------
+    archive : Archive
+        The FMU.
+    wanted : str
+        An entry that must be there in the end: a folder that someone emptied is unpacked anew.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder with its content; it is shared by all processes of this user, and stays.
+
+    Raises
+    ------
+    FMUError
+        If the file is damaged, or there is no room for it.
+    """
+    from filelock import FileLock
+
+    root = cache_directory("fmus")
+    folder = root / archive.digest
+    if (folder / wanted).exists():
+        return folder
+    with FileLock(root / f"{archive.digest}.lock"):
+        if (folder / wanted).exists():  # another process was faster
+            return folder
+        shutil.rmtree(folder, ignore_errors=True)
+        _unpack(archive, folder)
+    return folder
+
+
+def _unpack(archive: Archive, folder: Path) -> None:
+    import fmpy
+
+    # Beside its place, so that the move is one step and no one ever sees half of it.
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{archive.digest[:16]}-"))
+    try:
+        fmpy.extract(archive.path, temporary)
+        os.replace(temporary, folder)
+    except OSError as error:
+        raise FMUError(
+            f"The FMU {archive.path} cannot be unpacked into {folder.parent} ({error.strerror}); make room there, or set "
+            "BAYESFTC_CACHE to another folder."
+        ) from None
+    except Exception:  # noqa: BLE001 - fmpy raises plain Exception, zipfile whatever the packer did wrong
+        raise _damaged(archive) from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _damaged(archive: Archive) -> FMUError:
+    return FMUError(f"The FMU {archive.path} is damaged: its content cannot be unpacked; get or export the file again.")

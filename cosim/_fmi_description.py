@@ -1,0 +1,250 @@
+"""What an FMU says of itself, as plain data: read and validated by fmpy, without loading any binary."""
+
+from __future__ import annotations
+
+import io
+import math
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
+from bayesftc.cosim.errors import FMUError
+
+if TYPE_CHECKING:
+    from fmpy.model_description import ModelDescription, ModelVariable
+
+Value = float | int | bool | str
+
+REAL_TYPES = frozenset({"Real", "Float64"})
+"""The types that ports can have: double-precision numbers of FMI 2 and FMI 3."""
+
+_FLOATS = REAL_TYPES | {"Float32"}
+_KINDS = ("coSimulation", "modelExchange", "scheduledExecution")
+_CAPABILITIES = (
+    "needsExecutionTool",
+    "canBeInstantiatedOnlyOncePerProcess",
+    "canGetAndSetFMUstate",
+    "canSerializeFMUstate",
+    "providesDirectionalDerivative",
+    "canHandleVariableCommunicationStepSize",
+    "fixedInternalStepSize",
+    "maxOutputDerivativeOrder",
+    "canInterpolateInputs",
+    "hasEventMode",
+    "mightReturnEarlyFromDoStep",
+)
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class FMUVariable:
+    """One variable of an FMU, in the words of the standard.
+
+    Attributes
+    ----------
+    name, causality, variability, type : str
+        As in the model description, with the standard's defaults filled in.
+    start : float, int, bool, str or None
+        Its start value; of an array, the text of the model description.
+    unit, description : str or None
+        As in the model description.
+    shape : tuple of int
+        ``()`` for a scalar; only FMI 3 has arrays.
+    settable : bool
+        Whether its start value may be set before initialization.
+    reference : int
+        The value reference, by which the binary knows it.
+    clocked : bool
+        Whether it only exists at the ticks of a clock (FMI 3).
+    alias : bool
+        Whether it is another name of a variable that is listed too (FMI 3).
+    """
+
+    name: str
+    causality: str
+    variability: str
+    type: str
+    start: Value | None
+    unit: str | None
+    description: str | None
+    shape: tuple[int, ...]
+    settable: bool
+    reference: int
+    clocked: bool = False
+    alias: bool = False
+
+    @property
+    def is_real_scalar(self) -> bool:
+        """Whether it can be a port."""
+        return self.type in REAL_TYPES and not self.shape and not self.clocked
+
+
+@dataclass(frozen=True)
+class FMUDescription:
+    """What an FMU says of itself.
+
+    Attributes
+    ----------
+    name, fmi_version : str
+        The model's name, and the version of the standard, as ``"2.0"``.
+    kinds : tuple of str
+        Of ``"coSimulation"``, ``"modelExchange"``, ``"scheduledExecution"``: what it can be used for.
+    platforms : tuple of str
+        Platforms that it has binaries for, as FMI spells them.
+    variables : tuple of FMUVariable
+        All its variables.
+    capabilities : mapping
+        The flags of its co-simulation kind (of its first kind, where it has none).
+    default_experiment : mapping of str to float
+        Of ``startTime``, ``stopTime``, ``tolerance``, ``stepSize``: those that it gives.
+    description, generation_tool : str or None
+        As in the model description.
+    timing : str or None
+        What the vendor annotation of this package's exports says: ``"plant"`` or ``"sampled"``.
+    identifier, token : str
+        Name of the binary, and what proves that binary and description belong together.
+    log_categories : tuple of str
+        Categories under which it logs.
+    """
+
+    name: str
+    fmi_version: str
+    kinds: tuple[str, ...]
+    platforms: tuple[str, ...]
+    variables: tuple[FMUVariable, ...]
+    capabilities: Mapping[str, Any]
+    default_experiment: Mapping[str, float]
+    description: str | None = None
+    generation_tool: str | None = None
+    timing: str | None = None
+    identifier: str = ""
+    token: str = field(default="", repr=False)
+    log_categories: tuple[str, ...] = field(default=(), repr=False)
+
+    @property
+    def fmi_major(self) -> int:
+        """2 or 3."""
+        return int(self.fmi_version[0])
+
+
+_lock = threading.RLock()
+_known: dict[tuple[str, bool], FMUDescription] = {}
+
+
+def read_description(archive: Archive, *, validate: bool = True) -> FMUDescription:
+    """Read the model description of an FMU, once per process and content.
+
+    Raises
+    ------
+    FMUError
+        If it is of another version than FMI 2.0 or 3.0, or not valid.
+    """
+    with _lock:
+        key = (archive.digest, validate)
+        if key not in _known:
+            _known[key] = _read(archive, validate)
+        return _known[key]
+
+
+def _read(archive: Archive, validate: bool) -> FMUDescription:
+    from xml.etree import ElementTree
+
+    content = read_entry(archive, DESCRIPTION)
+    try:
+        root = ElementTree.fromstring(content)
+    except ElementTree.ParseError as error:
+        raise FMUError(
+            f"The {DESCRIPTION} of {archive.path} is damaged ({error}); get or export the FMU again."
+        ) from None
+    version = root.get("fmiVersion", "")
+    if not (version == "2.0" or version.startswith("3.")):
+        raise FMUError(
+            f"{archive.path} is an FMU of FMI {version or 'without a version'}; only FMI 2.0 and 3.0 can be used: export the "
+            "model in one of these."
+        )
+    model = _parse(archive, validate)
+    kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
+    first = getattr(model, kinds[0]) if kinds else None
+    experiment = model.defaultExperiment
+    annotations = [element.get("timing") for element in root.iter("bayesftc")]
+    return FMUDescription(
+        name=model.modelName or archive.path.stem,
+        fmi_version=version,
+        kinds=kinds,
+        platforms=archive.platforms(),
+        variables=tuple(_variable(archive, v) for v in model.modelVariables),
+        capabilities={name: getattr(first, name) for name in _CAPABILITIES if hasattr(first, name)},
+        default_experiment={
+            name: float(text)
+            for name in ("startTime", "stopTime", "tolerance", "stepSize")
+            if (text := getattr(experiment, name, None)) is not None
+        },
+        description=model.description,
+        generation_tool=model.generationTool,
+        timing=next((a for a in annotations if a in {"plant", "sampled"}), None),
+        identifier=getattr(first, "modelIdentifier", None) or "",
+        token=model.guid or "",
+        log_categories=tuple(c.name for c in model.logCategories),
+    )
+
+
+def _parse(archive: Archive, validate: bool) -> ModelDescription:
+    from fmpy import read_model_description
+    from fmpy.model_description import ValidationError
+
+    try:
+        return read_model_description(io.BytesIO(archive.path.read_bytes()), validate=validate)
+    except ValidationError as error:
+        problems = [str(p).removesuffix(".") for p in error.problems]
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
+        problems = [(str(error) or type(error).__name__).removesuffix(".")]
+    more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+    remedy = (
+        "Ask its maker for a valid one, or try it all the same with validate=False." if validate else "Export it again."
+    )
+    raise FMUError(
+        f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {'; '.join(problems[:_SHOWN])}{more}. {remedy}"
+    )
+
+
+def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:
+    unit = variable.unit or getattr(variable.declaredType, "unit", None)
+    settable = variable.variability != "constant" and (
+        variable.causality == "input" or variable.initial in {"exact", "approx"}
+    )
+    return FMUVariable(
+        name=variable.name,
+        causality=variable.causality,
+        variability=variable.variability,
+        type=variable.type,
+        start=_start(archive, variable),
+        unit=unit,
+        description=variable.description,
+        shape=tuple(variable.shape or ()),
+        settable=settable,
+        reference=variable.valueReference,
+        clocked=bool(variable.clocks),
+        alias=variable.alias is not None,
+    )
+
+
+def _start(archive: Archive, variable: ModelVariable) -> Value | None:
+    text: str | None = variable.start
+    if text is None or variable.shape:
+        return text
+    try:
+        if variable.type in _FLOATS:
+            value = float(text)
+            return value if math.isfinite(value) else None
+        if variable.type == "Boolean":
+            return text in {"true", "1"}
+        if variable.type in {"String", "Binary"}:
+            return text
+        return int(text)
+    except ValueError:
+        raise FMUError(
+            f"The variable {variable.name!r} of {archive.path} has the start value {text!r}, which is no {variable.type}; "
+            "export the FMU again."
+        ) from None

@@ -1,0 +1,241 @@
+"""A running instance of an FMU: what the engines call, in C and in Python, with the same numbers."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesftc.cosim._fmi_description import FMUVariable, Value
+from bayesftc.cosim._fmi_library import CallError, Library
+from bayesftc.cosim._fmi_messages import STATUS, Messages
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import FMUError
+
+# The codes of bayesftc.cosim._fmi_kernels, repeated so that the interpreted engine does without numba; a test compares.
+GET, SET, STEP = 100, 200, 300
+EARLY, TERMINATED = 401, 402
+_TOLERANCE = 1e-9
+_DISCARD, _FATAL = 2, 4
+
+_VALUES2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+_VALUES3 = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_size_t
+)
+_STEP2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
+_STEP3 = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_bool, *[ctypes.c_void_p] * 4
+)
+
+
+@cache
+def _compiled(major: int, role: str) -> Any:
+    from bayesftc.cosim import _fmi_kernels
+    from bayesftc.cosim._compiler import compile_raw
+
+    function: Any = _fmi_kernels.FUNCTIONS[major, role]
+    return compile_raw(function, _fmi_kernels)
+
+
+class StepFunctions:
+    """The FMI functions of one instance with reused buffers, for both engines.
+
+    Parameters
+    ----------
+    major : int
+        2 or 3: the version of FMI, which says how the functions are called.
+    addresses : tuple of int
+        Of the functions that read reals, set reals, and make a step.
+    component : int
+        The instance's address.
+    inputs, outputs : sequence of int
+        Value references.
+    h : float
+        Step size in seconds.
+    timing : {"plant", "sampled"}
+        Whether the outputs are read before the step, or after it.
+    """
+
+    def __init__(
+        self,
+        major: int,
+        addresses: tuple[int, int, int],
+        component: int,
+        inputs: Sequence[int],
+        outputs: Sequence[int],
+        h: float,
+        timing: Literal["plant", "sampled"],
+    ):
+        self._major, self._timing, self._h = major, timing, h
+        self._component = component
+        self._references = [np.array(r, dtype=np.uint32) for r in (inputs, outputs)]
+        self._buffers = [np.zeros(max(len(r), 1)) for r in (inputs, outputs)]
+        self._scratch = np.zeros(4, dtype=np.int64)
+        in_refs, out_refs = (r.ctypes.data for r in self._references)
+        size = int(np.float64(h).view(np.int64))
+        words = [component, *addresses[:2], addresses[2], in_refs, len(inputs), out_refs, len(outputs), size]
+        self.table = np.array([*words, self._scratch.ctypes.data], dtype=np.int64)
+        values = _VALUES2 if major == 2 else _VALUES3
+        self._get, self._set = values(addresses[0]), values(addresses[1])
+        self._do_step: Any = (_STEP2 if major == 2 else _STEP3)(addresses[2])
+        self._input_arguments, self._output_arguments = (
+            (component, r.ctypes.data, len(r), b.ctypes.data) + ((len(r),) if major == 3 else ())
+            for r, b in zip(self._references, self._buffers, strict=True)
+        )
+        self._places = [self._scratch.ctypes.data + 8 * i for i in range(4)]
+
+    @property
+    def output_address(self) -> int:
+        """Address of the compiled output function."""
+        return int(_compiled(self._major, "get" if self._timing == "plant" else "sampled").address)
+
+    @property
+    def update_address(self) -> int:
+        """Address of the compiled update function; 0 where all is done in the output function."""
+        return int(_compiled(self._major, "advance").address) if self._timing == "plant" else 0
+
+    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.output`."""
+        if self._timing == "sampled":
+            status = self._advance(inputs, t)
+            if status:
+                return status
+        return self._read(outputs)
+
+    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.update`."""
+        return self._advance(inputs, t) if self._timing == "plant" else 0
+
+    def _read(self, outputs: Floats) -> int:
+        count = len(self._references[1])
+        if count == 0:
+            return 0
+        buffer = self._buffers[1]
+        buffer[:] = outputs  # what a failing FMU does not write stays as it is, as in compiled code
+        status: int = self._get(*self._output_arguments)
+        outputs[:] = buffer
+        return _failed(GET, status)
+
+    def _advance(self, inputs: Floats, t: float) -> int:
+        if len(self._references[0]):
+            self._buffers[0][:] = inputs
+            status = _failed(SET, self._set(*self._input_arguments))
+            if status:
+                return status
+        h = self._h
+        if self._major == 2:
+            return _failed(STEP, self._do_step(self._component, t, h, 1))
+        status = _failed(STEP, self._do_step(self._component, t, h, True, *self._places))
+        if status:
+            return status
+        _, terminate, early, _ = self._scratch
+        if terminate:
+            return TERMINATED
+        if early and not self._scratch.view(np.float64)[3] >= t + h - _TOLERANCE * h:
+            return EARLY
+        return 0
+
+
+def _failed(where: int, status: int) -> int:
+    return where + status if status > 1 or status < 0 else 0
+
+
+class Instance(StepFunctions):
+    """An initialized FMU instance; see `bayesftc.cosim.block.External`.
+
+    Raises
+    ------
+    FMUError
+        If the FMU refuses to be instantiated or initialized.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        name: str,
+        step: Fraction,
+        timing: Literal["plant", "sampled"],
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value],
+        outputs: Sequence[FMUVariable],
+    ):
+        self._library, self._name = library, name
+        self._messages = Messages(name)
+        self._component, self._healthy, self._fatal = 0, True, False
+        try:
+            self._start(start, inputs)
+        except BaseException:
+            self._healthy = False
+            self.close()
+            raise
+        super().__init__(
+            library.description.fmi_major,
+            library.addresses(),
+            self._component,
+            [v.reference for v in inputs],
+            [v.reference for v in outputs],
+            float(step),
+            timing,
+        )
+
+    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+        library, name = self._library, self._name
+        model = library.description.name
+        if library.alive and library.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
+            raise FMUError(
+                f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
+                "after the other, or in separate processes."
+            )
+        component, self._callbacks = library.create(name, self._messages)
+        if not component:
+            raise FMUError(
+                f"The FMU {model!r} refused to be instantiated as {name!r}. {self._messages.quoted()} If it needs a tool or "
+                "a licence, check that it is there."
+            )
+        self._component = component
+        library.alive += 1
+        try:
+            library.initialize(component, start, inputs)
+        except CallError as error:
+            self._fatal = error.status == _FATAL
+            raise FMUError(
+                f"The FMU {model!r} could not be initialized as {name!r}: {error.sentence()}. {self._messages.quoted()} Check "
+                "its parameters and start values."
+            ) from None
+
+    def explain(self, status: int) -> str:
+        """Return what a status means in FMI's words, with the instance's last messages."""
+        self._healthy = False
+        if status == TERMINATED:
+            return f"The FMU asks to end the simulation (terminateSimulation). {self._messages.quoted()}"
+        if status == EARLY:
+            reached = self._scratch.view(np.float64)[3]
+            return (
+                f"The FMU returned early from fmi3DoStep, at t = {reached:g} s, before the end of the step, which was "
+                f"not allowed; a smaller step may do. {self._messages.quoted()}"
+            )
+        where, code = status // 100 * 100, status % 100
+        get, set_, step = self._library.step_functions
+        function = {GET: get, SET: set_, STEP: step}.get(where, "An FMI function")
+        word = STATUS[code] if code < len(STATUS) else str(code)
+        self._fatal = code == _FATAL
+        more = self._library.last_words(self._component) if where == STEP and code == _DISCARD else ""
+        return " ".join(s for s in (f"{function} returned {word}.", more, self._messages.quoted()) if s)
+
+    def close(self) -> None:
+        """Free the instance; the binary stays loaded."""
+        component, self._component = self._component, 0
+        if component:
+            self._library.alive -= 1
+            try:
+                if self._healthy:
+                    self._library.terminate(component)
+                if not self._fatal:  # after Fatal the standard allows no call at all
+                    self._library.free(component)
+            except CallError:
+                pass  # it is over either way, and the results stand
+        self._messages.close()

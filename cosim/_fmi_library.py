@@ -1,0 +1,289 @@
+"""The binary of an FMU: loaded once per process and kept, its functions bound by fmpy."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from bayesftc.cosim._fmi_archive import Archive, extract
+from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value
+from bayesftc.cosim._fmi_messages import STATUS, Messages, callback3, callbacks2
+from bayesftc.cosim.errors import FMUError
+
+_STATUS_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+
+_C_TYPES: dict[str, Any] = {
+    "Real": ctypes.c_double,
+    "Float64": ctypes.c_double,
+    "Float32": ctypes.c_float,
+    "Integer": ctypes.c_int,
+    "Int8": ctypes.c_int8,
+    "UInt8": ctypes.c_uint8,
+    "Int16": ctypes.c_int16,
+    "UInt16": ctypes.c_uint16,
+    "Int32": ctypes.c_int32,
+    "UInt32": ctypes.c_uint32,
+    "Int64": ctypes.c_int64,
+    "UInt64": ctypes.c_uint64,
+    "String": ctypes.c_char_p,
+}
+
+
+class CallError(Exception):
+    """A call of an FMI function that did not return OK or Warning."""
+
+    def __init__(self, function: str, status: int):
+        super().__init__(function, status)
+        self.function, self.status = function, status
+
+    def sentence(self) -> str:
+        """Return what happened in FMI's words."""
+        return f"{self.function} returned {STATUS[self.status] if self.status in range(6) else self.status}"
+
+
+class Library:
+    """The loaded binary of one FMU; the parts that FMI 2 and 3 have in common.
+
+    Several instances may live at a time. fmpy's own ``freeInstance`` would unload the binary under the feet of the others,
+    so instances are made and freed through the bound C functions, and the binary stays until the process ends.
+    """
+
+    #: Names of the functions of a step: read reals, set reals, make a step.
+    step_functions: tuple[str, str, str]
+
+    def __init__(self, description: FMUDescription, slave: Any, keep: Any):
+        self.description = description
+        self._slave = slave
+        self._keep = keep  # a handle of our own: the binary stays even if someone closes fmpy's
+        self.alive = 0
+
+    def addresses(self) -> tuple[int, int, int]:
+        """Return the addresses of the functions of a step."""
+        get, set_, step = (
+            ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0 for name in self.step_functions
+        )
+        return get, set_, step
+
+    def create(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """Return a new instance (None if refused) and what must be kept alive with it."""
+        raise NotImplementedError
+
+    def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+        """Set the start values, go through initialization mode, and leave it ready for the first step."""
+        raise NotImplementedError
+
+    def terminate(self, component: int) -> None:
+        """Tell a healthy instance that the run is over."""
+        raise NotImplementedError
+
+    def free(self, component: int) -> None:
+        """Free an instance."""
+        raise NotImplementedError
+
+    def last_words(self, component: int) -> str:
+        """Return what more a discarded step lets one ask, as a sentence or nothing."""
+        return ""
+
+    def call(self, function: str, *arguments: Any) -> Any:
+        """Call an FMI function through fmpy.
+
+        Raises
+        ------
+        CallError
+            If it returns neither OK nor Warning.
+        """
+        from fmpy.fmi1 import FMICallException
+
+        try:
+            return getattr(self._slave, function)(*arguments)
+        except FMICallException as error:
+            raise CallError(function, int(error.status)) from None
+
+    def set_values(self, component: int, values: dict[FMUVariable, Value]) -> None:
+        """Set variables of any type, one at a time, so that a refusal names one."""
+        for variable, value in values.items():
+            function, c_type = self._setter(variable.type)
+            reference = (ctypes.c_uint * 1)(variable.reference)
+            array = (c_type * 1)(value.encode() if isinstance(value, str) else value)
+            try:
+                self._set(function, component, reference, array)
+            except CallError as error:
+                raise CallError(f"{error.function} of {variable.name!r}", error.status) from None
+
+    def _setter(self, kind: str) -> tuple[str, Any]:
+        raise NotImplementedError
+
+    def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
+        raise NotImplementedError
+
+    def _narrow_log(self, function: str, component: int) -> None:
+        # The log is on while the instance is made, so that a refusal says why. Afterwards only problems are wanted:
+        # a message costs more than a thousand steps.
+        wanted = [c.encode() for c in _STATUS_CATEGORIES if c in self.description.log_categories]
+        with suppress(CallError):  # it then says more or less than asked for, which harms nothing
+            self.call(function, component, bool(wanted), len(wanted), (ctypes.c_char_p * len(wanted))(*wanted))
+
+
+class Library2(Library):
+    """A binary of FMI 2."""
+
+    step_functions = ("fmi2GetReal", "fmi2SetReal", "fmi2DoStep")
+
+    def create(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """See `Library.create`."""
+        callbacks = callbacks2(messages)
+        resources = Path(self._slave.unzipDirectory, "resources").as_uri()
+        token = self.description.token.encode()
+        component = self.call(
+            "fmi2Instantiate", name.encode(), 1, token, resources.encode(), ctypes.byref(callbacks), 0, 1
+        )
+        if component:
+            self._narrow_log("fmi2SetDebugLogging", component)
+        return component or 0, callbacks
+
+    def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+        """See `Library.initialize`."""
+        self.call("fmi2SetupExperiment", component, 0, 0.0, 0.0, 0, 0.0)
+        self.set_values(component, start)
+        self.call("fmi2EnterInitializationMode", component)
+        self.set_values(component, inputs)
+        self.call("fmi2ExitInitializationMode", component)
+
+    def terminate(self, component: int) -> None:
+        """See `Library.terminate`."""
+        self.call("fmi2Terminate", component)
+
+    def free(self, component: int) -> None:
+        """See `Library.free`."""
+        self.call("fmi2FreeInstance", component)
+
+    def last_words(self, component: int) -> str:
+        """See `Library.last_words`."""
+        ended, reached = ctypes.c_int(0), ctypes.c_double(0.0)
+        try:
+            self.call("fmi2GetBooleanStatus", component, 3, ctypes.byref(ended))
+            if ended.value:
+                return "It asks to end the simulation."
+            self.call("fmi2GetRealStatus", component, 2, ctypes.byref(reached))
+        except CallError:
+            return ""
+        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do."
+
+    def _setter(self, kind: str) -> tuple[str, Any]:
+        name = "Integer" if kind == "Enumeration" else kind
+        return f"fmi2Set{name}", ctypes.c_int if kind == "Boolean" else _C_TYPES[name]
+
+    def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
+        self.call(function, component, reference, 1, array)
+
+
+class Library3(Library):
+    """A binary of FMI 3."""
+
+    step_functions = ("fmi3GetFloat64", "fmi3SetFloat64", "fmi3DoStep")
+
+    def create(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """See `Library.create`."""
+        from fmpy.fmi3 import fmi3IntermediateUpdateCallback
+
+        callback = callback3()
+        resources = os.path.join(self._slave.unzipDirectory, "resources") + os.path.sep
+        token = self.description.token.encode()
+        component = self.call(
+            "fmi3InstantiateCoSimulation", name.encode(), token, resources.encode(),
+            False, True, False, False, (ctypes.c_uint * 0)(), 0, messages.key, callback, fmi3IntermediateUpdateCallback(),
+        )  # fmt: skip
+        if component:
+            self._narrow_log("fmi3SetDebugLogging", component)
+        return component or 0, callback
+
+    def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+        """See `Library.initialize`."""
+        self.set_values(component, start)
+        self.call("fmi3EnterInitializationMode", component, False, 0.0, 0.0, False, 0.0)
+        self.set_values(component, inputs)
+        self.call("fmi3ExitInitializationMode", component)
+
+    def terminate(self, component: int) -> None:
+        """See `Library.terminate`."""
+        self.call("fmi3Terminate", component)
+
+    def free(self, component: int) -> None:
+        """See `Library.free`."""
+        self.call("fmi3FreeInstance", component)
+
+    def _setter(self, kind: str) -> tuple[str, Any]:
+        name = "Int64" if kind == "Enumeration" else kind
+        return f"fmi3Set{name}", ctypes.c_bool if kind == "Boolean" else _C_TYPES[name]
+
+    def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
+        self.call(function, component, reference, 1, array, 1)
+
+
+_lock = threading.RLock()
+_loaded: dict[str, Library] = {}
+
+
+def binary_entry(description: FMUDescription) -> tuple[str, str]:
+    """Return the platform's name in the FMU's version of FMI, and the entry where its binary must lie."""
+    import fmpy
+
+    platform = fmpy.platform if description.fmi_major == 2 else fmpy.platform_tuple
+    return platform, f"binaries/{platform}/{description.identifier}{fmpy.sharedLibraryExtension}"
+
+
+def load_library(archive: Archive, description: FMUDescription) -> Library:
+    """Unpack an FMU and load its binary, both only once.
+
+    Raises
+    ------
+    FMUError
+        If there is no binary for this platform, or it cannot be loaded.
+    """
+    with _lock:
+        if archive.digest not in _loaded:
+            platform, entry = binary_entry(description)
+            if entry not in archive.names:
+                have = ", ".join(archive.platforms()) or "no binaries at all"
+                raise FMUError(
+                    f"The FMU {archive.path} has no binary for this platform, {platform} (it has: {have}); export it for "
+                    f"{platform}, or compile its sources, if it has any, with 'fmpy compile'."
+                )
+            _loaded[archive.digest] = _load(archive, description, extract(archive, entry), entry)
+        return _loaded[archive.digest]
+
+
+def _load(archive: Archive, description: FMUDescription, folder: Path, entry: str) -> Library:
+    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi3 import FMU3Slave
+
+    settings = {
+        "guid": description.token,
+        "modelIdentifier": description.identifier,
+        "unzipDirectory": str(folder),
+        "instanceName": description.name,
+    }
+    here = os.getcwd()
+    try:
+        if description.fmi_major == 2:
+            slave = FMU2Slave(**settings)
+        else:
+            slave = FMU3Slave(**settings)
+        keep = ctypes.CDLL(str(folder / entry))
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError where a function lacks
+        raise FMUError(
+            f"The binary of the FMU {archive.path} cannot be loaded: {_reason(error, folder)}. Install the libraries that it "
+            "needs, or ask its maker for a binary that fits this system."
+        ) from None
+    finally:
+        os.chdir(here)  # fmpy goes to the binary's folder, and stays there if loading fails
+    return (Library2 if description.fmi_major == 2 else Library3)(description, slave, keep)
+
+
+def _reason(error: Exception, folder: Path) -> str:
+    text = str(error).replace(str(folder), "<fmu>").strip().removesuffix(".")
+    return text.removeprefix("Failed to load shared library ") or type(error).__name__

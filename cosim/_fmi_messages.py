@@ -1,0 +1,106 @@
+"""What FMUs say while they run: kept for error messages, forwarded to Python's logging, never printed."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import logging
+from collections import deque
+from functools import cache
+from typing import Any
+
+KEPT = 20
+"""How many messages of an instance are kept."""
+
+LENGTH = 500
+"""How many characters of a message are kept."""
+
+STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+"""The standard's words for what a call returned."""
+
+_LEVELS = (logging.INFO, logging.WARNING, logging.WARNING, logging.ERROR, logging.CRITICAL, logging.INFO)
+
+logger = logging.getLogger("bayesftc.fmu")
+logger.addHandler(logging.NullHandler())  # else logging prints warnings where nobody has set it up
+
+_numbers = itertools.count(1)
+_open: dict[int, Messages] = {}
+
+
+class Messages:
+    """The last messages of one instance, which the FMU's callbacks find by `key`."""
+
+    def __init__(self, name: str):
+        self.name = name
+        self.key = next(_numbers)
+        self._lines: deque[str] = deque(maxlen=KEPT)
+        _open[self.key] = self
+
+    def add(self, status: int, text: str) -> None:
+        """Keep a message and forward it."""
+        text = " ".join(text.split())[:LENGTH]
+        self._lines.append(text)
+        logger.log(_LEVELS[status] if 0 <= status < len(_LEVELS) else logging.WARNING, "%s: %s", self.name, text)
+
+    def __iter__(self) -> Any:
+        return iter(tuple(self._lines))
+
+    def quoted(self) -> str:
+        """Return the messages as the tail of a sentence, repetitions once."""
+        lines = list(dict.fromkeys(line for line in self._lines if line))
+        if not lines:
+            return "It logged nothing."
+        return "Its log says: " + " | ".join(lines)
+
+    def close(self) -> None:
+        """Forget that the FMU may still speak."""
+        _open.pop(self.key, None)
+
+
+def _deliver(key: int | None, status: int, text: bytes | None) -> bool:
+    messages = _open.get(key or 0)
+    if messages is not None:
+        messages.add(status, (text or b"").decode("utf-8", errors="replace"))
+    return messages is not None
+
+
+@cache
+def callback2() -> Any:
+    """Return the logger callback of FMI 2: one for the process, as fmpy's proxy knows only one."""
+    from fmpy import fmi2
+
+    def log(key: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None) -> None:
+        if not _deliver(key, status, text) and text is not None and 0 <= status < len(STATUS):
+            fmi2.printLogMessage(None, name, status, category, text)  # an FMU that someone runs with fmpy itself
+
+    return fmi2.fmi2CallbackLoggerTYPE(log)
+
+
+@cache
+def callback3() -> Any:
+    """Return the logger callback of FMI 3."""
+    from fmpy import fmi3
+
+    def log(key: int | None, status: int, category: bytes | None, text: bytes | None) -> None:
+        _deliver(key, status, text)
+
+    return fmi3.fmi3LogMessageCallback(log)
+
+
+def callbacks2(messages: Messages) -> Any:
+    """Return the structure of callbacks that an FMI 2 instance gets; keep it as long as the instance lives."""
+    import fmpy
+    from fmpy import fmi2
+
+    structure = fmi2.fmi2CallbackFunctions()
+    structure.logger = callback2()
+    # The C functions themselves, not Python functions around them: an FMU may allocate in a step, where no GIL is held.
+    structure.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
+    structure.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
+    structure.componentEnvironment = messages.key
+    try:
+        from fmpy.logging import addLoggerProxy
+    except (ImportError, OSError, AttributeError):  # no proxy for this platform: messages come with their % signs
+        return structure
+    addLoggerProxy(ctypes.byref(structure))  # formats the message's variable arguments, which ctypes cannot
+    return structure

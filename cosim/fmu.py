@@ -1,0 +1,274 @@
+"""FMUs as blocks: plants from any tool, or controllers that were exported, of FMI 2.0 or 3.0 for co-simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from bayesftc.cosim._fmi_archive import Archive, open_archive
+from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, read_description
+from bayesftc.cosim.block import External, ExternalBlock
+from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port
+
+
+@dataclass(frozen=True)
+class FMU(ExternalBlock):
+    """An FMU for co-simulation, FMI 2.0 or 3.0; its scalar Real (Float64) inputs and outputs become ports.
+
+    The file is read and checked when the block is made; it is unpacked (once per machine) and its binary loaded (once per
+    process) when a run begins, and each run has a new instance. Time starts at 0 and has no end.
+
+    Parameters
+    ----------
+    path : str or path
+        The ``.fmu`` file.
+    parameters : mapping, optional
+        Start values by name, in the variables' own units: parameters, and whatever else may be set before initialization
+        (an input's start value is its value while nothing is connected to it).
+    inputs, outputs : sequence of str, optional
+        Names of the variables that become ports; all scalar Real ones by default. An input that is left out keeps its start
+        value. After construction these hold the ports.
+    timing : {"plant", "sampled"}, optional
+        ``"plant"``: the outputs at t_k are read before the step that the inputs at t_k take to t_k+1. ``"sampled"``: the FMU
+        makes its step with the inputs at t_k and its outputs count at t_k, as a controller's do. By default what the FMU
+        says of itself (exports of this package do), else ``"plant"``.
+    name : str, optional
+        Name under which a diagram adds it; the model's name in small letters by default.
+    validate : bool
+        False to accept a model description that breaks the rules of FMI, at your own risk.
+
+    Raises
+    ------
+    FMUError
+        If the file is missing or damaged, no FMU of FMI 2.0 or 3.0 for co-simulation, has no binary for this platform, or a
+        variable cannot be what it was asked to be.
+    UnknownNameError
+        If it has no variable of that name.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim, fmus
+    >>> car = cosim.FMU(fmus.path("CruiseControl"), parameters={"m": 120.0})
+    >>> [port.name for port in car.inputs], [port.name for port in car.outputs]
+    (['force', 'disturbance'], ['v'])
+    """
+
+    path: str | PathLike[str]
+    parameters: Mapping[str, Value] | None = field(default=None, kw_only=True, hash=False)
+    inputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
+    outputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
+    timing: Literal["plant", "sampled"] | None = field(default=None, kw_only=True)
+    name: str | None = field(default=None, kw_only=True)
+    validate: bool = field(default=True, kw_only=True)
+
+    checks_finite: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if self.timing not in {None, "plant", "sampled"}:
+            raise ModelError(f"FMU has timing={self.timing!r}; it must be 'plant' or 'sampled'.")
+        set_ = object.__setattr__
+        set_(self, "path", Path(self.path).expanduser().absolute())
+        archive, description = self._read()
+        _check_kind(archive, description)
+        set_(self, "timing", self.timing or description.timing or "plant")
+        set_(self, "name", self.name or "".join(description.name.lower().split()))
+        set_(self, "parameters", _start_values(archive, description, self.parameters or {}))
+        for side, causality in (("inputs", "input"), ("outputs", "output")):
+            chosen = _choose(archive, description, causality, getattr(self, side))
+            set_(self, side, tuple(self._port(variable) for variable in chosen))
+
+    @property
+    def default_name(self) -> str:
+        """See `Block.default_name`."""
+        return str(self.name)
+
+    @property
+    def description(self) -> FMUDescription:
+        """What the FMU says of itself."""
+        return self._read()[1]
+
+    def instantiate(self, step: Fraction, name: str) -> External:
+        """Return a new initialized instance that makes steps of `step` seconds; close it in the end.
+
+        Raises
+        ------
+        FMUError
+            If the binary cannot be loaded, or the FMU refuses to be instantiated or initialized.
+        """
+        from bayesftc.cosim._fmi_instance import Instance
+        from bayesftc.cosim._fmi_library import load_library
+
+        archive, description = self._read()
+        variables = {v.name: v for v in description.variables}
+        missing = [n for n in (*(p.name for p in self._ports), *(self.parameters or {})) if n not in variables]
+        if missing:
+            raise FMUError(
+                f"The FMU {self.path} was changed since it was read and has no {missing[0]!r} any more; read it again."
+            )
+        inputs: dict[FMUVariable, Value] = {variables[p.name]: p.default or 0.0 for p in self._ports[: self._count]}
+        return Instance(
+            load_library(archive, description),
+            name,
+            step,
+            self.timing or "plant",
+            {variables[n]: value for n, value in (self.parameters or {}).items()},
+            inputs,
+            [variables[p.name] for p in self._ports[self._count :]],
+        )
+
+    @property
+    def _ports(self) -> tuple[Port, ...]:
+        return tuple(p for p in (*(self.inputs or ()), *(self.outputs or ())) if isinstance(p, Port))
+
+    @property
+    def _count(self) -> int:
+        return len(self.inputs or ())
+
+    def _read(self) -> tuple[Archive, FMUDescription]:
+        archive = open_archive(Path(self.path))
+        return archive, read_description(archive, validate=self.validate)
+
+    def _port(self, variable: FMUVariable) -> Port:
+        if variable.causality == "output":
+            return Port(variable.name, unit=variable.unit)
+        default = (self.parameters or {}).get(variable.name, variable.start)
+        feedthrough = self.timing == "sampled"
+        return Port(variable.name, unit=variable.unit, feedthrough=feedthrough, default=float(default or 0.0))
+
+
+def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescription:
+    """Return what an FMU of FMI 2.0 or 3.0 says of itself, without unpacking it or loading its binary.
+
+    Parameters
+    ----------
+    path : str or path
+        The ``.fmu`` file, of any kind (co-simulation or not) and for any platform.
+    validate : bool
+        False to accept a model description that breaks the rules of FMI.
+
+    Returns
+    -------
+    FMUDescription
+        Name, version, kinds, platforms, variables, capabilities and default experiment, as plain data.
+
+    Raises
+    ------
+    FMUError
+        If the file is missing or damaged, or no FMU of FMI 2.0 or 3.0.
+    """
+    return read_description(open_archive(Path(path).expanduser().absolute()), validate=validate)
+
+
+def _check_kind(archive: Archive, description: FMUDescription) -> None:
+    if "coSimulation" not in description.kinds:
+        kinds = {"modelExchange": "model exchange", "scheduledExecution": "scheduled execution"}
+        have = " and ".join(kinds[kind] for kind in description.kinds) or "nothing"
+        raise FMUError(
+            f"The FMU {archive.path} is for {have} only, and only co-simulation can be used: export it for co-simulation, "
+            "with a solver inside."
+        )
+
+
+def _choose(
+    archive: Archive, description: FMUDescription, causality: str, wanted: Sequence[str | Port] | None
+) -> list[FMUVariable]:
+    """Return the variables that become ports of one side."""
+    candidates = {v.name: v for v in description.variables if v.causality == causality}
+    if wanted is None:
+        return [v for v in candidates.values() if v.is_real_scalar and not v.alias]
+    if isinstance(wanted, str):
+        raise ModelError(f"FMU has {causality}s={wanted!r}; give a list of names, as [{wanted!r}].")
+    chosen = []
+    for item in wanted:
+        name = item.name if isinstance(item, Port) else item
+        if name not in candidates:
+            other = next((v for v in description.variables if v.name == name), None)
+            hint = f"it is of causality {other.causality}." if other else did_you_mean(name, candidates)
+            raise UnknownNameError(f"The FMU {archive.path.name} has no {causality} {name!r}; {hint}")
+        variable = candidates[name]
+        if not variable.is_real_scalar:
+            what = f"an array of shape {variable.shape}" if variable.shape else f"of type {variable.type}"
+            what = "clocked" if variable.clocked else what
+            raise FMUError(
+                f"The {causality} {name!r} of the FMU {archive.path.name} is {what}; only scalar Real (Float64) variables can be "
+                f"ports: leave it out of {causality}s, or export it as scalars."
+            )
+        if variable in chosen:
+            raise ModelError(f"FMU has {name!r} twice among its {causality}s; name it once.")
+        chosen.append(variable)
+    return chosen
+
+
+def _start_values(archive: Archive, description: FMUDescription, values: Mapping[str, Any]) -> dict[str, Value]:
+    """Check start values by name, causality and type; return them as plain Python numbers."""
+    variables = {v.name: v for v in description.variables}
+    checked: dict[str, Value] = {}
+    for name, value in values.items():
+        if name not in variables:
+            settable = [v.name for v in variables.values() if v.settable]
+            raise UnknownNameError(
+                f"The FMU {archive.path.name} has no variable {name!r}; {did_you_mean(name, settable)}"
+            )
+        variable = variables[name]
+        if not variable.settable:
+            raise FMUError(
+                f"{name!r} of the FMU {archive.path.name} cannot be set: it is {_a(variable.causality)} that the FMU computes "
+                f"({variable.variability}); set what it depends on."
+            )
+        if variable.shape or variable.causality == "structuralParameter" or variable.type in {"Binary", "Clock"}:
+            what = (
+                f"an array of shape {variable.shape}"
+                if variable.shape
+                else f"{_a(variable.causality)} of type {variable.type}"
+            )
+            raise FMUError(
+                f"{name!r} of the FMU {archive.path.name} is {what}, which cannot be set from here; leave it at its start value."
+            )
+        checked[name] = _converted(archive, variable, value)
+    return checked
+
+
+def _a(word: str) -> str:
+    return ("an " if word[0] in "aeiou" else "a ") + word
+
+
+def _converted(archive: Archive, variable: FMUVariable, value: Any) -> Value:
+    kind = variable.type
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if kind in {"Real", "Float64", "Float32"}:
+        if is_number and math.isfinite(value):
+            return float(value)
+        wanted = "a finite number"
+    elif kind == "Boolean":
+        if isinstance(value, bool):
+            return value
+        wanted = "True or False"
+    elif kind == "String":
+        if isinstance(value, str):
+            return value
+        wanted = "a text"
+    else:
+        low, high = _range(kind)
+        if is_number and isinstance(value, Integral) and low <= int(value) <= high:
+            return int(value)
+        wanted = f"a whole number from {low} to {high}"
+    raise FMUError(
+        f"{variable.name!r} of the FMU {archive.path.name} is {kind}, so it must be {wanted}, not {value!r}."
+    )
+
+
+def _range(kind: str) -> tuple[int, int]:
+    bits = {"Integer": 32, "Enumeration": 32}.get(kind) or int(kind.removeprefix("U").removeprefix("Int"))
+    if kind.startswith("U"):
+        return 0, 2**bits - 1
+    return -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
+
+
+__all__ = ["FMU", "FMUDescription", "FMUVariable", "describe"]
