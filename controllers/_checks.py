@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bayesftc.cosim.errors import ModelError
 
 Floats = NDArray[np.float64]
-Matrix = float | Sequence[float] | Sequence[Sequence[float]]
+if TYPE_CHECKING:
+    Matrix = ArrayLike
+else:  # at run time the form that a scenario file is checked against
+    Matrix = float | Sequence[float] | Sequence[Sequence[float]]
 """What a user may give where a matrix is meant: rows, a diagonal, or one number."""
 
 

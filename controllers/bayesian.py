@@ -9,6 +9,7 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
 from bayesftc.controllers._checks import Floats, Matrix, as_covariance, as_matrix, as_vector, frozen
@@ -202,7 +203,7 @@ class BayesianController(Block):
         pull = prior @ np.asarray(self.control_mean)
         parameters = {
             "A": A, "B": B, "C": model.matrix("C"), "Q": Q, "nominal": model.matrix("sensor_covariance"),
-            "G": G, "GB": G @ B, "GQ": G @ Q @ G.T + self.goal_covariance, "prior_precision": prior, "prior_pull": pull,
+            "G": G, "GB": G @ B, "GQ": G @ Q @ G.T + np.asarray(self.goal_covariance, float), "prior_precision": prior, "prior_pull": pull,
             "goal_shift": G @ B @ self.control_mean, "settings": learner.settings,
             "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
         }  # fmt: skip
@@ -230,7 +231,7 @@ class BayesianController(Block):
         fold = _filter.fold_goal if joint else _filter.keep_belief
         return Definition(_make_step(learner.step, fold), state=state, parameters=parameters)
 
-    def closed_loop_poles(self) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
+    def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of the plant's states under this controller in steady state, at fixed precision and without limits.
 
         The separation of estimation and control holds, so these are the eigenvalues of A - B L, with L the control's gain on
@@ -247,11 +248,10 @@ class BayesianController(Block):
         except (np.linalg.LinAlgError, ValueError):
             P = Q  # no steady state of the filter; the gain's dependence on P is slight
         GA, GB = G @ A, G @ B
-        weight = np.linalg.solve(GA @ P @ GA.T + G @ Q @ G.T + self.goal_covariance, GB)
+        weight = np.linalg.solve(GA @ P @ GA.T + G @ Q @ G.T + np.asarray(self.goal_covariance, float), GB)
         gain = np.linalg.solve(self._prior_precision() + GB.T @ weight, weight.T @ GA)
         plant = model.states - model.disturbances
-        poles: np.ndarray[tuple[int], np.dtype[np.complex128]] = np.linalg.eigvals((A - B @ gain)[:plant, :plant])
-        return poles
+        return np.linalg.eigvals((A - B @ gain)[:plant, :plant]).astype(np.complex128)
 
     def _prior_precision(self) -> Floats:
         p = self.model.controls
@@ -265,8 +265,8 @@ class BayesianController(Block):
             shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
             warnings.warn(
                 f"The goal and control priors make the closed loop unstable: its poles are {shown}, the largest of magnitude "
-                f"{np.abs(poles).max():.3g}. A goal for the next step alone is short-sighted: weaken it (goal_covariance), tighten "
-                "the control prior (control_covariance), or set goals only for what the control reaches in one step.",
+                f"{np.abs(poles).max():.3g}. A goal for the next step alone is short-sighted: weaken it (goal_covariance), "
+                "tighten the control prior (control_covariance), or set goals only for what the control reaches in one step.",
                 UnstableLoopWarning,
                 stacklevel=4,
             )

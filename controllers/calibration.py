@@ -64,7 +64,7 @@ class CalibrationReport:
 
 def calibrate(
     model: LinearModel,
-    hazards: tuple[float, float] = Hazards(),  # noqa: B008 - an immutable default
+    hazards: tuple[float, float] = Hazards(),
     magnitudes: Mapping[str, float] | None = None,
     *,
     precision: GammaPrecision | None = None,
@@ -219,7 +219,7 @@ def _loop(
         matrix=model.matrix("C").tolist(),
         covariance=model.matrix("sensor_covariance").tolist(),
     )
-    return cosim.closed_loop(
+    loop: Diagram = cosim.closed_loop(
         plant=plant,
         controller=controller,
         control=names[0],
@@ -228,6 +228,7 @@ def _loop(
         sensors=sensors,
         faults=faults,
     )
+    return loop
 
 
 def _fault_name(sensor: int) -> str:

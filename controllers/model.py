@@ -79,7 +79,7 @@ class LinearModel:
     @property
     def controls(self) -> int:
         """Number of controls p."""
-        return self.matrix("B").shape[1]
+        return int(self.matrix("B").shape[1])
 
     @property
     def sensors(self) -> int:

@@ -60,7 +60,8 @@ def _philox(c0, c1, c2, c3, k0, k1):
 
 @register_jitable(error_model="numpy")
 def _uniform(word):
-    return (np.float64(word >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
+    # 52 bits and a half: the largest is 1 - 2**-53, a double; with 53 bits it would round to 1, whose normal is infinite.
+    return (np.float64(word >> np.uint64(12)) + 0.5) * (1.0 / 4503599627370496.0)
 
 
 @register_jitable(error_model="numpy")

@@ -157,7 +157,7 @@ MODEL = {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "process_covariance": 0.1, "s
         ({"B": [[1.0], [2.0]]}, "B is 2 x 1; here it must be 1 x 1"),
         ({"C": [[1.0, 2.0]]}, "C is 1 x 2"),
         ({"A": [[float("nan")]]}, "NaN or infinite"),
-        ({"sensor_covariance": 0.0}, "not positive definite: its smallest eigenvalue is 0"),
+        ({"sensor_covariance": 0.0}, r"not positive definite: its smallest eigenvalue is 0\."),
         ({"sensor_covariance": -1.0}, "smallest eigenvalue is -1"),
         ({"process_covariance": -0.1}, "positive semi-definite"),
         ({"C": [[1.0], [1.0]], "sensor_covariance": [[1.0, 0.5], [0.0, 1.0]]}, "not symmetric"),
@@ -206,5 +206,5 @@ def test_from_control():
         LinearModel.from_control(
             control.ss([[-1.0]], [[1.0]], [[1.0]], [[1.0]]), process_covariance=1.0, sensor_covariance=1.0, dt=0.1
         )
-    with pytest.raises(ValueError, match="sample time is 0.02 s"):
+    with pytest.raises(ValueError, match=r"sample time is 0\.02 s"):
         LinearModel.from_control(exact, process_covariance=1e-3, sensor_covariance=1.0, dt=0.1)

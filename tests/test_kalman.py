@@ -137,7 +137,7 @@ def test_belief_with_learned_precision_is_filterpys_given_the_same_covariances()
     step, rng = controller.online(), np.random.default_rng(6)
     rows = []
     for k in range(300):
-        y = rng.normal(size=2) + [5.0 * (k > 100), 0.0]
+        y = rng.normal(size=2) + np.array([5.0 * (k > 100), 0.0])
         out = step(y=y, goal=[1.0])
         rows.append((y, out.u, out.x_hat, out.P, out.R))
     y, u, x_hat, P, R = (np.array(c) for c in zip(*rows, strict=True))
