@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 _HOMES = {
     "block": ("Block", "Definition", "ExternalBlock"),
-    "closed_loop": ("closed_loop",),
     "diagram": ("Diagram", "Node"),
     "errors": (
         "AlgebraicLoopError",
@@ -37,6 +36,7 @@ _HOMES = {
         "Spikes",
     ),
     "fmu": ("FMU",),
+    "loops": ("closed_loop",),
     "mathblocks": ("Gain", "Saturation", "Sum", "UnitDelay"),
     "online": ("Online",),
     "ports": ("Port", "PortRef"),
