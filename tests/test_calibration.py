@@ -1,0 +1,101 @@
+"""The logistic map from beta to a probability: fitted on one part of a run, honest on runs it has never seen."""
+
+import numpy as np
+import pytest
+
+from bayesftc import controllers, cosim
+from bayesftc.controllers.calibration import judge
+from bayesftc.cosim.errors import ModelError
+
+MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)
+FAST = cosim.Sine(amplitude=20.0, period=2.0, offset=20.0)
+PRECISION = controllers.GammaPrecision(forgetting=0.7)
+
+
+def fit(seed, **options):
+    return controllers.calibrate(
+        MODEL,
+        controllers.Hazards(2.8, 0.4),
+        {"injection": 4.5, "drift": 7.5},
+        precision=PRECISION,
+        reference=FAST,
+        seed=seed,
+        initial_mean=20.0,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def report():
+    return fit(seed=1, steps=60_000)
+
+
+def test_the_map_knows_more_than_the_base_rate(report):
+    assert report.auc > 0.85
+    assert report.brier < 0.75 * report.brier_of_constant
+    assert report.fault_share == pytest.approx(0.4 / 3.2, abs=0.02)
+    assert report.samples == 2 * (60_001 - 200 - int(0.8 * (60_001 - 200)))
+
+
+def test_the_live_probability_is_calibrated_on_another_run(report):
+    """Another seed, through the block itself: probability and labels as a user sees them."""
+    precision = controllers.GammaPrecision(forgetting=0.7, calibration=report.calibration)
+    faults = [
+        cosim.RandomFaults(
+            kinds=(cosim.Freeze(), cosim.Injection(magnitude=4.5), cosim.Drift(slope=7.5)), sensor=i, name=f"fault_{i}"
+        )
+        for i in range(2)
+    ]
+    control = pytest.importorskip("control")
+    plant = cosim.StateSpace(
+        control.ss([[0.999]], [[2e-4]], [[1.0]], [[0.0]], 0.02, inputs=["force"], outputs=["v"]),
+        process_noise=[[0.001]],
+        initial=[20.0],
+    )
+    loop = cosim.closed_loop(
+        plant=plant,
+        controller=controllers.BayesianController(MODEL, precision=precision, initial_mean=20.0),
+        control="force",
+        measured="v",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        faults=faults,
+        reference=FAST,
+    )
+    result = loop.simulate(800.0, seed=99)
+    p = result["controller.fault_probability"].ravel()
+    faulty = np.column_stack([result["fault_0.active"], result["fault_1.active"]]).ravel() > 0.5
+    assert abs(p.mean() - faulty.mean()) < 0.02
+    assert np.mean((p - faulty) ** 2) < 0.8 * faulty.mean() * (1 - faulty.mean())
+    for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 1.0)):
+        chosen = (p >= low) & (p < high)
+        assert abs(p[chosen].mean() - faulty[chosen].mean()) < 0.12
+
+
+def test_a_map_of_pure_noise_is_found_out():
+    rng = np.random.default_rng(0)
+    report = judge(controllers.Calibration(5.0, 0.0), rng.normal(size=20_000), rng.random(20_000) < 0.1)
+    assert report.auc == pytest.approx(0.5, abs=0.03)
+    assert report.brier > report.brier_of_constant
+    assert report.calibration_error > 0.2
+
+
+def test_reproducible():
+    assert fit(seed=2, steps=6_000) == fit(seed=2, steps=6_000)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"steps": 100}, "needs at least 5000"),
+        ({"magnitudes": {"jump": 1.0}}, "does not know the magnitude 'jump'"),
+    ],
+)
+def test_bad_settings(change, words):
+    with pytest.raises(ModelError, match=words):
+        controllers.calibrate(MODEL, **change)
+
+
+def test_an_unstable_loop_is_refused():
+    servo = controllers.LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]], 1e-4, 1e-2, 0.1)
+    with pytest.raises(ModelError, match="cannot simulate this loop"):
+        controllers.calibrate(servo, goal_covariance=1e-4)
