@@ -1,0 +1,200 @@
+"""The figures of a run: errors of tracking and belief, and how well faults were detected.
+
+Every figure is NaN where it is not defined (no fault, nothing detected, no probability), never a made-up 0 or 1. The
+detection figures follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
+
+- a *fault* is an unbroken run of samples in which it is present; an *alarm* is a sample with a probability of at least 0.5;
+- a fault is *missed* if no sample of it has an alarm; else its *delay* is the time from its first sample to its first alarm;
+- the *false-alarm rate* is the share of the fault-free samples that have an alarm, also right after a fault's end, where the
+  posterior still has to come back;
+- the *AUC* is the probability that a sample with the fault is ranked above one without (ties count half), of the fault
+  probability, or of beta where there is no probability: both rank alike, and the AUC needs no calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.roles import Flags, LoopSignals, SensorSignals
+
+THRESHOLD = 0.5
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root-mean-square errors: over the whole run, before the first fault, while one is present, and after (or between)."""
+
+    overall: float
+    before: float
+    during: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How the faults of one sensor were seen; see the module's text for the definitions.
+
+    Attributes
+    ----------
+    sensor : int
+        Its number.
+    fault_share : float
+        Share of the samples in which a fault was present.
+    faults : int
+        How many faults there were.
+    missed : float
+        How many of them were missed.
+    delay : float
+        Mean delay of those that were not, in seconds.
+    false_alarm_rate : float
+        Share of fault-free samples with an alarm.
+    auc : float
+        Area under the receiver operating characteristic.
+    ranked_by : str or None
+        ``"fault_probability"`` or ``"beta"``: what the AUC is of.
+    precision_healthy, precision_faulty : float
+        Mean precision without and with the fault, in one over the unit squared.
+    """
+
+    sensor: int
+    fault_share: float
+    faults: int
+    missed: float
+    delay: float
+    false_alarm_rate: float
+    auc: float
+    ranked_by: str | None
+    precision_healthy: float
+    precision_faulty: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """All figures of a run: errors by quantity, and detection by sensor."""
+
+    tracking: dict[str, Errors]
+    belief: dict[str, Errors]
+    sensors: tuple[Detection, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for a JSON file; NaN becomes None."""
+        plain: dict[str, Any] = _without_nan(asdict(self))
+        return plain
+
+
+def rmse(error: ArrayLike, where: Flags | None = None) -> float:
+    """Return the root of the mean square of `error` over the samples `where` is true; missing samples (NaN) are left out."""
+    values = np.asarray(error, dtype=np.float64)
+    values = values if where is None else values[where]
+    values = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else NAN
+
+
+def auc(truth: ArrayLike, score: ArrayLike) -> float:
+    """Return the area under the receiver operating characteristic, as ``sklearn.metrics.roc_auc_score`` does.
+
+    Parameters
+    ----------
+    truth : array of bool, shape (rows,)
+        Whether the fault was present.
+    score : array, shape (rows,)
+        What is to be higher then; samples without one (NaN) are left out.
+    """
+    present, values = np.asarray(truth, dtype=bool), np.asarray(score, dtype=np.float64)
+    known = ~np.isnan(values)
+    present, values = present[known], values[known]
+    positive = int(present.sum())
+    negative = len(present) - positive
+    if not positive or not negative:
+        return NAN
+    # Mann and Whitney's U with mean ranks for ties; by hand, since scipy.stats and sklearn take half a second and more to import.
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(count) - (count - 1) / 2)[place]
+    return float((ranks[present].sum() - positive * (positive + 1) / 2) / (positive * negative))
+
+
+def periods(flags: Flags) -> list[tuple[int, int]]:
+    """Return first index and the index behind the last of each unbroken run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def errors_by_phase(error: Floats | None, faulty: Flags) -> Errors:
+    """Return the root-mean-square errors of the phases of a run; all NaN if there is no error signal."""
+    if error is None:
+        return Errors(NAN, NAN, NAN, NAN)
+    begun = np.logical_or.accumulate(faulty)
+    return Errors(rmse(error), rmse(error, ~begun), rmse(error, faulty), rmse(error, begun & ~faulty))
+
+
+def detection(signals: SensorSignals, time: Floats) -> Detection:
+    """Return how the faults of one sensor were seen, from its signals and the time of each row in seconds."""
+    faulty, probability = signals.faulty, signals.probability
+    present = periods(faulty)
+    missed = delay = false_alarms = NAN
+    if probability is not None and not np.isnan(probability).all():
+        alarm = probability >= THRESHOLD
+        delays = [time[a + int(np.argmax(alarm[a:b]))] - time[a] for a, b in present if alarm[a:b].any()]
+        missed = float(len(present) - len(delays)) if present else NAN
+        delay = float(np.mean(delays)) if delays else NAN
+        false_alarms = float(alarm[~faulty].mean()) if not faulty.all() else NAN
+    candidates = {"fault_probability": probability, "beta": signals.beta}
+    scores = {name: score for name, score in candidates.items() if score is not None and not np.isnan(score).all()}
+    ranked_by = next(iter(scores), None)
+    return Detection(
+        sensor=signals.index,
+        fault_share=float(faulty.mean()) if len(faulty) else NAN,
+        faults=len(present),
+        missed=missed,
+        delay=delay,
+        false_alarm_rate=false_alarms,
+        auc=auc(faulty, scores[ranked_by]) if ranked_by else NAN,
+        ranked_by=ranked_by,
+        precision_healthy=_mean(signals.precision, ~faulty),
+        precision_faulty=_mean(signals.precision, faulty),
+    )
+
+
+def figures(signals: LoopSignals) -> Figures:
+    """Return all figures of a run.
+
+    Tracking is the true value minus the reference at the same instant; belief is the controller's estimate minus the true
+    value. The true value is what an ideal sensor would read.
+    """
+    faulty = signals.faulty
+    return Figures(
+        tracking={q.name: errors_by_phase(_difference(q.truth, q.reference), faulty) for q in signals.quantities},
+        belief={q.name: errors_by_phase(_difference(q.belief, q.truth), faulty) for q in signals.quantities},
+        sensors=tuple(detection(sensor, signals.time) for sensor in signals.sensors),
+    )
+
+
+def _difference(one: Floats | None, other: Floats | None) -> Floats | None:
+    return None if one is None or other is None else one - other
+
+
+def _mean(values: Floats | None, where: Flags) -> float:
+    if values is None:
+        return NAN
+    chosen = values[where]
+    chosen = chosen[~np.isnan(chosen)]
+    return float(chosen.mean()) if len(chosen) else NAN
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+__all__ = [
+    *(cls.__name__ for cls in (Detection, Errors, Figures)), "auc", "detection", "errors_by_phase", "figures", "periods", "rmse",
+]  # fmt: skip

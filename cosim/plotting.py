@@ -1,0 +1,275 @@
+"""Figures of a run: any signals over time, and the story of a closed loop with faulty sensors.
+
+Colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart; lines differ in style as well,
+so that they can be told apart in black and white. Legends stand beside the panels and cover nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.metrics import THRESHOLD, periods
+from bayesftc.cosim.result import labels
+from bayesftc.cosim.roles import LoopSignals, QuantitySignals, SensorSignals
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from bayesftc.cosim.result import Result
+
+BLACK, BLUE = "#000000", "#0072B2"
+SENSOR_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+LINES = ("-", "--", "-.", ":")
+MARKERS = ("o", "^", "s", "D", "v")
+MOST_POINTS = 20_000
+"""A line with more points than this is thinned: no print shows more."""
+MOST_LABELS = 6
+"""More faults than this are shaded, but not labelled one by one."""
+WIDTH, PANEL = 8.0, 2.1
+
+
+def plot_signals(result: Result, signals: Iterable[str] | None = None) -> Figure:
+    """Return a figure of a result's signals over time, with a panel for each unit, and for each signal without one.
+
+    Parameters
+    ----------
+    result : Result
+        The run.
+    signals : iterable of str, optional
+        Names of signals; by default all scalars and vectors.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        To be saved (``figure.savefig("run.png")``) or shown by a notebook.
+
+    Raises
+    ------
+    UnknownNameError
+        If the result has no signal of one of the names.
+    """
+    if signals is None:
+        signals = [name for name in result if result[name].ndim < 3]
+    panels: dict[str, list[tuple[str, Floats]]] = {}
+    for name in [signals] if isinstance(signals, str) else signals:
+        values = result[name]
+        columns = values.reshape(len(values), -1).T
+        for label, column in zip(labels(name, values.shape[1:]), columns, strict=True):
+            panels.setdefault(result.units.get(name) or name, []).append((label, column))
+    figure, axes = _panels(max(len(panels), 1))
+    colours = (BLACK, BLUE, *SENSOR_COLOURS)
+    for axis, (key, lines) in zip(axes, panels.items(), strict=False):
+        for i, (label, values) in enumerate(lines):
+            style = LINES[i // len(colours) % len(LINES)]
+            axis.plot(*_thin(result.time, values), style, color=colours[i % len(colours)], lw=1.1, label=label)
+        axis.set_ylabel(key)
+        _legend(axis)
+    _close(axes, result.time)
+    return figure
+
+
+def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
+    """Return the figure of a closed loop: what was measured and believed, the sensors' precisions, and the faults seen.
+
+    Above, a panel for each measured quantity: true value, reference, samples as dots, the controller's belief. Then the
+    standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``; samples that it ignores altogether
+    as marks at the top), and the fault probability of each sensor, or beta where there is no probability. Faults are shaded.
+
+    Parameters
+    ----------
+    signals : LoopSignals
+        From `bayesftc.cosim.roles.loop_signals`; what was not recorded is left out.
+    title : str, optional
+        Stands above.
+    """
+    figure, axes = _panels(len(signals.quantities) + 2)
+    for axis, quantity in zip(axes, signals.quantities, strict=False):
+        _draw_quantity(axis, signals, quantity)
+    unit = signals.quantities[0].unit if len({q.unit for q in signals.quantities}) == 1 else None
+    _draw_deviation(axes[-2], signals, unit)
+    _draw_detection(axes[-1], signals)
+    for axis in axes:
+        _shade(axis, signals)
+        _legend(axis)
+    _name_faults(axes[0], signals)
+    _close(axes, signals.time)
+    if title:
+        figure.suptitle(title, fontsize=10, x=0.01, ha="left")
+    return figure
+
+
+def _draw_quantity(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) -> None:
+    time = signals.time
+    for i in quantity.sensors:
+        samples = signals.sensors[i].samples
+        if samples is not None:
+            style: dict[str, Any] = {
+                "ls": "none",
+                "marker": MARKERS[i % len(MARKERS)],
+                "ms": 2.2,
+                "mew": 0,
+                "alpha": 0.35,
+                "zorder": 1,
+            }
+            axis.plot(*_thin(time, samples), color=_colour(i), label=f"sensor {i}", **style)
+    lines: list[tuple[str, Floats | None, dict[str, Any]]] = [
+        # Broad and light below the others: under a good controller the belief lies on the reference and would hide it.
+        ("reference", quantity.reference, {"color": "0.72", "ls": "-", "lw": 4.0, "zorder": 3}),
+        ("true value", quantity.truth, {"color": BLACK, "ls": "-", "lw": 1.5, "zorder": 4}),
+        ("belief", quantity.belief, {"color": BLUE, "ls": (0, (5, 2)), "lw": 1.3, "zorder": 5}),
+    ]
+    for label, values, look in lines:
+        if values is not None:
+            axis.plot(*_thin(time, values), label=label, **look)
+    axis.set_ylabel(f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name)
+
+
+def _draw_deviation(axis: Axes, signals: LoopSignals, unit: str | None) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    drawn = []
+    for sensor in signals.sensors:
+        if sensor.precision is None:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            expected = np.where(sensor.precision > 0, 1.0 / np.sqrt(sensor.precision), np.nan)
+        drawn.append(expected)
+        axis.plot(*_thin(signals.time, expected), **_line(sensor))
+        ignored = signals.time[sensor.precision == 0]
+        if len(ignored):
+            top = np.full(len(ignored), 0.97 - 0.05 * sensor.index)
+            mark: dict[str, Any] = {
+                "ls": "none",
+                "marker": "|",
+                "ms": 5,
+                "color": _colour(sensor.index),
+                "transform": axis.get_xaxis_transform(),
+            }
+            axis.plot(ignored, top, label=f"sensor {sensor.index} ignored", **mark)
+    axis.set_yscale("log")
+    axis.set_ylabel("expected standard\ndeviation" + (f" ({unit})" if unit else ""))
+    known = np.concatenate(drawn) if drawn else np.array([])
+    known = known[np.isfinite(known)]
+    if (
+        len(known) and known.max() < 30 * known.min()
+    ):  # less than a decade or so: powers of ten alone would leave one label
+        axis.set_ylim(0.8 * known.min(), 1.3 * known.max())
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
+    known = [s for s in signals.sensors if s.probability is not None and not np.isnan(s.probability).all()]
+    if known:
+        for sensor in known:
+            assert sensor.probability is not None
+            axis.plot(*_thin(signals.time, sensor.probability), **_line(sensor))
+        axis.axhline(THRESHOLD, color="0.4", lw=0.8, zorder=0, label=f"alarm from {THRESHOLD:g}")
+        axis.set_ylim(-0.04, 1.04)
+        axis.set_ylabel("fault probability")
+        return
+    rated = [s for s in signals.sensors if s.beta is not None and not np.isnan(s.beta).all()]
+    for sensor in rated:
+        assert sensor.beta is not None
+        axis.plot(*_thin(signals.time, sensor.beta), **_line(sensor))
+    axis.set_ylabel("beta")
+    if rated:
+        axis.set_yscale("log")
+    else:
+        axis.set_yticks([])
+        axis.set_ylabel("fault probability")
+        axis.text(
+            0.5,
+            0.5,
+            "no fault probability and no beta in this run",
+            transform=axis.transAxes,
+            ha="center",
+            color="0.35",
+        )
+
+
+def _shade(axis: Axes, signals: LoopSignals) -> None:
+    """Shade the faults of each sensor in its colour, over the whole height."""
+    for sensor in signals.sensors:
+        if sensor.faulty.any():
+            where = sensor.faulty
+            height = axis.get_xaxis_transform()
+            style: dict[str, Any] = {
+                "color": _colour(sensor.index),
+                "alpha": 0.12,
+                "lw": 0,
+                "zorder": 0,
+                "step": "post",
+            }
+            axis.fill_between(signals.time, 0, 1, where=where, transform=height, **style)
+
+
+def _name_faults(axis: Axes, signals: LoopSignals) -> None:
+    """Write each fault's name above its period, or one note where there are many."""
+    shown = [(name, sensor, a, b) for name, (sensor, active) in signals.faults.items() for a, b in periods(active)]
+    style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
+    if len(shown) > MOST_LABELS:
+        axis.text(
+            signals.time[0], 1.02, f"shaded: {len(shown)} faults, in the colour of their sensor", color="0.3", **style
+        )
+        return
+    for row, (name, sensor, a, b) in enumerate(sorted(shown, key=lambda entry: entry[2])):
+        middle = 0.5 * (signals.time[a] + signals.time[b - 1])
+        overlaps = any(a < other[3] and other[2] < b for other in shown if other[0] != name)
+        kind = name.rsplit("_", 1)[0].replace("_", " ") if name.endswith(f"_{sensor}") else name
+        height = 1.02 + (0.11 * (row % 3) if overlaps else 0)
+        axis.text(middle, height, f"sensor {sensor}: {kind}", ha="center", color=_colour(sensor), **style)
+
+
+def _panels(count: int) -> tuple[Figure, list[Axes]]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, 0.6 + PANEL * count), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    for axis in axes:
+        axis.grid(True, color="0.9", lw=0.6)
+        axis.set_axisbelow(True)
+        axis.tick_params(labelsize=8)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    return figure, list(axes)
+
+
+def _legend(axis: Axes) -> None:
+    if axis.get_legend_handles_labels()[0]:
+        legend = axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8, borderaxespad=0)
+        for handle in legend.legend_handles:
+            if handle is not None:
+                handle.set_alpha(1.0)
+
+
+def _close(axes: list[Axes], time: Floats) -> None:
+    axes[-1].set_xlabel("time (s)")
+    if len(time) > 1:
+        axes[-1].set_xlim(float(time[0]), float(time[-1]))
+    axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]
+
+
+def _line(sensor: SensorSignals) -> dict[str, Any]:
+    i = sensor.index
+    return {"color": _colour(i), "ls": LINES[i % len(LINES)], "lw": 1.3, "label": f"sensor {i}"}
+
+
+def _colour(sensor: int) -> str:
+    return SENSOR_COLOURS[sensor % len(SENSOR_COLOURS)]
+
+
+def _thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+    stride = -(-len(time) // MOST_POINTS)
+    return time[::stride], values[::stride]
+
+
+__all__ = ["plot_run", "plot_signals"]
