@@ -1,0 +1,1 @@
+"""A car under cruise control, whose two speed sensors fail (the paper's second experiment)."""

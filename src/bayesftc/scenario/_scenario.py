@@ -1,0 +1,143 @@
+"""A scenario: what its file says, as blocks, and the loop and the run that they make."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.cosim.block import Block
+from bayesftc.cosim.faults import Fault
+from bayesftc.cosim.loops import closed_loop
+from bayesftc.cosim.sensors import Sensors
+from bayesftc.scenario import _sections as sections
+from bayesftc.scenario._files import find_scenario, read_toml
+from bayesftc.scenario._place import Place
+from bayesftc.scenario._schema import build
+from bayesftc.scenario._sections import Simulation, Wiring
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram import Diagram
+    from bayesftc.cosim.result import Result
+
+SECTIONS = ("simulation", "plant", "noise", "sensors", "faults", "reference", "model", "controller")
+REQUIRED = ("simulation", "plant", "reference", "model", "controller")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A closed loop and how to run it, as a scenario file says.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        The file.
+    simulation : Simulation
+        Duration, step, seed and the like.
+    plant, controller : Block
+        The blocks of ``[plant]`` and ``[controller]``.
+    wiring : Wiring
+        Names of the plant's control and measured variables.
+    reference : list of Block
+        A source for each element of the controller's goal.
+    sensors : Sensors or None
+        None for a perfect sensor on each measured variable.
+    faults : list of Fault
+        In the order of the file.
+    noise : mapping of str to Block
+        Sources for further inputs of the plant.
+    """
+
+    path: Path
+    simulation: Simulation
+    plant: Block
+    wiring: Wiring
+    controller: Block
+    reference: list[Block]
+    sensors: Sensors | None
+    faults: list[Fault]
+    noise: Mapping[str, Block]
+
+    def loop(self) -> Diagram:
+        """Return the diagram, built and ready; see `bayesftc.cosim.closed_loop`.
+
+        Raises
+        ------
+        BayesFTCError
+            If the parts do not fit together, with the file's name before the sentence.
+        """
+        with Place(str(self.path)).named():
+            return closed_loop(
+                self.plant,
+                self.controller,
+                control=self.wiring.control,
+                measured=self.wiring.measured,
+                reference=self.reference,
+                sensors=self.sensors,
+                faults=self.faults,
+                noise=self.noise,
+                dt=self.simulation.dt,
+            )
+
+    def simulate(self, loop: Diagram | None = None, **options: Any) -> Result:
+        """Run the scenario.
+
+        Parameters
+        ----------
+        loop : Diagram, optional
+            What `loop` has returned, where it is at hand already.
+        **options
+            ``duration``, ``seed``, ``engine``, ``record``, ``decimation`` instead of what the file says (None: what the file
+            says), and ``progress``, ``time_limit``.
+
+        Returns
+        -------
+        Result
+            Signals by name.
+        """
+        settings = {f.name: getattr(self.simulation, f.name) for f in fields(self.simulation) if f.name != "dt"}
+        settings |= {name: value for name, value in options.items() if value is not None}
+        return (self.loop() if loop is None else loop).simulate(**settings)
+
+
+def load_scenario(path: str | os.PathLike[str]) -> Scenario:
+    """Read a scenario file and check all that it says.
+
+    Parameters
+    ----------
+    path : str or path
+        A TOML file, or the name of a shipped scenario such as ``"cruise_control"``. Paths in the file are relative to it.
+
+    Returns
+    -------
+    Scenario
+        Its blocks, ready to be run.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, has an unknown key, lacks one, or one of a wrong type: the sentence says which and where.
+    BayesFTCError
+        What a block has against its settings (`ModelError`, `FMUError`, ...), with the place in the file before it.
+    """
+    file = find_scenario(path)
+    content, root = read_toml(file), Place(str(file))
+    root.refuse_unknown(content, SECTIONS, "section")
+    for name in REQUIRED:
+        if name not in content:
+            raise root.error(f"lacks the section [{name}]; a scenario needs {', '.join(f'[{r}]' for r in REQUIRED)}.")
+    simulation: Simulation = build(Simulation, content["simulation"], root / "simulation")
+    plant, wiring = sections.plant(content["plant"], root / "plant", file.absolute().parent)
+    return Scenario(
+        path=file,
+        simulation=simulation,
+        plant=plant,
+        wiring=wiring,
+        controller=sections.controller(content["controller"], content["model"], root / "controller", root, simulation),
+        reference=sections.reference(content["reference"], root / "reference"),
+        sensors=sections.sensors(content["sensors"], root / "sensors") if "sensors" in content else None,
+        faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],
+        noise=sections.noise(content["noise"], root / "noise") if "noise" in content else {},
+    )

@@ -1,0 +1,173 @@
+"""Dataclasses as the schema of a scenario file: what a table may hold is what the class's fields say, and nothing more.
+
+So a new fault, source or learner, and a new setting of an old one, can be used in a scenario file without a line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import MISSING, Field, fields, is_dataclass
+from difflib import get_close_matches
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from bayesftc.scenario._place import Place
+
+SCALARS = {float: "number", int: "whole number", str: "text in quotes", bool: "true or false"}
+
+
+def build(cls: type[Any], table: object, place: Place, *, given: Mapping[str, Any] | None = None) -> Any:
+    """Return an instance of a dataclass made from a table of the file.
+
+    Parameters
+    ----------
+    cls : type
+        The dataclass; the names and types of its fields are the schema.
+    table : object
+        What stands in the file.
+    place : Place
+        Where it stands.
+    given : mapping, optional
+        Fields that come from elsewhere; they are no keys of the table.
+
+    Raises
+    ------
+    ScenarioError
+        If the table has an unknown key, lacks one, or one of another type.
+    BayesFTCError
+        What the class itself has against the values, with the place put before it.
+    """
+    given = dict(given or {})
+    entries = as_table(table, place)
+    known = {f.name: f for f in fields(cls) if f.init and f.name not in given}
+    hints = get_type_hints(cls)
+    place.refuse_unknown(entries, known)
+    values = {name: convert(value, hints[name], place / name) for name, value in entries.items()}
+    missing = [name for name, field in known.items() if _is_required(field) and name not in values]
+    if missing:
+        wanted = _wanted(hints[missing[0]])
+        raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs; add {missing[0]} = ... ({wanted}).")
+    with place.named():
+        return cls(**values, **given)
+
+
+def choose(classes: Collection[type[Any]], table: object, place: Place) -> tuple[type[Any], dict[str, Any]]:
+    """Return the class that the key ``kind`` names (``"Freeze"`` or ``"freeze"``), and the rest of the table."""
+    rest = dict(as_table(table, place))
+    names = {cls.__name__: cls for cls in classes}
+    if "kind" not in rest:
+        raise place.error(f"lacks 'kind', which says what it is; add kind = one of {', '.join(map(repr, names))}.")
+    kind = rest.pop("kind")
+    spelt = {_folded(name): name for name in names}
+    folded = _folded(str(kind))
+    if folded not in spelt:
+        near = [spelt[match] for match in get_close_matches(folded, spelt)]
+        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known kinds: {', '.join(names)}."
+        raise (place / "kind").error(f"is {kind!r}, which is no kind that can stand here; {hint}")
+    return names[spelt[folded]], rest
+
+
+def build_one_of(classes: Collection[type[Any]], table: object, place: Place, **given: Any) -> Any:
+    """Return an instance of the class that the table's ``kind`` names."""
+    cls, rest = choose(classes, table, place)
+    return build(cls, rest, place, given=given)
+
+
+def as_table(value: object, place: Place) -> Mapping[str, Any]:
+    """Return `value` if it is a table."""
+    if not isinstance(value, Mapping):
+        raise place.error(f"is {value!r}; it must be a table, as [{place.key}] with a line for each setting.")
+    return value
+
+
+def convert(value: object, hint: Any, place: Place) -> Any:
+    """Return what a value of the file means as the type `hint`: lists become tuples, tables the dataclasses of the type."""
+    if isinstance(value, Mapping) and (classes := _dataclasses(hint)):
+        return build(classes[0], value, place) if len(classes) == 1 else build_one_of(classes, value, place)
+    if isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+        return tuple(convert(item, hint, place / i) for i, item in enumerate(value))
+    plain = _writable(hint)
+    if plain is NoneType:
+        raise place.error("cannot be said in a scenario file; leave it out, or build this loop in a Python script.")
+    try:
+        return _adapter(plain).validate_python(_tuples(value), strict=True)
+    except ValidationError:
+        raise place.error(f"is {value!r}; it must be {_wanted(hint)}.") from None
+
+
+@cache
+def _adapter(hint: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(hint)
+
+
+def _is_required(field: Field[Any]) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
+def _folded(name: str) -> str:
+    return name.replace("_", "").replace("-", "").lower()
+
+
+def _tuples(value: object) -> object:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def _dataclasses(hint: Any) -> list[type[Any]]:
+    """Return the dataclasses that a type speaks of; of a base class with subclasses, those that are registered."""
+    if is_dataclass(hint) and isinstance(hint, type):
+        return list(registered(hint)) or [hint]
+    return [cls for part in get_args(hint) for cls in _dataclasses(part)]
+
+
+def registered(base: type[Any]) -> tuple[type[Any], ...]:
+    """Return the classes that may stand where `base` is asked for, or none if it has no list of its own."""
+    from bayesftc.controllers.precision import PrecisionLearner
+    from bayesftc.controllers.registry import LEARNERS
+
+    return LEARNERS if base is PrecisionLearner else ()
+
+
+def _writable(hint: Any) -> Any:
+    """Return the part of a type that TOML can express (None if there is none): no fractions, functions, paths, classes."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if hint in SCALARS or origin is Literal:
+        return hint
+    if origin in {Union, UnionType}:
+        kept = [part for part in map(_writable, parts) if part is not NoneType]
+        return Union[tuple(kept)] if kept else NoneType  # noqa: UP007 - from a list
+    if isinstance(origin, type) and issubclass(origin, Sequence | Mapping):
+        inner = tuple(part if part is Ellipsis else _writable(part) for part in parts)
+        return NoneType if NoneType in inner else origin[inner if len(inner) > 1 else inner[0]]  # type: ignore[index]
+    return NoneType
+
+
+def _wanted(hint: Any) -> str:
+    """Return in words what TOML value a type wants: ``a number or a list of numbers``."""
+    words: list[str] = []
+    for word in _words(_writable(hint)):
+        if word not in words:
+            words.append(word)
+    return " or ".join(words) or "a table"
+
+
+def _words(hint: Any) -> list[str]:
+    origin, parts = get_origin(hint), get_args(hint)
+    if hint in SCALARS:
+        return [SCALARS[hint] if hint is bool else f"a {SCALARS[hint]}"]
+    if origin is Literal:
+        return [repr(part) for part in parts]
+    if origin in {Union, UnionType}:
+        return [word for part in parts for word in _words(part)]
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return ["a table"]
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        return ["a list of " + " or ".join(_plural(word) for word in _words(parts[0]))]
+    return []
+
+
+def _plural(word: str) -> str:
+    plural = {"a list of numbers": "rows of numbers", "a text in quotes": "texts in quotes"}
+    return plural.get(word) or (word.removeprefix("a ") + "s" if word.startswith("a ") else word)

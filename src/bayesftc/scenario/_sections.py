@@ -1,0 +1,166 @@
+"""The sections of a scenario file, each made into what it stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from bayesftc.controllers.bayesian import BayesianController
+from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.registry import LEARNERS
+from bayesftc.cosim import faults, sources
+from bayesftc.cosim.block import Block
+from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.sensors import Sensors
+from bayesftc.cosim.timebase import rational_step
+from bayesftc.scenario._place import Place
+from bayesftc.scenario._schema import as_table, build, build_one_of
+
+CONTROLLERS: tuple[type[Block], ...] = (BayesianController,)
+"""What ``[controller] kind`` can be."""
+
+SOURCES: tuple[type[Block], ...] = tuple(getattr(sources, name) for name in sources.__all__ if name != "Source")
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How a scenario is run, unless a run says otherwise; see `bayesftc.cosim.simulation.simulate`.
+
+    Attributes
+    ----------
+    duration : float or str
+        Seconds.
+    dt : float or str, optional
+        Base step in seconds, and the model's where that gives none; by default the model's.
+    seed, engine, record, decimation
+        As for `simulate`.
+    """
+
+    duration: float | str
+    dt: float | str | None = None
+    seed: int = 0
+    engine: Literal["auto", "compiled", "interpreted"] = "auto"
+    record: str | Sequence[str] | None = None
+    decimation: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "dt"):
+            if isinstance(getattr(self, name), str):
+                rational_step(getattr(self, name), f"{name} =")
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What of the plant is driven and what is seen."""
+
+    control: str | Sequence[str]
+    measured: str | Sequence[str]
+
+
+@dataclass(frozen=True)
+class Shipped:
+    """Which FMU: a shipped one by name and version of FMI, or a file."""
+
+    fmu: str
+    fmi: Literal["2.0", "3.0"] | None = None
+
+
+def plant(table: object, place: Place, folder: Path) -> tuple[Block, Wiring]:
+    """Return the plant of ``[plant]``, and its control and measured variables."""
+    rest = dict(as_table(table, place))
+    wiring = build(Wiring, _taken(rest, Wiring), place)
+    if "fmu" in rest:
+        return _fmu(rest, place, folder), wiring
+    if "A" in rest:
+        from bayesftc.scenario._linear_plant import linear_plant
+
+        return linear_plant(rest, place), wiring
+    raise place.error(
+        "names no plant; add fmu = '...' (a shipped name or a file), or the matrices A, B, C of a linear one."
+    )
+
+
+def _fmu(table: dict[str, Any], place: Place, folder: Path) -> Block:
+    from bayesftc import fmus
+    from bayesftc.cosim.fmu import FMU
+
+    chosen: Shipped = build(Shipped, _taken(table, Shipped), place)
+    is_file = chosen.fmu.lower().endswith(".fmu") or Path(chosen.fmu).name != chosen.fmu
+    if is_file and chosen.fmi is not None:
+        raise (place / "fmi").error("chooses the version of a shipped FMU, but 'fmu' is a file; leave 'fmi' out.")
+    try:
+        path = folder / chosen.fmu if is_file else fmus.path(chosen.fmu, fmi=chosen.fmi or "2.0")
+    except (ValueError, FileNotFoundError) as error:
+        raise FMUError(f"{place / 'fmu'}: {error} For a file of your own, end its name with .fmu.") from None
+    return build(FMU, table, place, given={"path": path})  # type: ignore[no-any-return]
+
+
+def noise(table: object, place: Place) -> dict[str, Block]:
+    """Return the sources of ``[noise.<input>]``."""
+    return {name: _source(value, place / name) for name, value in as_table(table, place).items()}
+
+
+def reference(value: object, place: Place) -> list[Block]:
+    """Return the sources of ``[reference]`` or ``[[reference]]``; a number is a constant."""
+    if isinstance(value, list):
+        return [_source(item, place / i) for i, item in enumerate(value)]
+    return [_source(value, place)]
+
+
+def _source(value: object, place: Place) -> Block:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        with place.named():
+            return sources.Constant(float(value))
+    return build_one_of(SOURCES, value, place)  # type: ignore[no-any-return]
+
+
+def sensors(table: object, place: Place) -> Sensors:
+    """Return the sensors of ``[sensors]``."""
+    return build(Sensors, table, place)  # type: ignore[no-any-return]
+
+
+def fault_list(value: object, place: Place) -> list[faults.Fault]:
+    """Return the faults of ``[[faults]]``."""
+    if not isinstance(value, list):
+        raise place.error("must be a list of tables: write [[faults]], with two brackets, above each fault.")
+    return [build_one_of(faults.FAULTS, table, place / i) for i, table in enumerate(value)]
+
+
+def controller(table: object, model: object, place: Place, root: Place, simulation: Simulation) -> Block:
+    """Return the controller of ``[controller]`` with the model of ``[model]``."""
+    rest = dict(as_table(table, place))
+    given: dict[str, Any] = {"model": _model(model, root / "model", simulation)}
+    if "precision" in rest:
+        given["precision"] = build_one_of(LEARNERS, rest.pop("precision"), place / "precision")
+    return build_one_of(CONTROLLERS, rest, place, **given)  # type: ignore[no-any-return]
+
+
+def _model(table: object, place: Place, simulation: Simulation) -> LinearModel:
+    rest = dict(as_table(table, place))
+    disturbance = rest.pop("disturbance", None)
+    if "dt" not in rest and simulation.dt is not None:
+        rest["dt"] = simulation.dt
+    model: LinearModel = build(LinearModel, rest, place)
+    if disturbance is None:
+        return model
+    at = place / "disturbance"
+    given = build(Disturbance, {"covariance": disturbance}, at)
+    with at.named():
+        return model.with_disturbance(given.covariance)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """``disturbance = 1e-4``: a number, a diagonal, or a matrix, as `LinearModel.with_disturbance` takes it."""
+
+    covariance: float | Sequence[float] | Sequence[Sequence[float]]
+
+
+def _taken(table: dict[str, Any], cls: type[Any]) -> Mapping[str, Any]:
+    """Take the entries out of the table that are fields of `cls`."""
+    return {f.name: table.pop(f.name) for f in fields(cls) if f.name in table}
+
+
+__all__ = ["Simulation", "Wiring", "controller", "fault_list", "noise", "plant", "reference", "sensors"]
