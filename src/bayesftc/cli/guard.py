@@ -1,0 +1,61 @@
+"""How a command ends when something goes wrong: one sentence on stderr and an exit code, no traceback.
+
+Exit codes: 2 a wrong command line; 3 to 12 the kinds of `BayesFTCError` (each has its ``exit_code``); 70 a bug of ours; 130
+stopped by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import typer
+
+BUG, INTERRUPTED, BROKEN_PIPE = 70, 130, 141
+
+
+@contextmanager
+def guarded(debug: bool = False) -> Iterator[None]:
+    """Turn what is raised inside into a sentence on stderr and `typer.Exit` with the exit code that belongs to it.
+
+    Parameters
+    ----------
+    debug : bool
+        Whether the traceback of an error is shown as well.
+    """
+    from bayesftc.cosim.errors import BayesFTCError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning  # type: ignore[assignment]
+            yield
+    except BayesFTCError as error:
+        if debug:
+            traceback.print_exc()
+        _say(f"Error: {error}")
+        raise typer.Exit(error.exit_code) from None
+    except KeyboardInterrupt:
+        _say("Stopped by Ctrl-C before the end; no file of this run was left behind.")
+        raise typer.Exit(INTERRUPTED) from None
+    except BrokenPipeError:  # the reader of our output, such as `head`, has what it wanted
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        raise typer.Exit(BROKEN_PIPE) from None
+    except Exception as error:  # the last net
+        if isinstance(error, typer.Exit):
+            raise
+        traceback.print_exc()
+        _say("Error: this is a bug of bayesftc, not of yours; please report it with the lines above and what you ran.")
+        raise typer.Exit(BUG) from None
+
+
+def _say(sentence: str) -> None:
+    typer.echo(sentence, err=True)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
+    if issubclass(category, UserWarning):
+        sys.stderr.write(f"Warning: {message}\n")

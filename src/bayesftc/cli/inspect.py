@@ -1,0 +1,107 @@
+"""``bayesftc inspect``: what an FMU says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bayesftc.cosim.fmu import describe
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.fmu import FMUDescription
+
+KINDS = {
+    "coSimulation": "co-simulation",
+    "modelExchange": "model exchange",
+    "scheduledExecution": "scheduled execution",
+}
+ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParameter", "local", "independent")
+
+
+def inspect_fmu(name: str, *, validate: bool, json: bool) -> None:
+    """Print tables (or JSON) of a description.
+
+    Parameters
+    ----------
+    name : str
+        A file, or a shipped FMU.
+    validate : bool
+        Whether the description must keep the rules of FMI.
+    json : bool
+        Print JSON.
+    """
+    path = find_fmu(name)
+    description = describe(path, validate=validate)
+    if json:
+        from bayesftc.cli.output import as_json
+
+        typer.echo(as_json({"path": str(path), **_plain(asdict(description))}))
+        return
+    _print(path, description)
+
+
+def find_fmu(name: str) -> Path:
+    """Return the file that is meant: a path, or else a shipped FMU's name."""
+    from bayesftc import fmus
+
+    if not Path(name).expanduser().exists() and name in fmus.names():
+        return fmus.path(name)
+    return Path(name).expanduser()
+
+
+def _print(path: Path, description: FMUDescription) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    facts = Table(box=None, show_header=False, pad_edge=False)
+    facts.add_column(style="bold", no_wrap=True)
+    facts.add_column(overflow="fold")
+    for label, value in _facts(path, description):
+        facts.add_row(label, Text(value))
+    console.print(facts)
+    console.print()
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("variable", "causality", "type", "unit", "start", "description"):
+        table.add_column(column, overflow="fold", justify="right" if column == "start" else "left")
+    ranked = sorted(
+        description.variables, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER)
+    )
+    for v in ranked:
+        kind = v.type + (f"[{', '.join(map(str, v.shape))}]" if v.shape else "")
+        cells = (v.name, v.causality, kind, v.unit or "", "" if v.start is None else f"{v.start}", v.description or "")
+        table.add_row(*(Text(cell) for cell in cells))
+    console.print(table)
+
+
+def _facts(path: Path, description: FMUDescription) -> list[tuple[str, str]]:
+    experiment = ", ".join(f"{name} {value:g}" for name, value in description.default_experiment.items())
+    capabilities = ", ".join(
+        name if value is True else f"{name} {value}" for name, value in description.capabilities.items() if value
+    )
+    entries = [
+        ("model", description.name),
+        ("file", str(path)),
+        ("description", description.description),
+        ("FMI", description.fmi_version),
+        ("kinds", ", ".join(KINDS.get(kind, kind) for kind in description.kinds)),
+        ("platforms", ", ".join(description.platforms) or "none: it has no binaries"),
+        ("capabilities", capabilities or "none"),
+        ("default experiment", experiment),
+        ("made by", description.generation_tool),
+        ("timing", description.timing),
+    ]
+    return [(label, value) for label, value in entries if value]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items() if key not in {"token", "log_categories"}}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
