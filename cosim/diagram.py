@@ -10,16 +10,22 @@ from typing import TYPE_CHECKING, Any, Literal
 from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, PortRef
-from bayesftc.cosim.timebase import rational_step
+from bayesftc.cosim.timebase import rational_step, whole_number
 
 if TYPE_CHECKING:
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.schedule import Schedule
 
 
+Coupling = Literal["gauss-seidel", "jacobi"]
+
+
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A block that stands in a diagram under a name; ``node["y"]`` refers to its port."""
+    """A ``block`` that stands in a diagram under a ``name``; ``node["y"]`` refers to its port.
+
+    It runs at every ``every``-th base step.
+    """
 
     name: str
     block: Block
@@ -64,6 +70,7 @@ class Diagram:
         self.step = rational_step(dt, "The diagram's step size")
         self._nodes: dict[str, Node] = {}
         self._sources: dict[tuple[str, str, int], tuple[PortRef, int]] = {}
+        self._coupling: Coupling | None = None
         self._schedule: Schedule | None = None
 
     def add(self, block: Block, name: str | None = None, every: int = 1) -> Node:
@@ -80,15 +87,17 @@ class Diagram:
         """
         self._refuse_if_built("add a block")
         if not isinstance(block, Block):
-            raise ModelError(f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace.")
+            raise ModelError(
+                f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace."
+            )
         name = block.default_name if name is None else name
-        if not name or any(c.isspace() for c in name):
+        if not isinstance(name, str) or not name or any(c.isspace() for c in name):
             raise ModelError(f"{name!r} cannot be a block's name: it must not be empty or contain spaces.")
         if name in self._nodes:
-            raise ModelError(f"The diagram has a block {name!r} already; give this {type(block).__name__} another name=...")
-        if every < 1 or int(every) != every:
-            raise ModelError(f"Block {name!r} has every={every!r}; it must be a whole number of base steps, at least 1.")
-        node = Node(name, block, int(every))
+            raise ModelError(
+                f"The diagram has a block {name!r} already; give this {type(block).__name__} another name=..."
+            )
+        node = Node(name, block, whole_number(every, f"Block {name!r} has every="))
         self._nodes[name] = node
         return node
 
@@ -101,14 +110,18 @@ class Diagram:
             If sizes or units differ, the direction is wrong, or the input has a source already.
         """
         self._refuse_if_built("connect ports")
-        sources = [source] if isinstance(source, PortRef) else list(source)
+        sources: list[Any] = list(source) if isinstance(source, list | tuple) else [source]
         for reference, wanted, role in [*((s, "output", "source") for s in sources), (target, "input", "target")]:
             if not isinstance(reference, PortRef):
                 raise ConnectionError(f"The {role} of a connection must be a port, as node['y'], not {reference!r}.")
             if self._nodes.get(reference.node.name) is not reference.node:
-                raise ConnectionError(f"{reference.name} belongs to a block of another diagram; add the block to this one.")
+                raise ConnectionError(
+                    f"{reference.name} belongs to a block of another diagram; add the block to this one."
+                )
             if reference.direction != wanted:
-                raise ConnectionError(f"{reference.name} is an {reference.direction}, but the {role} must be an {wanted}.")
+                raise ConnectionError(
+                    f"{reference.name} is an {reference.direction}, but the {role} must be an {wanted}."
+                )
         size = sum(len(s) for s in sources)
         if size != len(target):
             names = " + ".join(f"{s.name} (size {len(s)})" for s in sources)
@@ -119,17 +132,20 @@ class Diagram:
         for s in sources:
             if s.port.unit and target.port.unit and _spelt(s.port.unit) != _spelt(target.port.unit):
                 raise ConnectionError(
-                    f"{s.name} is in {s.port.unit}, but {target.name} is in {target.port.unit}; put a Gain between them that converts."
+                    f"{s.name} is in {s.port.unit}, but {target.name} is in {target.port.unit}; put a Gain between them that "
+                    "converts."
                 )
-        elements = iter(target.elements)
-        for s in sources:
-            for element in s.elements:
-                key = (target.node.name, target.port.name, next(elements))
-                if key in self._sources:
-                    raise ConnectionError(
-                        f"{key[0]}.{key[1]}[{key[2]}] has a source already ({self._sources[key][0].name}); it cannot also take {s.name}."
-                    )
-                self._sources[key] = (s, element)
+        # All or nothing: a connection that is refused leaves the diagram as it was.
+        origins = [(s, element) for s in sources for element in s.elements]
+        new = {
+            (target.node.name, target.port.name, e): origin for e, origin in zip(target.elements, origins, strict=True)
+        }
+        for (block, port, element), (s, _) in new.items():
+            if (block, port, element) in self._sources:
+                where = f"{block}.{port}" + (f"[{element}]" if target.port.size > 1 else "")
+                before = self._sources[block, port, element][0].name
+                raise ConnectionError(f"{where} has a source already ({before}); it cannot also take {s.name}.")
+        self._sources.update(new)
 
     @property
     def nodes(self) -> tuple[Node, ...]:
@@ -145,18 +161,27 @@ class Diagram:
         """Return what feeds one element of an input: the output and its element, or None."""
         return self._sources.get((node.name, port.name, element))
 
-    def build(self, coupling: Literal["gauss-seidel", "jacobi"] = "gauss-seidel") -> Diagram:
+    def build(self, coupling: Coupling | None = None) -> Diagram:
         """Check the diagram, fix the order of its blocks and freeze it; `simulate` does this by itself.
 
         Parameters
         ----------
         coupling : {"gauss-seidel", "jacobi"}
-            Whether an FMU that is fed directly by an FMU added before it sees that one's output after or before its step.
+            Whether an FMU that is fed directly by an FMU added before it sees that one's output after (by default) or before
+            its step.
         """
         from bayesftc.cosim.schedule import Schedule
 
+        if coupling not in {None, "gauss-seidel", "jacobi"}:
+            raise ModelError(f"coupling is {coupling!r}; it must be 'gauss-seidel' or 'jacobi'.")
+        if self._coupling is not None and coupling not in {None, self._coupling}:
+            raise ModelError(
+                f"The diagram is built with {self._coupling} coupling already; it cannot be built anew with {coupling}."
+            )
         if self._schedule is None:
-            self._schedule = Schedule(self, coupling)
+            wanted = self._coupling or coupling or "gauss-seidel"
+            self._schedule = Schedule(self, wanted)
+            self._coupling = wanted
         return self
 
     @property
@@ -190,11 +215,12 @@ class Diagram:
         return f"<Diagram of {len(self._nodes)} blocks at {float(self.step):g} s: {blocks}>"
 
     def _refuse_if_built(self, what: str) -> None:
-        if self._schedule is not None:
+        if self._coupling is not None:
             raise ModelError(f"The diagram is built and frozen; to {what}, do so before build() or simulate().")
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_schedule": None}
+        # The schedule is built anew where it is needed; a copy shares no table with the original.
+        return {**self.__dict__, "_nodes": dict(self._nodes), "_sources": dict(self._sources), "_schedule": None}
 
 
 def is_external(node: Node) -> bool:

@@ -37,7 +37,7 @@ class UnknownNameError(BayesFTCError, KeyError):
         return str(self.args[0])
 
 
-class ConnectionError(BayesFTCError):  # noqa: A001 - the field's word; the builtin concerns sockets
+class ConnectionError(BayesFTCError):
     """A connection that cannot be made: sizes, units, or a missing or doubled source."""
 
     exit_code = 6
@@ -89,10 +89,10 @@ class ResultFileError(BayesFTCError):
     exit_code = 12
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the tail of a sentence about an unknown name: the near names, else all of them."""
     known = sorted(known)
-    near = get_close_matches(name, known, n=3, cutoff=0.6)
+    near = get_close_matches(str(name), known, n=3, cutoff=0.6)
     if near:
         return f"did you mean {' or '.join(repr(n) for n in near)}?"
     if not known:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import prod
 from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from bayesftc.cosim.errors import ConnectionError, ModelError
 
@@ -41,8 +44,12 @@ class Port:
     draw: Literal["normal", "uniform"] | None = None
 
     def __post_init__(self) -> None:
-        if any(int(n) < 1 for n in self.shape):
-            raise ModelError(f"Port {self.name!r} has the shape {self.shape}; every dimension must be at least 1.")
+        if not isinstance(self.shape, tuple) or not all(isinstance(n, int | np.integer) and n >= 1 for n in self.shape):
+            raise ModelError(
+                f"Port {self.name!r} has the shape {self.shape!r}; it must be a tuple of whole numbers, each at least 1, as (3,)."
+            )
+        if self.draw not in {None, "normal", "uniform"}:
+            raise ModelError(f"Port {self.name!r} has draw={self.draw!r}; it must be 'normal', 'uniform' or None.")
 
     @property
     def size(self) -> int:
@@ -52,7 +59,19 @@ class Port:
 
 @dataclass(frozen=True)
 class PortRef:
-    """A port of a block that stands in a diagram, or some of its elements: ``node["y"]``, ``node["y"][0]``."""
+    """A port of a block that stands in a diagram, or some of its elements: ``node["y"]``, ``node["y"][0]``.
+
+    Attributes
+    ----------
+    node : Node
+        The block in its diagram.
+    port : Port
+        The port.
+    direction : {"input", "output"}
+        Which side of the block it is on.
+    elements : tuple of int
+        The elements that are meant, in order.
+    """
 
     node: Node
     port: Port
@@ -70,13 +89,17 @@ class PortRef:
     def __getitem__(self, index: int | slice) -> PortRef:
         try:
             chosen = self.elements[index] if isinstance(index, slice) else (self.elements[index],)
-        except IndexError:
+        except (IndexError, TypeError):
             chosen = ()
         if not chosen:
             raise ConnectionError(
-                f"{self.name} has {len(self.elements)} elements, numbered from 0; there is no element {index}."
+                f"{self.name} has {len(self.elements)} elements, numbered from 0 (a matrix row by row); there is no element "
+                f"{index!r}."
             )
         return PortRef(self.node, self.port, self.direction, chosen)
 
     def __len__(self) -> int:
         return len(self.elements)
+
+    def __iter__(self) -> Iterator[PortRef]:
+        return (self[i] for i in range(len(self)))

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from numbers import Rational, Real
 
-from bayesftc.cosim.errors import StepSizeError
+from bayesftc.cosim.errors import ModelError, StepSizeError
+
+EXACT = 2**53
+"""Whole numbers up to here are doubles, so that the quotient of two of them is the double nearest to the true one."""
 
 
 def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fraction:
@@ -16,14 +20,12 @@ def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fr
     StepSizeError
         If it is not a positive number.
     """
-    try:
-        exact = Fraction(dt)
-    except (ValueError, TypeError, OverflowError, ZeroDivisionError):
-        raise StepSizeError(f"{what} {dt!r} is no number; give seconds, as 0.02 or '1/50'.") from None
+    exact = _exact(dt, what)
     if exact <= 0:
         raise StepSizeError(f"{what} is {dt!r} s; it must be positive.")
-    if isinstance(dt, float):  # the simplest fraction that rounds to this double
-        for limit in (10**3, 10**6, 10**9):
+    if not isinstance(dt, str | Rational):  # the simplest fraction that rounds to this double
+        dt = float(dt)
+        for limit in (10**3, 10**6, 10**9, 10**12, 10**15):
             simple = exact.limit_denominator(limit)
             if simple > 0 and float(simple) == dt:
                 return simple
@@ -36,11 +38,12 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
     Raises
     ------
     StepSizeError
-        If `duration` is no whole number of steps (to one part in a million million).
+        If `duration` is no whole number of steps (to one part in a million million), or if it is so many that t_k would
+        not be the double nearest to k steps.
     """
-    if isinstance(duration, float | int) and not (math.isfinite(duration) and duration >= 0):
-        raise StepSizeError(f"{what} is {duration!r} s; it must be a finite number and not negative.")
-    exact = Fraction(duration)
+    exact = _exact(duration, what)
+    if exact < 0:
+        raise StepSizeError(f"{what} is {duration!r} s; it must not be negative.")
     ratio = exact / step
     count = round(ratio)
     if abs(ratio - count) > Fraction(1, 10**12) * max(count, 1):
@@ -48,7 +51,28 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
         raise StepSizeError(
             f"{what} of {float(exact):g} s is no whole number of steps of {show(step)} s; take {low:g} s or {high:g} s."
         )
+    if max(count, 1) * step.numerator > EXACT or step.denominator > EXACT:
+        raise StepSizeError(
+            f"{what} of {float(exact):g} s is {count} steps of {step} s, and times so far out cannot be told apart exactly; "
+            "take a step that is a simpler fraction, as '1/50', or a shorter run."
+        )
     return count
+
+
+def whole_number(value: object, what: str) -> int:
+    """Return a number of steps as an integer; `what` begins the sentence if it is none, as ``"decimation="``."""
+    if isinstance(value, Real):
+        number = float(value)
+        if number.is_integer() and 1 <= number <= EXACT:
+            return int(number)
+    raise ModelError(f"{what}{value!r}; it must be a whole number of steps, at least 1.")
+
+
+def _exact(seconds: float | str | Fraction, what: str) -> Fraction:
+    try:
+        return Fraction(seconds if isinstance(seconds, str | Rational) else float(seconds))
+    except (ValueError, TypeError, OverflowError, ZeroDivisionError):
+        raise StepSizeError(f"{what} {seconds!r} is no finite number; give seconds, as 0.02 or '1/50'.") from None
 
 
 def show(step: Fraction) -> str:
