@@ -42,6 +42,8 @@ def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
             count = k // every
         for g in range(calls[c, GATHER_FROM], calls[c, GATHER_TO]):
             memory[gathers[g, 0]] = memory[gathers[g, 1]]
+        if calls[c, FUNCTION] == 0:  # this one only brings inputs
+            continue
         status = call_block(
             calls[c, FUNCTION], base + 8 * calls[c, STATE], base + 8 * calls[c, PARAMETERS],
             base + 8 * calls[c, INPUTS], base + 8 * calls[c, OUTPUTS], t, count,

@@ -13,6 +13,7 @@ from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key
 from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule, bind
 
+
 @dataclass(frozen=True)
 class Failure:
     """Why a run stopped: at which step, in whose step function, with which status."""
@@ -74,7 +75,6 @@ class CompiledEngine:
 
         self._run, self._loop = run, _loop
         schedule = run.schedule
-        self._keep: list[Any] = []
         rows: list[list[int]] = []
         gathers: list[tuple[int, int]] = []
         for call in (*schedule.evaluate, *schedule.advance):
@@ -94,14 +94,16 @@ class CompiledEngine:
 
     def _address(self, call: Call) -> int:
         schedule = self._run.schedule
+        if call.kind == "inputs":
+            return 0
         if call.node in self._run.instances:
             instance = self._run.instances[call.node]
             return instance.output_address if call.kind == "output" else instance.update_address
         from bayesftc.cosim._compiler import compile_kernel
 
-        compiled = compile_kernel(schedule.kernel(call), schedule.slots[call.node].sections)  # type: ignore[arg-type]
-        self._keep.append(compiled)
-        return int(compiled.address)
+        kernel = schedule.kernel(call)
+        assert kernel is not None
+        return compile_kernel(kernel, schedule.slots[call.node].sections)
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
@@ -143,6 +145,8 @@ class InterpretedEngine:
         run, schedule = self._run, self._run.schedule
         slots, node = schedule.slots[call.node], schedule.nodes[call.node]
         memory = run.memory
+        if call.kind == "inputs":
+            return call, lambda t, k: 0
         if call.node in run.instances:
             instance = run.instances[call.node]
             function = instance.output if call.kind == "output" else instance.update

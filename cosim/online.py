@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.errors import KernelError, ModelError, StepSizeError, UnknownNameError, did_you_mean
-from bayesftc.cosim.schedule import arrange, bind
+from bayesftc.cosim.block import ExternalBlock
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.schedule import arrange, bind, checked
 from bayesftc.cosim.timebase import rational_step, show
 
 if TYPE_CHECKING:
@@ -29,18 +30,34 @@ class Outputs(dict[str, Any]):
 class Online:
     """Makes one step of a block at each call; made by `Block.online`.
 
-    Call it with the block's inputs by name, numbers or sequences; ``None`` or NaN is a missing sample. It returns the outputs
-    of this step: numbers for scalar ports, arrays otherwise.
+    Call it with the block's inputs by name, numbers or sequences; ``None`` or NaN is a missing sample. An input that has a
+    start value takes it in every call that leaves the input out. It returns the outputs of this step: numbers for scalar
+    ports, arrays otherwise.
+
+    Parameters
+    ----------
+    block : Block
+        The block; its state lives in this object, not in the block.
+    dt : float, str or Fraction, optional
+        Sample time in seconds; not needed where the block knows it.
+    compiled : bool
+        False to step through the plain Python form.
     """
 
     def __init__(self, block: Block, dt: float | str | Fraction | None = None, *, compiled: bool = True):
         step = block.sample_time if dt is None else rational_step(dt)
         if step is None:
-            raise StepSizeError(f"{type(block).__name__} does not know its sample time; give online(dt=...) in seconds.")
+            raise StepSizeError(
+                f"{type(block).__name__} does not know its sample time; give online(dt=...) in seconds."
+            )
         if block.sample_time not in {None, step}:
-            raise StepSizeError(f"{type(block).__name__} runs every {show(block.sample_time)} s, not every {show(step)} s.")  # type: ignore[arg-type]
+            raise StepSizeError(
+                f"{type(block).__name__} runs every {show(block.sample_time)} s, not every {show(step)} s."
+            )  # type: ignore[arg-type]
+        if isinstance(block, ExternalBlock):
+            raise ModelError(f"{type(block).__name__} runs in diagrams only; step an FMU on its own with fmpy.")
         self._block, self._step = block, step
-        self._definition = block.define(step)
+        self._definition = checked(block, block.define(step), type(block).__name__)
         self._slots, self._initial = arrange(block, self._definition, 0)
         self._memory = self._initial.copy()
         kernels = [k for k in (self._definition.output, self._definition.update) if k is not None]
@@ -59,6 +76,8 @@ class Online:
                 view[...] = self._checked(name, inputs[name], view.shape)
             elif port.default is None:
                 raise ModelError(f"{self._title} needs its input {name!r} at every step; give {name}=...")
+            else:
+                view[...] = port.default
         t = self._k * self._step.numerator / self._step.denominator
         for call in self._calls:
             call(t, self._k)
@@ -83,7 +102,9 @@ class Online:
         try:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
-            raise ModelError(f"{self._title}: the input {name}={value!r} is no number or sequence of numbers.") from None
+            raise ModelError(
+                f"{self._title}: the input {name}={value!r} is no number or sequence of numbers."
+            ) from None
         if array.ndim == 0 and int(np.prod(shape)) == 1:
             array = array.reshape(shape)
         if array.shape != shape:
@@ -100,19 +121,15 @@ class Online:
         return call
 
     def _compiled(self, kernel: Kernel) -> Callable[[float, int], Any]:
-        from types import FunctionType
-
         from bayesftc.cosim._compiler import compile_kernel
 
-        if not isinstance(kernel, FunctionType):
-            raise KernelError(f"{self._title}'s step function is no plain Python function.")
-        compiled = compile_kernel(kernel, self._slots.sections)
         address = [ctypes.c_int64(self._memory.ctypes.data + 8 * start) for start in self._slots.start.values()]
         i64 = ctypes.c_int64
-        function = ctypes.CFUNCTYPE(ctypes.c_int32, i64, i64, i64, i64, ctypes.c_double, i64)(compiled.address)
+        function = ctypes.CFUNCTYPE(ctypes.c_int32, i64, i64, i64, i64, ctypes.c_double, i64)(
+            compile_kernel(kernel, self._slots.sections)
+        )
 
         def call(t: float, k: int) -> None:
             function(*address, t, k)
 
-        call.keep = compiled  # type: ignore[attr-defined]  # the machine code lives as long as this object
         return call

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.errors import UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import PortRef
 from bayesftc.cosim.schedule import Schedule
 
 
@@ -22,7 +23,7 @@ class Selection:
     units: dict[str, str]
 
 
-def select_signals(schedule: Schedule, record: Iterable[str] | None) -> Selection:
+def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -> Selection:
     """Resolve names and patterns; None means every output.
 
     Raises
@@ -34,7 +35,8 @@ def select_signals(schedule: Schedule, record: Iterable[str] | None) -> Selectio
     inputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.block.inputs}
     known = {**inputs, **outputs}
     chosen: list[str] = []
-    for pattern in outputs if record is None else [record] if isinstance(record, str) else record:
+    for pattern in outputs if record is None else [record] if isinstance(record, str | PortRef) else record:
+        pattern = pattern.name if isinstance(pattern, PortRef) else str(pattern)
         matches = [pattern] if pattern in known else [name for name in outputs if fnmatchcase(name, pattern)]
         if not matches:
             raise UnknownNameError(f"There is no signal {pattern!r} to record; {did_you_mean(pattern, known)}")

@@ -1,6 +1,7 @@
 """From a diagram to a program: the order of calls, from per-port direct feedthrough, and the layout of memory.
 
-A step has two phases. *Evaluate* computes all outputs at t_k in the order of direct feedthrough. *Advance* takes every state
+A step has two phases. *Evaluate* computes all outputs at t_k in the order of direct feedthrough, then brings the inputs that
+do not feed through, which may come from any block. *Advance* takes every state
 to t_k+1: first the blocks that only know sampled time, in any order (no one's state can be seen before the next evaluation),
 then the FMUs in the order in which they were added; with Gauss-Seidel coupling an FMU's outputs are refreshed at once, so
 that an FMU it feeds directly sees them.
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from math import prod
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,7 +19,7 @@ import numpy as np
 
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
 from bayesftc.cosim.diagram import Diagram, Node, is_external
-from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, KernelError, StepSizeError
+from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, KernelError, ModelError, StepSizeError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import show
 
@@ -42,10 +44,13 @@ RESERVED = frozenset({"t", "k", "inputs", "outputs"})
 
 @dataclass(frozen=True)
 class Call:
-    """One call of a step function: whose, which one, and the copies (to, from) that bring its inputs."""
+    """One call of a step function: whose, which one, and the copies (to, from) that bring its inputs.
+
+    The kind ``inputs`` calls no function: it only brings inputs, so that they are recorded as they are at t_k.
+    """
 
     node: int
-    kind: Literal["output", "update"]
+    kind: Literal["output", "update", "inputs"]
     gathers: tuple[tuple[int, int], ...]
 
 
@@ -90,41 +95,52 @@ class Schedule:
         self.step = diagram.step
         self.nodes = diagram.nodes
         self.coupling = coupling
+        self._place = {node: i for i, node in enumerate(self.nodes)}
+        _check_signal_names(self.nodes)
         for node in self.nodes:
             _check_sample_time(node, self.step * node.every)
         self.definitions: tuple[Definition | None, ...] = tuple(
-            None if is_external(node) else _definition(node, node.block.define(self.step * node.every)) for node in self.nodes
+            None
+            if is_external(node)
+            else checked(node.block, node.block.define(self.step * node.every), repr(node.name))
+            for node in self.nodes
         )
         self.slots, self.initial = self._lay_out()
         self.draws = self._check_inputs(diagram)
         self._edges = self._feedthrough_edges(diagram)
-        order = self._order()
-        self.evaluate = tuple(
-            Call(i, "output", self._gathers(diagram, i, feedthrough_only=self._updates(i))) for i in order if self._outputs(i)
-        )
+        evaluate = [
+            Call(i, "output", self._gathers(diagram, i, feedthrough=True)) for i in self._order() if self._outputs(i)
+        ]
+        for i in range(len(self.nodes)):
+            late = self._gathers(diagram, i, feedthrough=False if self._outputs(i) else None)
+            if late:
+                evaluate.append(Call(i, "inputs", late))
+        self.evaluate = tuple(evaluate)
         self.advance = self._advance(diagram)
         self.compiled = all(d is None or d.compiled for d in self.definitions)
 
     def kernel(self, call: Call) -> Kernel | None:
-        """Return the Python step function of a call; None for an external block."""
+        """Return the Python step function of a call; None for an external block, and where only inputs are brought."""
         definition = self.definitions[call.node]
-        return getattr(definition, call.kind) if definition else None
+        return getattr(definition, call.kind) if definition and call.kind != "inputs" else None
 
     def signal(self, node: Node, port: Port) -> slice:
         """Return where a port's elements lie in memory."""
-        slots = self.slots[self.nodes.index(node)]
+        slots = self.slots[self._place[node]]
         start = slots.offset(port.name)
         return slice(start, start + port.size)
 
     def describe(self) -> str:
         """Return the order of a step as text, a line a call."""
-        lines = [f"at t_k     {self.nodes[c.node].name}" for c in self.evaluate]
+        lines = [f"at t_k     {self.nodes[c.node].name}" for c in self.evaluate if c.kind == "output"]
         lines += [f"to t_k+1   {self.nodes[c.node].name}" for c in self.advance if c.kind == "update"]
         return "\n".join(lines)
 
     def _updates(self, i: int) -> bool:
         definition = self.definitions[i]
-        return definition.update is not None if definition else getattr(self.nodes[i].block, "timing", "plant") == "plant"
+        return (
+            definition.update is not None if definition else getattr(self.nodes[i].block, "timing", "plant") == "plant"
+        )
 
     def _outputs(self, i: int) -> bool:
         definition = self.definitions[i]
@@ -147,7 +163,13 @@ class Schedule:
                 if port.draw is not None:
                     columns = port.shape[1] if len(port.shape) > 1 else 1
                     draws += [
-                        Draw(f"{node.name}.{port.name}", e // columns, e % columns, port.draw == "uniform", slots.offset(port.name) + e)
+                        Draw(
+                            f"{node.name}.{port.name}",
+                            e // columns,
+                            e % columns,
+                            port.draw == "uniform",
+                            slots.offset(port.name) + e,
+                        )
                         for e in unfed
                     ]
                 elif unfed and port.default is None:
@@ -157,16 +179,17 @@ class Schedule:
                     )
         return tuple(draws)
 
-    def _gathers(self, diagram: Diagram, i: int, feedthrough_only: bool = False) -> tuple[tuple[int, int], ...]:
+    def _gathers(self, diagram: Diagram, i: int, feedthrough: bool | None = None) -> tuple[tuple[int, int], ...]:
+        """Return the copies that bring a block's inputs: those that feed through, those that do not, or all of them."""
         node, slots, copies = self.nodes[i], self.slots[i], []
         for port in node.block.inputs:
-            if feedthrough_only and not port.feedthrough:
+            if feedthrough not in {None, port.feedthrough}:
                 continue
             for element in range(port.size):
                 source = diagram.source_of(node, port, element)
                 if source is not None:
                     reference, taken = source
-                    origin = self.slots[self.nodes.index(reference.node)].offset(reference.port.name) + taken
+                    origin = self.slots[self._place[reference.node]].offset(reference.port.name) + taken
                     copies.append((slots.offset(port.name) + element, origin))
         return tuple(copies)
 
@@ -179,12 +202,17 @@ class Schedule:
                 for element in range(port.size if port.feedthrough else 0):
                     source = diagram.source_of(node, port, element)
                     if source is not None:
-                        j = self.nodes.index(source[0].node)
-                        edges[j].setdefault(i, (f"{source[0].node.name}.{source[0].port.name}", f"{node.name}.{port.name}"))
+                        j = self._place[source[0].node]
+                        edges[j].setdefault(
+                            i, (f"{source[0].node.name}.{source[0].port.name}", f"{node.name}.{port.name}")
+                        )
         return edges
 
     def _order(self) -> list[int]:
-        waiting = {i: sum(i in targets for targets in self._edges.values()) for i in range(len(self.nodes))}
+        waiting = dict.fromkeys(range(len(self.nodes)), 0)
+        for targets in self._edges.values():
+            for target in targets:
+                waiting[target] += 1
         order: list[int] = []
         while waiting:
             ready = next((i for i, count in waiting.items() if count == 0), None)
@@ -207,7 +235,7 @@ class Schedule:
             path.append(before)
         lines = [
             f"  {self._edges[a][b][0]} -> {self._edges[a][b][1]}  ({self.nodes[b].name} feeds it through)"
-            for a, b in zip(loop, loop[1:], strict=False)
+            for a, b in pairwise(loop)
         ]
         return (
             "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
@@ -217,9 +245,9 @@ class Schedule:
 
     def _advance(self, diagram: Diagram) -> tuple[Call, ...]:
         sampled = [i for i in range(len(self.nodes)) if not is_external(self.nodes[i]) and self._updates(i)]
-        calls = [Call(i, "update", self._gathers(diagram, i)) for i in sampled]
+        calls = [Call(i, "update", ()) for i in sampled]  # all inputs have come by the end of evaluate
         plants = [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self._updates(i)]
-        for position, i in enumerate(plants):
+        for position, i in enumerate(plants):  # bring the inputs again: plants before may have made their step
             calls.append(Call(i, "update", self._gathers(diagram, i)))
             fed_later = any(self._feeds(diagram, i, j) for j in plants[position + 1 :])
             if self.coupling == "gauss-seidel" and fed_later:
@@ -275,7 +303,15 @@ def bind(kernel: Kernel, slots: Slots, memory: Floats) -> Callable[[float, int],
             views.append(memory[start : start + prod(shape)].reshape(shape))
 
     def step(t: float, k: int) -> None:
-        kernel(*[(np.float64(t) if v == "t" else k) if isinstance(v, str) else v for v in views])
+        # NumPy's numbers, as array elements are: a division by zero gives an infinity, as in compiled code.
+        now = {"t": np.float64(t), "k": np.int64(k)}
+        try:
+            kernel(*[now[v] if isinstance(v, str) else v for v in views])
+        except ZeroDivisionError:
+            raise KernelError(
+                f"Step function {kernel.__name__!r} divides one plain Python number by another, which is zero; compiled code "
+                "would go on with an infinity. Let one of the two come from an array."
+            ) from None
 
     return step
 
@@ -289,17 +325,49 @@ def _check_sample_time(node: Node, step: Fraction) -> None:
         )
 
 
-def _definition(node: Node, definition: Definition) -> Definition:
-    known = {p.name for p in (*node.block.inputs, *node.block.outputs)} | set(definition.state) | set(definition.parameters)
+def _check_signal_names(nodes: tuple[Node, ...]) -> None:
+    owners: dict[str, Node] = {}
+    for node in nodes:
+        for port in (*node.block.inputs, *node.block.outputs):
+            name = f"{node.name}.{port.name}"
+            if owners.setdefault(name, node) is not node:
+                raise ModelError(
+                    f"The blocks {owners[name].name!r} and {node.name!r} both have a signal {name!r}; give one of them "
+                    "another name."
+                )
+
+
+def checked(block: Block, definition: Definition, title: str) -> Definition:
+    """Return the definition if its step functions ask only for what the block has and write all its outputs.
+
+    Raises
+    ------
+    KernelError
+        If they do not; `title` is what the sentence calls the block.
+    """
+    outputs = {p.name for p in block.outputs}
+    late = {p.name for p in block.inputs if not p.feedthrough}
+    known = {p.name for p in block.inputs} | outputs | set(definition.state) | set(definition.parameters) | RESERVED
     for kernel in (definition.output, definition.update):
         if kernel is None:
             continue
         for name in argument_names(kernel):
-            if name not in known | RESERVED:
+            if name not in known:
                 raise KernelError(
-                    f"The step function {kernel.__name__!r} of block {node.name!r} asks for {name!r}, which is no port, state or "
-                    f"parameter of it (these are: {', '.join(sorted(known | RESERVED))})."
+                    f"The step function {kernel.__name__!r} of block {title} asks for {name!r}, which is no port, state or "
+                    f"parameter of it (these are: {', '.join(sorted(known))})."
                 )
+            if kernel is definition.output and name in late:
+                raise KernelError(
+                    f"The step function {kernel.__name__!r} of block {title} reads {name!r} to write the outputs, but that input "
+                    "is declared feedthrough=False; leave that out, or read it in the update function."
+                )
+    written = set(argument_names(definition.output)) if definition.output else set()
+    forgotten = [p.name for p in block.outputs if p.name not in written and "outputs" not in written]
+    if forgotten:
+        raise KernelError(
+            f"Block {title} has the output {forgotten[0]!r}, but no output function with an argument of that name writes it."
+        )
     return definition
 
 

@@ -13,11 +13,12 @@ import numpy as np
 from bayesftc.cosim.block import Block, ExternalBlock, Floats
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.errors import KernelError, ModelError, SimulationError
+from bayesftc.cosim.ports import PortRef
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import Selection, select_signals
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule
-from bayesftc.cosim.timebase import show, whole_steps
+from bayesftc.cosim.timebase import show, whole_number, whole_steps
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram import Diagram
@@ -33,7 +34,7 @@ def simulate(
     duration: float | str | Fraction,
     *,
     seed: int = 0,
-    record: Iterable[str] | None = None,
+    record: Iterable[str | PortRef] | None = None,
     decimation: int = 1,
     engine: Literal["auto", "compiled", "interpreted"] = "auto",
     progress: Progress | None = None,
@@ -46,14 +47,15 @@ def simulate(
     diagram : Diagram
         What to run; it is built and frozen if it is not yet.
     duration : float, str or Fraction
-        Seconds; a whole number of base steps. The result has a row at both ends.
+        Seconds; a whole number of base steps. The result has a row at both ends (with `decimation`, at the end only if it
+        divides the number of steps).
     seed : int
         Seed of all random streams. The same seed gives the same numbers, whatever else is in the diagram.
     record : iterable of str, optional
-        Names of the signals to keep, ``*`` allowed (``["plant.v", "controller.*"]``); by default all outputs. Inputs can be
-        recorded as well, by name.
+        Names of the signals to keep, ``*`` allowed (``["plant.v", "controller.*"]``), or ports (``plant["v"]``); by default
+        all outputs. Inputs can be recorded as well, by name.
     decimation : int
-        Keep every `decimation`-th step.
+        Keep every `decimation`-th step, from step 0 on.
     engine : {"auto", "compiled", "interpreted"}
         ``auto`` is compiled where every block allows it. Both give the same bits.
     progress : callable, optional
@@ -74,16 +76,18 @@ def simulate(
     """
     schedule = diagram.schedule
     steps = whole_steps(duration, schedule.step, "The duration")
-    if decimation < 1 or int(decimation) != decimation:
-        raise ModelError(f"decimation is {decimation!r}; it must be a whole number of steps, at least 1.")
+    decimation = whole_number(decimation, "decimation is ")
+    if time_limit is not None and not time_limit >= 0:
+        raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
     selection = select_signals(schedule, record)
     with ExitStack() as stack:
-        run = _open(schedule, stack, check_seed(seed), selection, steps, int(decimation))
+        run = _open(schedule, stack, check_seed(seed), selection, steps, decimation)
         machine = _engine(engine, run)
         last, stopped = _advance(machine, steps, run, progress, time_limit)
     metadata = {
         "seed": run.seed,
-        "duration": steps * float(schedule.step),
+        "duration": float(steps * schedule.step),
+        "step": str(schedule.step),
         "engine": "compiled" if isinstance(machine, CompiledEngine) else "interpreted",
         "blocks": {node.name: type(node.block).__name__ for node in schedule.nodes},
     }
@@ -112,7 +116,14 @@ def _open(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection,
             instances[i] = instance
             start = schedule.slots[i].start["parameters"]
             memory[start : start + len(instance.table)] = instance.table.view(np.float64)
-    recording: Floats = np.empty((steps // decimation + 1, len(selection.places)))
+    rows, columns = steps // decimation + 1, len(selection.places)
+    try:
+        recording: Floats = np.empty((rows, columns))
+    except (MemoryError, ValueError):
+        raise ModelError(
+            f"Recording {columns} numbers at {rows} steps takes {8e-9 * rows * columns:.3g} GB, more than this machine has; name "
+            "fewer signals with record=..., or keep every n-th step with decimation=n."
+        ) from None
     return Run(schedule, seed, memory, instances, selection.places, recording, decimation)
 
 
@@ -120,8 +131,12 @@ def _engine(wanted: str, run: Run) -> Engine:
     if wanted not in {"auto", "compiled", "interpreted"}:
         raise ModelError(f"engine is {wanted!r}; it must be 'auto', 'compiled' or 'interpreted'.")
     if wanted == "compiled" and not run.schedule.compiled:
-        names = [n.name for n, d in zip(run.schedule.nodes, run.schedule.definitions, strict=True) if d and not d.compiled]
-        raise KernelError(f"The blocks {', '.join(names)} call back into Python, so the diagram can only run interpreted.")
+        names = [
+            n.name for n, d in zip(run.schedule.nodes, run.schedule.definitions, strict=True) if d and not d.compiled
+        ]
+        raise KernelError(
+            f"The blocks {', '.join(names)} call back into Python, so the diagram can only run interpreted."
+        )
     if wanted == "interpreted" or not run.schedule.compiled:
         return InterpretedEngine(run)
     return CompiledEngine(run)
@@ -131,7 +146,8 @@ def _advance(
     engine: Engine, steps: int, run: Run, progress: Progress | None, time_limit: float | None
 ) -> tuple[int, str | None]:
     """Run in pieces of about `BREATH` seconds; return the last complete step and why the run stopped early, if it did."""
-    begin, piece, started = 0, 64, time.perf_counter()
+    # The first piece is one step: a slow FMU must not keep Ctrl-C waiting for many.
+    begin, piece, started = 0, 1, time.perf_counter()
     while True:
         before = time.perf_counter()
         end = min(begin + piece, steps)
@@ -145,8 +161,11 @@ def _advance(
             return last, None
         if time_limit is not None and now - started > time_limit:
             t = float(end * run.schedule.step)
-            return last, f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {end} of {steps})."
-        piece = max(64, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
+            return (
+                last,
+                f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {end} of {steps}).",
+            )
+        piece = max(1, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
         begin = end
 
 
@@ -158,9 +177,10 @@ def _explain(failure: Failure, run: Run) -> str:
         offset = failure.status - NOT_FINITE
         value = run.memory[offset]
         name = _signal_at(node.block, offset - run.schedule.slots[failure.node].start["outputs"])
+        h = show(run.schedule.step * node.every)
         return (
-            f"The run stopped {place}: {node.name}.{name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the plant's "
-            f"parameters and the step size of {show(run.schedule.step * node.every)} s; the signals up to the step before are kept."
+            f"The run stopped {place}: {node.name}.{name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
+            f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
     detail = run.instances[failure.node].explain(failure.status) if failure.node in run.instances else ""
     return f"The run stopped {place}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
