@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from functools import cache
 from pathlib import Path
 
@@ -16,9 +17,10 @@ def _directory(root: str | None, kind: str) -> Path:
     path = (Path(root) if root else user_cache_path("bayesftc", appauthor=False)) / kind
     try:
         path.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path).close()  # mkdir does not tell whether an existing folder can be written
     except OSError as error:
         raise BayesFTCError(
-            f"The cache folder {path} cannot be made ({error.strerror}); set BAYESFTC_CACHE to a folder that can be written."
+            f"The cache folder {path} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be written."
         ) from None
     return path
 

@@ -9,24 +9,27 @@ on (:mod:`bayesftc.cosim._fingerprint`); numba then caches that module's compile
 from __future__ import annotations
 
 import hashlib
-import importlib.util
+import operator
 import os
 import sys
 import tempfile
 import threading
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import CellType, FunctionType, ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.ccallback import CFunc
+from numba.core.errors import NumbaError
 from numba.extending import intrinsic, overload
 
 from bayesftc.cosim import _numba_ops
 from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim._fingerprint import environment, fingerprint, functions_called
+from bayesftc.cosim._fingerprint import Kernel, environment, fingerprint, functions_called, where
+from bayesftc.cosim.errors import BayesFTCError, KernelError
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
 """(state, parameters, inputs, outputs, t, k) -> status; the four addresses travel as integers."""
@@ -34,14 +37,19 @@ SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, type
 STATISTICS = {"compiled": 0, "loaded": 0}
 """How many functions this process has compiled, and how many came ready from the disk."""
 
+_STAMP = (
+    1_000_000_000.0  # numba takes the time stamp of a source file for its version; here the file's name says it all
+)
+
 _lock = threading.RLock()
 _modules: dict[str, ModuleType] = {}
+_kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], int]]] = WeakKeyDictionary()
 _registered: set[FunctionType] = set()
 
 
 @intrinsic
 def as_floats(typingctx, address):
-    """The float64 array that begins at an integer address."""
+    """Return the float64 array that begins at an integer address."""
 
     def codegen(context, builder, signature, args):
         return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
@@ -49,7 +57,7 @@ def as_floats(typingctx, address):
     return types.CPointer(types.float64)(types.int64), codegen
 
 
-def compile_kernel(kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> CFunc:
+def compile_kernel(kernel: Kernel, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> int:
     """Compile `kernel` for the given sizes, or load it from the disk.
 
     Parameters
@@ -62,14 +70,44 @@ def compile_kernel(kernel: FunctionType, sections: dict[str, tuple[str, int, tup
 
     Returns
     -------
-    numba CFunc
-        Its ``address`` is what the engine calls; keep it alive as long as the address is used.
+    int
+        The address that the engine calls; the code behind it lives as long as the process.
     """
+    if not isinstance(kernel, FunctionType):
+        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
     body = _entry_text(kernel, sections)
-    name = f"block_{kernel.__name__.strip('<>')}_{fingerprint(kernel, body)}"
-    module = _load(name, body, {"kernel": kernel}, functions_called(kernel))
-    compiled: CFunc = module.entry
-    return compiled
+    with _lock:
+        known = _kernels.setdefault(kernel, {})
+        if body in known:
+            seen, address = known[body]
+            if all(map(operator.is_, seen, _seen(kernel))):
+                return address
+        seen = _seen(kernel)
+        name = f"block_{kernel.__name__.strip('<>')[:40]}_{fingerprint(kernel, body)}"
+        address = int(_load(name, body, {"kernel": kernel}, functions_called(kernel)).entry.address)
+        known[body] = seen, address
+    return address
+
+
+def _seen(kernel: FunctionType) -> list[Any]:
+    """Return all objects on which a kernel's code depends: while they are the same, so is its fingerprint, which costs more."""
+    found: list[Any] = []
+    functions = [kernel]
+    for function in functions:  # the list grows by what it calls
+        values = [function.__globals__.get(name) for name in function.__code__.co_names]
+        values += function.__closure__ or ()
+        values += [cell.cell_contents for cell in function.__closure__ or () if _filled(cell)]
+        found += [function.__code__, *values]
+        functions += [value for value in values if isinstance(value, FunctionType) and value not in functions]
+    return found
+
+
+def _filled(cell: CellType) -> bool:
+    try:
+        cell.cell_contents  # noqa: B018 - an empty cell raises
+    except ValueError:
+        return False
+    return True
 
 
 def compile_function(function: FunctionType, signature: str, *modules: ModuleType) -> Any:
@@ -88,7 +126,7 @@ def compile_function(function: FunctionType, signature: str, *modules: ModuleTyp
     # Without numba's reference counts (_nrt): such functions borrow their arrays and allocate none, and counting atomically
     # around each call by address took 70 ns a step of the loop, five times what the rest of it takes.
     text = (
-        f"from numba import njit\n\n@njit({signature!r}, error_model=\"numpy\", nogil=True, cache=True, _nrt=False)\n"
+        f'from numba import njit\n\n@njit({signature!r}, error_model="numpy", nogil=True, cache=True, _nrt=False)\n'
         f"def entry({arguments}):\n    return kernel({arguments})\n"
     )
     return _load_service(function, text, modules).entry
@@ -152,19 +190,52 @@ def _load(name: str, text: str, namespace: dict[str, Any], functions: list[Funct
         if name not in _modules:
             _register(functions)
             path = cache_directory("compiled") / f"{name}.py"
-            if not path.exists():
-                _write_once(path, text)
-            spec = importlib.util.spec_from_file_location(f"bayesftc_compiled_{name}", path)
-            if spec is None or spec.loader is None:
-                raise ImportError(f"The compiled block {path} cannot be loaded; delete the folder {path.parent}.")
-            module = importlib.util.module_from_spec(spec)
-            module.__dict__.update(namespace)
-            sys.modules[spec.name] = module  # numba looks the module up by name while it compiles
-            spec.loader.exec_module(module)
+            _write_once(path, text)
+            try:
+                module = _execute(path, text, namespace)
+            except Exception as error:
+                if not _forget(path):
+                    raise _refusal(namespace["kernel"], error) from error
+                try:  # what another run has left in the cache may have been damaged
+                    module = _execute(path, text, namespace)
+                except Exception as again:
+                    raise _refusal(namespace["kernel"], again) from again
             hits = _cache_hits(module.entry)
             STATISTICS["loaded" if hits else "compiled"] += 1
             _modules[name] = module
         return _modules[name]
+
+
+def _execute(path: Path, text: str, namespace: dict[str, Any]) -> ModuleType:
+    module = ModuleType(f"bayesftc_compiled_{path.stem}")
+    module.__file__ = str(path)
+    module.__dict__.update(namespace)
+    sys.modules[module.__name__] = module  # numba looks the module up by name while it compiles
+    try:
+        exec(compile(text, str(path), "exec"), module.__dict__)  # our own text, the same as in the file
+    except BaseException:
+        del sys.modules[module.__name__]
+        raise
+    return module
+
+
+def _forget(path: Path) -> bool:
+    """Remove numba's files for a module; return whether there were any."""
+    files = [*path.parent.glob(f"__pycache__/{path.stem}.*.nb[ic]")]
+    for file in files:
+        file.unlink(missing_ok=True)
+    return bool(files)
+
+
+def _refusal(kernel: FunctionType, error: Exception) -> Exception:
+    """Return what to raise for an error of numba's compiler: a sentence, where it is about the user's step function."""
+    if not isinstance(error, NumbaError):
+        return error
+    lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.startswith("Failed in")]
+    return KernelError(
+        f"Step function {where(kernel)} cannot be compiled: {' '.join(lines[:3])} Write plain loops over float64 numbers, or set "
+        "Definition(compiled=False) to run the diagram interpreted."
+    )
 
 
 def _cache_hits(entry: Any) -> bool:
@@ -184,13 +255,23 @@ def _register(functions: list[FunctionType]) -> None:
 
 
 def _write_once(path: Path, text: str) -> None:
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
-    if path.exists():  # another process was faster: its file's time stamp belongs to the cached code
-        os.unlink(temporary)
-    else:
+    """Bring the file that numba's cache belongs to into being, whole, and with the same time stamp whoever writes it."""
+    try:
+        stat = path.stat()
+        if (stat.st_size, stat.st_mtime) == (len(text.encode()), _STAMP):
+            return
+    except FileNotFoundError:
+        pass
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        os.utime(temporary, (_STAMP, _STAMP))
         os.replace(temporary, path)
+    except OSError as error:
+        raise BayesFTCError(
+            f"The cache folder {path.parent} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be."
+        ) from None
 
 
 def address_of(array: np.ndarray[Any, np.dtype[Any]]) -> int:

@@ -25,6 +25,11 @@ Kernel = Callable[..., None]
 _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
 _BUILTINS = frozenset({range, len})
 _ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
+_FORBIDDEN = {
+    "IMPORT_NAME": "imports inside; import from bayesftc.cosim.ops at the top of the file",
+    "STORE_GLOBAL": "writes a global variable; declare a state instead",
+    "STORE_DEREF": "writes a variable of the enclosing function; declare a state instead",
+}
 
 
 @cache
@@ -80,7 +85,10 @@ def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
             else:
                 raise KernelError(f"Step function {where(function)} uses {name!r}, which is not defined.")
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
-        yield name, cell.cell_contents
+        try:
+            yield name, cell.cell_contents
+        except ValueError:  # the variable of the enclosing function has no value yet
+            raise KernelError(f"Step function {where(function)} uses {name!r}, which has no value yet.") from None
 
 
 def _allowed(value: Any) -> bool:
@@ -90,7 +98,24 @@ def _allowed(value: Any) -> bool:
 
 
 def _check_code(function: FunctionType, code: CodeType) -> None:
+    if any(isinstance(constant, CodeType) for constant in code.co_consts):
+        raise KernelError(
+            f"Step function {where(function)} has a function or comprehension inside; move the function outside, and write "
+            "a loop for the comprehension."
+        )
+    if not all(
+        _allowed(value) for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())
+    ):
+        raise KernelError(
+            f"Function {where(function)} has a default that is no number; a step function cannot call it so."
+        )
     for instruction in dis.get_instructions(code):
+        if instruction.opname in _FORBIDDEN:
+            raise KernelError(f"Step function {where(function)} {_FORBIDDEN[instruction.opname]}.")
+        if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("@"):
+            raise KernelError(
+                f"Step function {where(function)} uses '@', which allocates and sums in another order; write loops."
+            )
         if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("**"):
             raise KernelError(
                 f"Step function {where(function)} uses '**', which rounds differently in compiled code: "
@@ -118,13 +143,24 @@ def _describe(value: Any) -> str:
 def fingerprint(function: FunctionType, specialisation: str) -> str:
     """Return a hexadecimal hash of `function`, all it calls, the sizes it is compiled for, and the environment."""
     digest = hashlib.sha256(f"{environment()}\n{specialisation}\n".encode())
-    for reached in functions_called(function):
+    called = functions_called(function)
+    number = {reached: f"function {i}" for i, reached in enumerate(called)}
+    for reached in called:
         digest.update(_code_text(reached.__code__).encode())
         for name, value in references(reached):
-            shown = where(value).split(" ")[0] if isinstance(value, FunctionType) else repr(value)
-            digest.update(f"{name}={'ops' if isinstance(value, ModuleType) else shown};".encode())
-        digest.update(repr(reached.__defaults__).encode())
+            digest.update(f"{name}={_text(value, number)};".encode())
+        digest.update(repr((reached.__defaults__, reached.__kwdefaults__)).encode())
     return digest.hexdigest()[:24]
+
+
+def _text(value: Any, number: dict[FunctionType, str]) -> str:
+    if isinstance(value, tuple):
+        return f"({','.join(_text(item, number) for item in value)})"
+    if isinstance(value, ModuleType):
+        return "ops"  # no other module passes the check
+    if callable(value):  # functions of the same name are told apart by their place among those called
+        return number.get(value) or f"{value.__module__}.{value.__name__}"
+    return f"{type(value).__name__} {value!r}"
 
 
 def _code_text(code: CodeType) -> str:

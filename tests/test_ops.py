@@ -125,8 +125,8 @@ def test_one_compiled_call(plain):
     y = np.empty_like(plain)
     parameters = np.concatenate([A, B])
     sections = {"a": ("parameters", 0, A.shape), "b": ("parameters", len(A), B.shape), "y": ("outputs", 0, y.shape)}
-    compiled = compile_kernel(all_operations, sections)
-    call = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)(compiled.address)
+    address = compile_kernel(all_operations, sections)
+    call = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)(address)
     assert call(0, address_of(parameters), 0, address_of(y), 0.0, 0) == 0
     assert_same_bits(y, plain)
 
