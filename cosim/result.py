@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
+import pickle
+import secrets
+import struct
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from fractions import Fraction
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +29,12 @@ if TYPE_CHECKING:
 
 FORMAT = "bayesftc-result-1"
 
+# What NumPy, zip and JSON raise over bytes that are not what they should be.
+_DAMAGE = (
+    OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError, SyntaxError,
+    MemoryError, zipfile.BadZipFile, zlib.error, pickle.UnpicklingError, struct.error, tokenize.TokenError,
+)  # fmt: skip
+
 
 class Result(Mapping[str, Floats]):
     """Named signals over time.
@@ -30,12 +42,25 @@ class Result(Mapping[str, Floats]):
     ``result["plant.v"]`` is an array with a row for each recorded step: of shape (rows,) for a scalar port, (rows, n) for a
     vector port, (rows, n, m) for a matrix port. No signal is copied: all are views of one recording.
 
+    Parameters
+    ----------
+    recording : ndarray, rows x scalars
+        The recorded numbers; kept, not copied.
+    columns : mapping of name to (int, tuple)
+        Where each signal begins in a row, and its shape.
+    step : Fraction
+        The base step in seconds.
+    decimation : int
+        Base steps between two rows.
+    units, metadata, stopped
+        See below.
+
     Attributes
     ----------
     units : dict
         The unit of each signal that has one.
     metadata : dict
-        What the run was: seed, step, engine, block settings.
+        What the run was: seed, duration, step, engine, kinds of blocks.
     stopped : str or None
         Why the run ended early, as a sentence; None if it did not.
     """
@@ -65,8 +90,12 @@ class Result(Mapping[str, Floats]):
         if name not in self._columns:
             raise UnknownNameError(f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}")
         start, shape = self._columns[name]
-        values = self._recording[:, start : start + int(np.prod(shape, dtype=int))]
+        values = self._recording[:, start : start + prod(shape)]
         return values.reshape(len(values), *shape) if len(shape) != 1 else values
+
+    # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
@@ -84,7 +113,7 @@ class Result(Mapping[str, Floats]):
         import pandas as pd
 
         names = [label for name in self for label in labels(name, self._columns[name][1])]
-        order = [start + i for start, shape in self._columns.values() for i in range(int(np.prod(shape, dtype=int)))]
+        order = [start + i for start, shape in self._columns.values() for i in range(prod(shape))]
         return pd.DataFrame(self._recording[:, order], index=pd.Index(self.time, name="time"), columns=names)
 
     def to_xarray(self) -> xr.Dataset:
@@ -129,21 +158,17 @@ class Result(Mapping[str, Floats]):
             "metadata": self.metadata,
             "stopped": self.stopped,
         }
+        temporary = path.with_name(f"{path.name[:100]}.{secrets.token_hex(4)}.tmp")
         try:
-            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-        except OSError as error:
-            raise ResultFileError(f"The result cannot be written to {path}: {error.strerror}; choose another folder.") from None
-        try:
-            with os.fdopen(handle, "wb") as file:
+            with open(temporary, "xb") as file:
                 np.savez_compressed(file, header=np.array(json.dumps(header)), recording=self._recording)
-            os.chmod(temporary, 0o644)
             os.replace(temporary, path)
-        except BaseException as error:
-            Path(temporary).unlink(missing_ok=True)
-            if isinstance(error, OSError):
-                message = f"The result cannot be written to {path}: {error.strerror}; choose another folder."
-                raise ResultFileError(message) from None
-            raise
+        except OSError as error:
+            reason = error.strerror or error
+            raise ResultFileError(f"The result cannot be written to {path}: {reason}; choose another folder.") from None
+        finally:
+            with suppress(OSError):  # it is there only where the write has failed
+                temporary.unlink(missing_ok=True)
         return path
 
     @classmethod
@@ -165,18 +190,24 @@ class Result(Mapping[str, Floats]):
             if header["format"] != FORMAT:
                 raise KeyError(header["format"])
             columns = {name: (start, tuple(shape)) for name, (start, shape) in header["columns"].items()}
-            step = Fraction(header["step"])
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-            raise ResultFileError(f"{path} is no result file of bayesftc, or it is damaged; run the simulation again.") from None
-        return cls(
-            recording,
-            columns,
-            step,
-            decimation=header["decimation"],
-            units=header["units"],
-            metadata=header["metadata"],
-            stopped=header["stopped"],
-        )
+            ends = [start + prod(shape) for start, shape in columns.values()]
+            if recording.dtype != np.float64 or recording.ndim != 2 or max(ends, default=0) > recording.shape[1]:
+                raise ValueError(recording.shape)
+            return cls(
+                recording,
+                columns,
+                Fraction(header["step"]),
+                decimation=header["decimation"],
+                units=header["units"],
+                metadata=header["metadata"],
+                stopped=header["stopped"],
+            )
+        except PermissionError as error:
+            raise ResultFileError(f"The result file {path} cannot be read: {error.strerror}.") from None
+        except _DAMAGE:
+            raise ResultFileError(
+                f"{path} is no result file of bayesftc, or it is damaged; run the simulation again."
+            ) from None
 
 
 def labels(name: str, shape: tuple[int, ...]) -> list[str]:
