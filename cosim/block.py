@@ -168,5 +168,7 @@ def argument_names(kernel: Kernel) -> tuple[str, ...]:
         raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
     code = kernel.__code__
     if code.co_kwonlyargcount or code.co_flags & 0x0C or kernel.__defaults__:
-        raise KernelError(f"Step function {kernel.__name__!r} must have plain arguments: no defaults, no *args, no keywords.")
+        raise KernelError(
+            f"Step function {kernel.__name__!r} must have plain arguments: no defaults, no *args, no keywords."
+        )
     return code.co_varnames[: code.co_argcount]

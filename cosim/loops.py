@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from numbers import Real
 from typing import Any
+
+import numpy as np
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram, Node
@@ -63,7 +66,9 @@ def closed_loop(
     """
     step = controller.sample_time if dt is None else dt
     if step is None:
-        raise StepSizeError(f"{type(controller).__name__} does not know its sample time; give closed_loop(dt=...) in seconds.")
+        raise StepSizeError(
+            f"{type(controller).__name__} does not know its sample time; give closed_loop(dt=...) in seconds."
+        )
     diagram = Diagram(step)
     goals = [diagram.add(block, name) for name, block in _references(reference)]
     node = diagram.add(plant, "plant")
@@ -106,8 +111,8 @@ def _names(given: Names, what: str) -> list[str]:
 
 
 def _references(given: Block | float | Sequence[Block | float]) -> list[tuple[str, Block]]:
-    several = list(given) if isinstance(given, Sequence) else [given]
-    blocks: list[Any] = [Constant(float(r)) if isinstance(r, int | float) else r for r in several]
+    several = list(given) if isinstance(given, Sequence | np.ndarray) else [given]
+    blocks: list[Any] = [Constant(float(r)) if isinstance(r, Real) else r for r in several]
     return [("reference" if len(blocks) == 1 else f"reference_{i}", block) for i, block in enumerate(blocks)]
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import isfinite
 
 import numpy as np
 
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import maximum, minimum
+from bayesftc.cosim.ops import isnan, maximum, minimum, select
 from bayesftc.cosim.ports import Port
 
 
@@ -24,7 +25,10 @@ def _gain(u, gain, offset, y):
 
 @dataclass(frozen=True)
 class Gain(Block):
-    """``y = gain @ u + offset``: a number for a scalar signal, a matrix (rows x inputs) for a vector."""
+    """``y = gain @ u + offset``: a number for a scalar signal, a matrix (rows x inputs) for a vector.
+
+    ``input_unit`` and ``output_unit`` are the ports' units, so that a Gain can convert between two.
+    """
 
     gain: float | Sequence[Sequence[float]]
     offset: float = 0.0
@@ -32,10 +36,17 @@ class Gain(Block):
     output_unit: str | None = None
 
     def __post_init__(self) -> None:
-        if np.ndim(self.gain) not in {0, 2} or not np.isfinite(np.asarray(self.gain, float)).all():
-            raise ModelError(f"Gain is {self.gain!r}; it must be a finite number, or a matrix with a row for each output.")
-        if np.ndim(self.gain):
-            object.__setattr__(self, "gain", tuple(tuple(row) for row in np.asarray(self.gain, float).tolist()))
+        try:
+            gain = np.asarray(self.gain, float)
+        except (TypeError, ValueError):  # no numbers, or rows of different lengths
+            gain = np.empty(0)
+        if gain.ndim not in {0, 2} or not gain.size or not np.isfinite(gain).all():
+            raise ModelError(
+                f"Gain is {self.gain!r}; it must be a finite number, or a matrix with a row for each output."
+            )
+        if not isfinite(self.offset):
+            raise ModelError(f"Gain has offset={self.offset!r}; it must be a finite number.")
+        object.__setattr__(self, "gain", tuple(tuple(row) for row in gain.tolist()) if gain.ndim else float(gain))
 
     @property
     def _matrix(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -58,8 +69,8 @@ class Gain(Block):
 
 
 def _sum(u, signs, y):
-    total = 0.0 * u[0]
-    for i in range(u.shape[0]):
+    total = signs[0] * u[0]
+    for i in range(1, u.shape[0]):
         total = total + signs[i] * u[i]
     y[0] = total
 
@@ -89,6 +100,11 @@ class Sum(Block):
         return Definition(_sum, parameters={"signs": [1.0 if s == "+" else -1.0 for s in self.signs]})
 
 
+def _check_size(block: UnitDelay | Saturation) -> None:
+    if isinstance(block.size, bool) or not isinstance(block.size, int | np.integer) or block.size < 1:
+        raise ModelError(f"{type(block).__name__} has size={block.size!r}; it must be a whole number, at least 1.")
+
+
 def _delay_output(held, y):
     for i in range(y.shape[0]):
         y[i] = held[i]
@@ -101,10 +117,13 @@ def _delay_update(u, held):
 
 @dataclass(frozen=True)
 class UnitDelay(Block):
-    """``y`` at t_k is ``u`` at t_k-1: breaks algebraic loops, and makes a delay visible."""
+    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements: breaks algebraic loops, and shows a delay."""
 
     size: int = 1
     initial: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_size(self)
 
     @property
     def inputs(self) -> tuple[Port, ...]:
@@ -123,20 +142,21 @@ class UnitDelay(Block):
 
 def _saturation(u, low, high, y):
     for i in range(y.shape[0]):
-        y[i] = maximum(minimum(u[i], high[0]), low[0])
+        y[i] = select(isnan(u[i]), u[i], maximum(minimum(u[i], high[0]), low[0]))
 
 
 @dataclass(frozen=True)
 class Saturation(Block):
-    """Limits each element of ``u`` to [low, high]."""
+    """Limits each of the ``size`` elements of ``u`` to [low, high]; a missing sample (NaN) stays missing."""
 
     low: float
     high: float
     size: int = 1
 
     def __post_init__(self) -> None:
+        _check_size(self)
         if not self.low <= self.high:
-            raise ModelError(f"Saturation has low={self.low!r} above high={self.high!r}; exchange them.")
+            raise ModelError(f"Saturation has low={self.low!r} and high={self.high!r}; low must not lie above high.")
 
     @property
     def inputs(self) -> tuple[Port, ...]:

@@ -67,6 +67,7 @@ def _uniform(word):
 @register_jitable(error_model="numpy")
 def _normal(p):
     """Inverse of the standard normal distribution function (Wichura 1988, AS 241, PPND16)."""
+    # fmt: off
     q = p - 0.5
     if abs(q) <= 0.425:
         r = 0.180625 - q * q
@@ -94,6 +95,7 @@ def _normal(p):
         bottom = ((((((2.04426310338993978564e-15 * r + 1.4215117583164458887e-7) * r + 1.8463183175100546818e-5) * r
             + 7.868691311456132591e-4) * r + 0.0148753612908506148525) * r + 0.13692988092273580531) * r
             + 0.59983220655588793769) * r + 1.0
+    # fmt: on
     return -top / bottom if q < 0.0 else top / bottom
 
 
@@ -122,7 +124,9 @@ def _compiled_fill() -> Any:
     return compile_function(fill, "void(uint64, uint64[:, ::1], int64, float64[:, ::1])")
 
 
-def draw_chunk(seed: int, streams: np.ndarray[Any, np.dtype[np.uint64]], first: int, buffer: np.ndarray[Any, Any]) -> None:
+def draw_chunk(
+    seed: int, streams: np.ndarray[Any, np.dtype[np.uint64]], first: int, buffer: np.ndarray[Any, Any]
+) -> None:
     """Fill `buffer` (steps x numbers) from step `first` on, with the same bits as inside the compiled engine."""
     _compiled_fill()(np.uint64(seed), streams, first, buffer)
 

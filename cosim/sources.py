@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import isfinite, pi
+from numbers import Real
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from bayesftc.cosim.ports import Port
 
 @dataclass(frozen=True)
 class Source(Block):
-    """Base of all sources: one scalar output ``y``."""
+    """Base of all sources: one scalar output ``y``, in the ``unit`` given (any, if None)."""
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -26,8 +27,9 @@ class Source(Block):
 
     def _check(self, *names: str) -> None:
         for name in names:
-            if not isfinite(getattr(self, name)):
-                raise ModelError(f"{type(self).__name__} has {name}={getattr(self, name)!r}; it must be a finite number.")
+            value = getattr(self, name)
+            if np.ndim(value) != 0 or not isinstance(value, Real) or not isfinite(value):
+                raise ModelError(f"{type(self).__name__} has {name}={value!r}; it must be a finite number.")
 
 
 def _constant(value, y):
@@ -36,7 +38,7 @@ def _constant(value, y):
 
 @dataclass(frozen=True)
 class Constant(Source):
-    """The same value at all times."""
+    """The same ``value`` at all times."""
 
     value: float
     unit: str | None = None
@@ -112,7 +114,12 @@ class Sine(Source):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        parameters = {"amplitude": self.amplitude, "rate": 2 * pi / self.period, "phase": self.phase, "offset": self.offset}
+        parameters = {
+            "amplitude": self.amplitude,
+            "rate": 2 * pi / self.period,
+            "phase": self.phase,
+            "offset": self.offset,
+        }
         return Definition(_sine, parameters=parameters)
 
 
@@ -136,6 +143,8 @@ class Table(Source):
         As many values.
     interpolate : bool
         True for straight lines, False to hold each value until the next.
+    unit : str or None
+        Unit of the output.
     """
 
     times: Sequence[float]
@@ -146,9 +155,13 @@ class Table(Source):
     def __post_init__(self) -> None:
         times, values = np.asarray(self.times, float), np.asarray(self.values, float)
         if times.ndim != 1 or times.shape != values.shape or not len(times):
-            raise ModelError(f"Table needs as many times as values, at least one; it has {times.shape} and {values.shape}.")
+            raise ModelError(
+                f"Table needs as many times as values, at least one; it has {times.shape} and {values.shape}."
+            )
         if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
-            raise ModelError("Table needs finite values at strictly rising times; sort the data and drop what is missing.")
+            raise ModelError(
+                "Table needs finite values at strictly rising times; sort the data and drop what is missing."
+            )
         object.__setattr__(self, "times", tuple(times.tolist()))
         object.__setattr__(self, "values", tuple(values.tolist()))
 
@@ -176,6 +189,8 @@ class Gaussian(Block):
         Standard deviation of each step's number; a sequence gives as many channels.
     mean : float
         Mean of every channel.
+    unit : str or None
+        Unit of the output.
     """
 
     std: float | Sequence[float]
@@ -183,11 +198,12 @@ class Gaussian(Block):
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        std = np.atleast_1d(np.asarray(self.std, float))
-        if std.ndim != 1 or not np.isfinite(std).all() or (std < 0).any() or not isfinite(self.mean):
-            raise ModelError(f"Gaussian has std={self.std!r}, mean={self.mean!r}; they must be finite and std not negative.")
-        if not isinstance(self.std, float | int):
-            object.__setattr__(self, "std", tuple(std.tolist()))
+        std = np.asarray(self.std, float)
+        if std.ndim > 1 or not std.size or not np.isfinite(std).all() or (std < 0).any() or not isfinite(self.mean):
+            raise ModelError(
+                f"Gaussian has std={self.std!r}, mean={self.mean!r}; they must be finite and std not negative."
+            )
+        object.__setattr__(self, "std", tuple(std.tolist()) if std.ndim else float(std))
 
     @property
     def shape(self) -> tuple[int, ...]:
