@@ -31,7 +31,8 @@ def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
     return signature, codegen
 
 
-@register_jitable(error_model="numpy")
+# Inlined: as a call of its own, numba passes 32 words of array descriptions, twice a step, which took longer than the FMU.
+@register_jitable(error_model="numpy", forceinline=True)
 def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
     for c in range(begin, end):
         every = calls[c, EVERY]
