@@ -126,11 +126,16 @@ def extract(archive: Archive, wanted: str) -> Path:
     folder = root / archive.digest
     if (folder / wanted).exists():
         return folder
-    with FileLock(root / f"{archive.digest}.lock"):
-        if (folder / wanted).exists():  # another process was faster
-            return folder
-        shutil.rmtree(folder, ignore_errors=True)
-        _unpack(archive, folder)
+    try:
+        with FileLock(root / f"{archive.digest}.lock"):
+            if not (folder / wanted).exists():  # else another process was faster
+                shutil.rmtree(folder, ignore_errors=True)
+                _unpack(archive, folder)
+    except OSError as error:
+        raise FMUError(
+            f"The FMU {archive.path} cannot be unpacked into {root} ({error.strerror or error}); make room there, or set "
+            "BAYESFTC_CACHE to another folder."
+        ) from None
     return folder
 
 
@@ -142,11 +147,8 @@ def _unpack(archive: Archive, folder: Path) -> None:
     try:
         fmpy.extract(archive.path, temporary)
         os.replace(temporary, folder)
-    except OSError as error:
-        raise FMUError(
-            f"The FMU {archive.path} cannot be unpacked into {folder.parent} ({error.strerror}); make room there, or set "
-            "BAYESFTC_CACHE to another folder."
-        ) from None
+    except OSError:
+        raise
     except Exception:  # noqa: BLE001 - fmpy raises plain Exception, zipfile whatever the packer did wrong
         raise _damaged(archive) from None
     finally:
