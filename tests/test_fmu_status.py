@@ -1,0 +1,79 @@
+"""What FMI functions return, for each status and in both engines, with functions that need no compiler."""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from bayesftc.cosim import _fmi_instance, _fmi_kernels
+
+
+def fake(returns, writes=()):
+    """Return a C function that returns a status and writes bytes or doubles to some of its pointer arguments."""
+
+    def values(component, references, count, array, more=0):
+        return returns["values"]
+
+    def step2(component, t, h, flag):
+        return returns["step"]
+
+    def step3(component, t, h, flag, event, terminate, early, reached):
+        for address, value in zip((event, terminate, early), writes[:3], strict=True):
+            ctypes.c_uint8.from_address(address).value = value
+        ctypes.c_double.from_address(reached).value = writes[3] if writes[3] is not None else t + h
+        return returns["step"]
+
+    return (
+        _fmi_instance._VALUES2(values),
+        _fmi_instance._VALUES3(values),
+        _fmi_instance._STEP2(step2),
+        _fmi_instance._STEP3(step3),
+    )
+
+
+STATUS = [
+    # (FMI, what get and set return, what the step returns, what fmi3DoStep writes, expected status)
+    (2, 0, 0, (), 0),
+    (2, 1, 1, (), 0),
+    (2, 0, 2, (), 302),
+    (2, 0, 4, (), 304),
+    (2, 0, 5, (), 305),
+    (2, 3, 0, (), 203),
+    (3, 0, 0, (0, 0, 0, None), 0),
+    (3, 1, 1, (1, 0, 0, None), 0),
+    (3, 0, 2, (0, 0, 0, None), 302),
+    (3, 0, 3, (0, 1, 0, None), 303),
+    (3, 4, 0, (0, 0, 0, None), 204),
+    (3, 0, 0, (0, 1, 0, None), 402),
+    (3, 0, 0, (0, 0, 1, 1.005), 401),
+    (3, 0, 0, (0, 0, 1, float("nan")), 401),
+    (3, 0, 0, (0, 0, 1, None), 0),
+]
+
+
+@pytest.mark.parametrize(("major", "values", "step", "writes", "expected"), STATUS)
+def test_status_of_every_kind_in_both_engines(major, values, step, writes, expected):
+    functions = fake({"values": values, "step": step}, writes)
+    get, advance = (functions[0], functions[2]) if major == 2 else (functions[1], functions[3])
+    addresses = tuple(ctypes.cast(f, ctypes.c_void_p).value for f in (get, get, advance))
+    u, y = np.zeros(1), np.zeros(1)
+    entry = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
+    for timing in ("plant", "sampled"):
+        steps = _fmi_instance.StepFunctions(major, addresses, 1, [0], [1], 0.01, timing)
+        plain = steps.update if timing == "plant" else steps.output
+        compiled = entry(steps.update_address if timing == "plant" else steps.output_address)
+        assert len(steps.table) <= 32
+        assert plain(u, y, 1.0) == expected
+        assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == expected
+    if values > 1:
+        steps = _fmi_instance.StepFunctions(major, addresses, 1, [0], [1], 0.01, "plant")
+        assert steps.output(u, y, 1.0) == 100 + values
+        compiled = entry(steps.output_address)
+        assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == 100 + values
+    del functions
+
+
+def test_both_engines_have_the_same_codes():
+    for name in ("GET", "SET", "STEP", "EARLY", "TERMINATED"):
+        assert getattr(_fmi_instance, name) == getattr(_fmi_kernels, name)
+    assert _fmi_instance._TOLERANCE == _fmi_kernels.TOLERANCE
