@@ -102,6 +102,30 @@ def example(
 
 
 @app.command()
+def calibrate(
+    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a shipped one.")],
+    time_to_fault: Annotated[float, typer.Option(help="Mean time to a fault in seconds.")] = 2.8,
+    time_to_recovery: Annotated[float, typer.Option(help="Mean time to recovery in seconds.")] = 0.4,
+    injection: Annotated[float | None, typer.Option(help="Offset of an injection; by default 3 sensor sd.")] = None,
+    drift: Annotated[float | None, typer.Option(help="Drift per second; by default 5 sensor sd.")] = None,
+    steps: Annotated[int, typer.Option(help="Length of the simulated run.")] = 80_000,
+    seed: Annotated[int, typer.Option(help="Seed of its noise and faults.")] = 0,
+    json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file."""
+    with guarded(debug):
+        from bayesftc.cli.calibrate import calibrate_scenario
+        from bayesftc.controllers import Hazards
+
+        sizes = {"injection": injection, "drift": drift}
+        magnitudes = {name: size for name, size in sizes.items() if size is not None}
+        calibrate_scenario(
+            scenario, Hazards(time_to_fault, time_to_recovery), magnitudes, steps=steps, seed=seed, json=json
+        )
+
+
+@app.command()
 def bench(json: Json = False, debug: Debug = False) -> None:
     """Measure the speed of the engines on this machine."""
     with guarded(debug):

@@ -1,0 +1,61 @@
+"""``bayesftc calibrate``: from a scenario to the logistic map that its precision learner needs for a fault probability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+
+import typer
+
+from bayesftc.cli import output
+from bayesftc.controllers import BayesianController, GammaPrecision, Hazards, calibrate
+from bayesftc.cosim.errors import ModelError
+from bayesftc.scenario import load_scenario
+
+
+def calibrate_scenario(
+    path: str, hazards: Hazards, magnitudes: Mapping[str, float], *, steps: int, seed: int, json: bool
+) -> None:
+    """Fit the map for a scenario's model, learner, controller and reference, and print it as a line of TOML.
+
+    Parameters
+    ----------
+    path : str
+        A scenario file or the name of a shipped scenario; its plant and faults are not used, its model is simulated.
+    hazards : Hazards
+        Mean time to fault and to recovery in seconds.
+    magnitudes : mapping
+        ``injection`` and ``drift``; what is left out has the default of `bayesftc.controllers.calibrate`.
+    steps, seed : int
+        Length and seed of the simulated run.
+    json : bool
+        Whether to print JSON instead.
+    """
+    scenario = load_scenario(path)
+    controller = scenario.controller
+    precision = getattr(controller, "precision", None)
+    if not isinstance(controller, BayesianController) or not isinstance(precision, GammaPrecision):
+        raise ModelError(
+            f"{path}: only GammaPrecision takes a calibration, not {type(precision).__name__}; choose it as its kind."
+        )
+    own = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name not in {"model", "precision"}}
+    report = calibrate(
+        controller.model,
+        hazards,
+        magnitudes,
+        precision=precision,
+        reference=scenario.reference,
+        steps=steps,
+        seed=seed,
+        **own,
+    )
+    if json:
+        typer.echo(output.as_json(asdict(report)))
+        return
+    c = report.calibration
+    typer.echo(
+        f"On {report.samples} samples that were not fitted, {report.fault_share:.1%} of them in fault: AUC {report.auc:.3f}, "
+        f"Brier score {report.brier:.4f} (a constant: {report.brier_of_constant:.4f}), calibration error "
+        f"{report.calibration_error:.3f}.\nFor [controller.precision]:\n"
+    )
+    typer.echo(f'calibration = {{ slope = {c.slope:.4g}, intercept = {c.intercept:.4g}, feature = "{c.feature}" }}')
