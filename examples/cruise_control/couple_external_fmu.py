@@ -41,9 +41,8 @@ def main(argv: Sequence[str] | None = None) -> cosim.Result:
 
     plant = cosim.FMU(arguments.fmu)
     a, b, variance = fit(plant, arguments)
-    print(
-        f"{plant.default_name}: {arguments.measured}(t+1) = {a:.6f} {arguments.measured}(t) + {b:.6g} {arguments.control}(t) + ..."
-    )
+    y, u = arguments.measured, arguments.control
+    print(f"{plant.default_name}: {y}(t+1) = {a:.6f} {y}(t) + {b:.6g} {u}(t) + ...")
     model = controllers.LinearModel(
         A=[[a]],
         B=[[b]],
@@ -67,13 +66,9 @@ def main(argv: Sequence[str] | None = None) -> cosim.Result:
     )
     result = loop.simulate(arguments.duration, seed=1)
     value, half = result[f"plant.{y}"], len(result.time) // 2
-    for what, part in (
-        ("both sensors right", slice(half // 2, half)),
-        ("one sensor wrong", slice(half + half // 2, None)),
-    ):
-        print(
-            f"{what}: {arguments.measured} = {np.mean(value[part]):.3f} +- {np.std(value[part]):.3f}, wanted {arguments.around:g}"
-        )
+    halves = {"both sensors right": value[half // 2 : half], "one sensor wrong": value[half + half // 2 :]}
+    for what, part in halves.items():
+        print(f"{what}: {y} = {np.mean(part):.3f} +- {np.std(part):.3f}, wanted {arguments.around:g}")
     return result
 
 
