@@ -46,7 +46,7 @@ class Detection:
         Its number.
     fault_share : float
         Share of the samples in which a fault was present.
-    faults : int
+    faults : float
         How many faults there were.
     missed : float
         How many of them were missed.
@@ -64,7 +64,7 @@ class Detection:
 
     sensor: int
     fault_share: float
-    faults: int
+    faults: float
     missed: float
     delay: float
     false_alarm_rate: float
@@ -125,10 +125,10 @@ def periods(flags: Flags) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def errors_by_phase(error: Floats | None, faulty: Flags) -> Errors:
-    """Return the root-mean-square errors of the phases of a run; all NaN if there is no error signal."""
-    if error is None:
-        return Errors(NAN, NAN, NAN, NAN)
+def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
+    """Return the root-mean-square errors of the phases of a run; NaN what needs a signal that is None."""
+    if error is None or faulty is None:
+        return Errors(NAN if error is None else rmse(error), NAN, NAN, NAN)
     begun = np.logical_or.accumulate(faulty)
     return Errors(rmse(error), rmse(error, ~begun), rmse(error, faulty), rmse(error, begun & ~faulty))
 
@@ -136,6 +136,8 @@ def errors_by_phase(error: Floats | None, faulty: Flags) -> Errors:
 def detection(signals: SensorSignals, time: Floats) -> Detection:
     """Return how the faults of one sensor were seen, from its signals and the time of each row in seconds."""
     faulty, probability = signals.faulty, signals.probability
+    if faulty is None:
+        return Detection(signals.index, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
     present = periods(faulty)
     missed = delay = false_alarms = NAN
     if probability is not None and not np.isnan(probability).all():

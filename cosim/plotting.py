@@ -197,8 +197,8 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
 def _shade(axis: Axes, signals: LoopSignals) -> None:
     """Shade the faults of each sensor in its colour, over the whole height."""
     for sensor in signals.sensors:
-        if sensor.faulty.any():
-            where = sensor.faulty
+        where = sensor.faulty
+        if where is not None and where.any():
             height = axis.get_xaxis_transform()
             style: dict[str, Any] = {
                 "color": _colour(sensor.index),

@@ -28,15 +28,15 @@ class SensorSignals:
         Its number, from 0.
     samples : array
         What the controller was given (NaN for a missing sample).
-    faulty : array of bool
-        Whether one of its faults was present.
+    faulty : array of bool or None
+        Whether one of its faults was present; None if that was not recorded.
     precision, beta, probability : array
         The controller's outputs for this sensor.
     """
 
     index: int
     samples: Floats | None
-    faulty: Flags
+    faulty: Flags | None
     precision: Floats | None
     beta: Floats | None
     probability: Floats | None
@@ -72,7 +72,10 @@ class QuantitySignals:
 
 @dataclass(frozen=True, eq=False)
 class LoopSignals:
-    """A run of a closed loop: time in seconds, the measured quantities, the sensors, and the faults' names."""
+    """A run of a closed loop: time in seconds, the measured quantities, the sensors.
+
+    ``faults`` has for each fault that was recorded the number of its sensor and when it was present.
+    """
 
     time: Floats
     quantities: tuple[QuantitySignals, ...]
@@ -80,9 +83,10 @@ class LoopSignals:
     faults: Mapping[str, tuple[int, Flags]]
 
     @property
-    def faulty(self) -> Flags:
-        """Whether any sensor had a fault."""
-        return np.any([s.faulty for s in self.sensors], axis=0)  # type: ignore[no-any-return]
+    def faulty(self) -> Flags | None:
+        """Whether any sensor had a fault; None if not all of that was recorded."""
+        known = [s.faulty for s in self.sensors if s.faulty is not None]
+        return np.any(known, axis=0) if known and len(known) == len(self.sensors) else None
 
 
 def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
@@ -104,9 +108,7 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
     reader = _Reader(diagram, result)
     seen, brain = _sensors(diagram), _controller(diagram)
     faults = {
-        node.name: (node.block.sensor, reader.flags(f"{node.name}.active"))
-        for node in diagram.nodes
-        if isinstance(node.block, Fault)
+        n.name: (n.block.sensor, reader.flags(f"{n.name}.active")) for n in diagram.nodes if isinstance(n.block, Fault)
     }
     parameters = brain.block.define(diagram.step * brain.every).parameters
     C, G = (np.atleast_2d(np.asarray(parameters[name])) if name in parameters else None for name in ("C", "G"))
@@ -117,12 +119,13 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
         SensorSignals(
             i,
             reader.source(brain, "y", i),
-            np.any([none, *(active for sensor, active in faults.values() if sensor == i)], axis=0),
+            _any([none, *(active for sensor, active in faults.values() if sensor == i)]),
             *(None if values is None else values[:, i] for values in outputs.values()),
         )
         for i in range(y.size)
     )
-    return LoopSignals(result.time, _quantities(reader, seen, brain, C, G), sensors, faults)
+    known = {name: (sensor, active) for name, (sensor, active) in faults.items() if active is not None}
+    return LoopSignals(result.time, _quantities(reader, seen, brain, C, G), sensors, known)
 
 
 class _Reader:
@@ -135,9 +138,9 @@ class _Reader:
     def signal(self, name: str) -> Floats | None:
         return self.result[name] if name in self.names else None
 
-    def flags(self, name: str) -> Flags:
+    def flags(self, name: str) -> Flags | None:
         values = self.signal(name)
-        return np.zeros(len(self.result.time), bool) if values is None else values > 0.5  # type: ignore[return-value]
+        return None if values is None else values > 0.5  # type: ignore[return-value]
 
     def source(self, node: Node, port: str, element: int) -> Floats | None:
         """Return what feeds one element of an input."""
@@ -146,6 +149,11 @@ class _Reader:
             return None
         values = self.signal(f"{found[0].node.name}.{found[0].port.name}")
         return values if values is None or values.ndim == 1 else values[:, found[1]]
+
+
+def _any(flags: list[Flags | None]) -> Flags | None:
+    known = [f for f in flags if f is not None]
+    return np.any(known, axis=0) if len(known) == len(flags) else None
 
 
 def _quantities(

@@ -1,7 +1,7 @@
 """How a command ends when something goes wrong: one sentence on stderr and an exit code, no traceback.
 
-Exit codes: 2 a wrong command line; 3 to 12 the kinds of `BayesFTCError` (each has its ``exit_code``); 70 a bug of ours; 130
-stopped by Ctrl-C.
+Exit codes: 2 a wrong command line; 3 to 12 the kinds of `BayesFTCError` (each has its ``exit_code``); 70 a bug of ours;
+71 not enough memory; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 import typer
 
-BUG, INTERRUPTED, BROKEN_PIPE = 70, 130, 141
+BUG, NO_MEMORY, INTERRUPTED, BROKEN_PIPE = 70, 71, 130, 141
 
 
 @contextmanager
@@ -41,6 +41,11 @@ def guarded(debug: bool = False) -> Iterator[None]:
     except KeyboardInterrupt:
         _say("Stopped by Ctrl-C before the end; no file of this run was left behind.")
         raise typer.Exit(INTERRUPTED) from None
+    except MemoryError:
+        _say(
+            "Error: there is not enough memory for this run; record fewer signals or take a decimation, in [simulation]."
+        )
+        raise typer.Exit(NO_MEMORY) from None
     except BrokenPipeError:  # the reader of our output, such as `head`, has what it wanted
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         raise typer.Exit(BROKEN_PIPE) from None

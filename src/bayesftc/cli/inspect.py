@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayesftc.cosim.errors import FMUError, did_you_mean
 from bayesftc.cosim.fmu import describe
 
 if TYPE_CHECKING:
@@ -47,9 +48,12 @@ def find_fmu(name: str) -> Path:
     """Return the file that is meant: a path, or else a shipped FMU's name."""
     from bayesftc import fmus
 
-    if not Path(name).expanduser().exists() and name in fmus.names():
-        return fmus.path(name)
-    return Path(name).expanduser()
+    path = Path(name).expanduser()
+    if path.exists() or path.suffix.lower() == ".fmu" or path.name != name:
+        return path
+    if name not in fmus.names():
+        raise FMUError(f"There is no FMU {name!r}, neither as a file nor shipped; {did_you_mean(name, fmus.names())}")
+    return fmus.path(name)
 
 
 def _print(path: Path, description: FMUDescription) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
+import secrets
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +43,10 @@ def prepare_folder(folder: Path) -> Path:
     ResultFileError
         If it cannot be made or written to.
     """
+    if folder.exists() and not folder.is_dir():
+        raise ResultFileError(
+            f"Nothing can be written into {folder}: it is a file, and must be a folder; choose another name."
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -72,20 +77,15 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a file beside `path`, then move it there in one step; a failure leaves nothing behind."""
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    except OSError as error:
-        raise ResultFileError(f"{path} cannot be written ({error.strerror}); choose another folder.") from None
-    os.close(handle)
-    temporary = Path(name)
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         write(temporary)
-        temporary.chmod(0o644)
         temporary.replace(path)
     except OSError as error:
-        raise ResultFileError(f"{path} cannot be written ({error.strerror}); choose another folder.") from None
+        raise ResultFileError(f"{path} cannot be written ({error.strerror or error}); choose another folder.") from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # it is there only where the write has failed
+            temporary.unlink(missing_ok=True)
 
 
 def as_json(numbers: Mapping[str, Any]) -> str:

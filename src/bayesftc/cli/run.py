@@ -94,6 +94,8 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
             )
         elif quantity.reference is None:
             notes.append(f"{quantity.name} has no tracking error: no element of the goal is for it.")
+    if signals.faulty is None:
+        notes.append("When faults were present was not recorded, so nothing can be said of their detection.")
     if not signals.quantities:
         notes.append(
             "What the sensors measure is a function of the plant's outputs, so true values are not known here."

@@ -41,7 +41,7 @@ def find_scenario(path: str | os.PathLike[str]) -> Path:
                 f"There is no scenario file {path}: the folder {folder} does not exist; check the path."
             )
         near = did_you_mean(file.name, [f.name for f in folder.glob("*.toml")])
-        raise ScenarioError(f"There is no scenario file {path}; in that folder: {near}")
+        raise ScenarioError(f"There is no scenario file {path}; {near}")
     raise ScenarioError(f"There is no scenario {name!r}, neither as a file nor shipped; {did_you_mean(name, shipped)}")
 
 

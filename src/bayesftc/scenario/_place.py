@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
+from bayesftc.cosim.errors import BayesFTCError, ScenarioError, SimulationError, did_you_mean
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Place:
         """Put the place before the sentence of any error that is raised inside; its kind and exit code stay."""
         try:
             yield
-        except ScenarioError:
+        except (ScenarioError, SimulationError):  # the one has its place, the other is about the run, not the file
             raise
         except BayesFTCError as error:
             raise type(error)(f"{self}: {error}") from error

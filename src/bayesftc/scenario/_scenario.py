@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,9 +98,13 @@ class Scenario:
         Result
             Signals by name.
         """
-        settings = {f.name: getattr(self.simulation, f.name) for f in fields(self.simulation) if f.name != "dt"}
-        settings |= {name: value for name, value in options.items() if value is not None}
-        return (self.loop() if loop is None else loop).simulate(**settings)
+        own = {f.name: getattr(self.simulation, f.name) for f in fields(self.simulation) if f.name != "dt"}
+        given = {name: value for name, value in options.items() if value is not None}
+        # What is wrong with a setting is put down to the file only where the file says it.
+        place = Place(str(self.path)).named() if not own.keys() & given.keys() else nullcontext()
+        diagram = self.loop() if loop is None else loop
+        with place:
+            return diagram.simulate(**(own | given))
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:

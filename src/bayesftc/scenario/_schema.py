@@ -95,7 +95,8 @@ def convert(value: object, hint: Any, place: Place) -> Any:
     try:
         return _adapter(plain).validate_python(_tuples(value), strict=True)
     except ValidationError:
-        raise place.error(f"is {value!r}; it must be {_wanted(hint)}.") from None
+        shown = str(value).lower() if isinstance(value, bool) else repr(value)
+        raise place.error(f"is {shown}; it must be {_wanted(hint)}.") from None
 
 
 @cache
@@ -150,7 +151,7 @@ def _wanted(hint: Any) -> str:
     for word in _words(_writable(hint)):
         if word not in words:
             words.append(word)
-    return " or ".join(words) or "a table"
+    return " or ".join(filter(None, (", ".join(words[:-1]), *words[-1:]))) or "a table"
 
 
 def _words(hint: Any) -> list[str]:

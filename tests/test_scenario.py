@@ -1,0 +1,291 @@
+"""Scenario files: what they may say, what comes of it, and what is said of a file that is wrong."""
+
+import tomllib
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from bayesftc import controllers, cosim, fmus
+from bayesftc.controllers.registry import LEARNERS
+from bayesftc.cosim.errors import (
+    ConnectionError,
+    FMUError,
+    ModelError,
+    ScenarioError,
+    SimulationError,
+    StepSizeError,
+    UnknownNameError,
+)
+from bayesftc.cosim.faults import FAULTS
+from bayesftc.scenario import find_scenario, load_scenario, shipped_scenarios
+
+CAR = shipped_scenarios()["cruise_control"].read_text()
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write the shipped scenario with some text replaced; return the file."""
+
+    def write(*changes, name="car.toml", text=CAR):
+        for old, new in changes:
+            assert old in text, old
+            text = text.replace(old, new, 1)
+        file = tmp_path / name
+        file.write_text(text)
+        return file
+
+    return write
+
+
+def short(scenario, **options):
+    return scenario.simulate(duration=options.pop("duration", 0.2), engine="interpreted", **options)
+
+
+def test_the_shipped_scenario_is_the_loop_of_the_python_example(same_bits):
+    from bayesftc.examples.cruise_control.cruise_control import cruise_control
+
+    scenario = load_scenario("cruise_control")
+    other = cruise_control(scenario.controller.precision).simulate(
+        7.0, seed=scenario.simulation.seed, engine="interpreted"
+    )
+    result = scenario.simulate(duration=7.0, engine="interpreted")
+    assert list(result) == list(other)
+    # The file gives numbers where the script computes them: equal but for rounding.
+    np.testing.assert_allclose(result["plant.v"], other["plant.v"], rtol=1e-12)
+    assert scenario.simulation.duration == 20.0
+    assert [(f.sensor, f.start, f.stop) for f in scenario.faults] == [(0, 6.0, 14.0)]
+    assert scenario.controller.precision.forgetting == 0.95
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
+def test_every_fault_can_be_said(write, fault):
+    needed = {
+        "Bias": "magnitude",
+        "Drift": "slope",
+        "GainFault": "factor",
+        "Spikes": "magnitude",
+        "NoiseIncrease": "std",
+    }
+    extra = f"\n{needed[fault.__name__]} = 2" if fault.__name__ in needed else ""
+    scenario = load_scenario(write(('kind = "Freeze"', f'kind = "{fault.__name__}"{extra}')))
+    assert type(scenario.faults[0]) is fault
+
+
+@pytest.mark.parametrize("learner", LEARNERS, ids=lambda c: c.__name__)
+@pytest.mark.parametrize("spelling", ["{}", "lower"])
+def test_every_learner_can_be_said(write, learner, spelling):
+    text = CAR[: CAR.index("[controller.precision]")] + "[controller.precision]\nkind = "
+    name = learner.__name__.lower() if spelling == "lower" else learner.__name__
+    assert type(load_scenario(write(text=f'{text}"{name}"')).controller.precision) is learner
+
+
+def test_nested_tables_become_blocks(write):
+    fault = """kind = "random_faults"
+kinds = [{ kind = "freeze" }, { kind = "drift", slope = 2 }]
+mean_time_to_fault = 3
+mean_time_to_recovery = 1
+name = "any"
+"""
+    scenario = load_scenario(write(('kind = "Freeze"\n', fault)))
+    assert scenario.faults[0].kinds == (cosim.Freeze(), cosim.Drift(slope=2.0))
+    assert short(scenario)["any.kind"].shape == (11,)
+
+
+@pytest.mark.parametrize(
+    ("section", "value"),
+    [
+        ("[reference]\nkind = 'Constant'\nvalue = 21", 21.0),
+        ("[[reference]]\nkind = 'Step'\ntime = 0\nafter = 19", 19.0),
+    ],
+)
+def test_references(write, section, value):
+    start, end = CAR.index("[reference]"), CAR.index("[model]")
+    scenario = load_scenario(write(text=CAR[:start] + section + "\n" + CAR[end:]))
+    assert short(scenario)["reference.y"][-1] == value
+
+
+def test_a_reference_may_be_a_number(write):
+    start, end = CAR.index("[reference]"), CAR.index("[model]")
+    scenario = load_scenario(write(text="reference = 18\n" + CAR[:start] + CAR[end:]))
+    assert scenario.reference == [cosim.Constant(18.0)]
+
+
+def test_sensors_faults_and_noise_may_be_left_out(write):
+    text = CAR[: CAR.index("[noise.")] + CAR[CAR.index("[reference]") :]
+    scenario = load_scenario(write(("C = [[1.0], [1.0]]", "C = [[1.0]]"), text=text))
+    result = short(scenario)
+    np.testing.assert_array_equal(result["sensors.y"][:, 0], result["plant.v"])
+
+
+def test_a_linear_plant_runs_as_the_fmu_does(write):
+    """The plant's matrices are the FMU's map, so the loop is the same."""
+    plant = """A = [[0.999]]
+B = [[2e-4, 1.0]]
+C = [[1.0]]
+dt = 0.02
+inputs = ["force", "disturbance"]
+outputs = ["v"]
+initial = [20.0]
+"""
+    linear = load_scenario(
+        write(('fmu = "CruiseControl"', plant), ("parameters = { v0 = 20.0 }", "#"), name="linear.toml")
+    )
+    ours, theirs = (short(s, duration=1.0)["plant.v"] for s in (linear, load_scenario("cruise_control")))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+def test_continuous_linear_plant_with_process_noise(write):
+    plant = "A = [[-0.05]]\nB = [[0.01]]\nC = [[1.0]]\ndt = 0\nprocess_noise = [[1e-4]]\ninitial = [20.0]\n"
+    text = CAR[: CAR.index("[noise.")] + CAR[CAR.index("[sensors]") :]
+    changes = [
+        ('fmu = "CruiseControl"', plant),
+        ("parameters = { v0 = 20.0 }", "#"),
+        ('"force"', '"u"'),
+        ('"v"', '"y"'),
+    ]
+    values = short(load_scenario(write(*changes, text=text)))["plant.y"]
+    assert values[0] == 20.0
+    assert len(np.unique(values)) == len(values)
+
+
+def test_paths_are_relative_to_the_file(write, monkeypatch, tmp_path):
+    folder = tmp_path / "sub"
+    folder.mkdir()
+    (folder / "my.fmu").write_bytes(fmus.path("CruiseControl").read_bytes())
+    file = write(('"CruiseControl"', '"sub/my.fmu"'))
+    monkeypatch.chdir(folder)
+    assert load_scenario(file).plant.path == folder / "my.fmu"
+
+
+def test_the_version_of_a_shipped_fmu(write):
+    file = write(('fmu = "CruiseControl"', 'fmu = "CruiseControl"\nfmi = "3.0"'))
+    assert load_scenario(file).plant.description.fmi_version == "3.0"
+
+
+def test_dt_may_stand_with_the_simulation(write):
+    file = write(("dt = 0.02 # s", ""), ("seed = 1", 'dt = "1/50"'))
+    assert load_scenario(file).loop().step == cosim.Diagram(0.02).step
+
+
+def test_disturbance(write):
+    file = write(("sensor_covariance = 1.0", "sensor_covariance = 1.0\ndisturbance = 1e-4"))
+    assert load_scenario(file).controller.model.disturbances == 1
+
+
+def test_options_stand_above_the_file(write):
+    scenario = load_scenario(write(("seed = 1", 'seed = 1\nrecord = ["plant.*"]\ndecimation = 2')))
+    result = short(scenario, seed=5, duration=0.4)
+    assert result.metadata["seed"] == 5
+    assert list(result) == ["plant.v"]
+    assert len(result.time) == 11
+    assert len(short(scenario, decimation=1, seed=None).time) == 11
+
+
+WRONG = {
+    "unknown key": (("std = 1.0", "sdt = 1.0"), ScenarioError, ["'sensors'", "'sdt'", "did you mean 'std'"]),
+    "unknown nested key": (("{ slope =", "{ slop ="), ScenarioError, ["controller.precision.calibration", "'slope'"]),
+    "unknown section": (("[sensors]", "[sensor]"), ScenarioError, ["section 'sensor'", "'sensors'"]),
+    "text for number": (("start = 6.0", "start = 'six'"), ScenarioError, ["faults[0].start", "'six'", "a number"]),
+    "bool for number": (("start = 6.0", "start = true"), ScenarioError, ["faults[0].start", "true", "a number"]),
+    "float for count": (("count = 2", "count = 2.0"), ScenarioError, ["sensors.count", "whole number"]),
+    "choice": (("seed = 1", "engine = 'fast'"), ScenarioError, ["simulation.engine", "'auto', 'compiled' or 'interpreted'"]),
+    "unknown kind": (('"Freeze"', '"Freze"'), ScenarioError, ["faults[0].kind", "'Freze'", "did you mean 'Freeze'"]),
+    "far kind": (('"Freeze"', "7"), ScenarioError, ["faults[0].kind", "known kinds: Freeze, Injection"]),
+    "no kind": (('kind = "Freeze"\n', ""), ScenarioError, ["faults[0]", "lacks 'kind'", "'Freeze'"]),
+    "no section": (("[reference]", "[model.x]"), ScenarioError, ["lacks the section [reference]"]),
+    "no key": (("amplitude = 5.0\n", ""), ScenarioError, ["'reference'", "amplitude", "Sine", "a number"]),
+    "no plant": (('fmu = "CruiseControl"', "#"), ScenarioError, ["'plant'", "fmu = ", "A, B, C"]),
+    "one bracket": (("[[faults]]", "[faults]"), ScenarioError, ["'faults'", "[[faults]]"]),
+    "function": (("count = 2", "count = 2\nfunction = 'sin'"), ScenarioError, ["sensors.function", "Python script"]),
+    "syntax": (("count = 2", "count = "), ScenarioError, ["no valid TOML", "line 21"]),
+    "twice": (("seed = 1", "seed = 1\nseed = 2"), ScenarioError, ["no valid TOML", "line 9"]),
+    "fmi of a file": (('"CruiseControl"', '"a.fmu"\nfmi = "2.0"'), ScenarioError, ["plant.fmi", "leave 'fmi' out"]),
+    "fmu name": (('"CruiseControl"', '"CruseControl"'), FMUError, ["plant.fmu", "CruiseControl", ".fmu"]),
+    "fmu file": (('"CruiseControl"', '"nope.fmu"'), FMUError, ["'plant'", "nope.fmu"]),
+    "parameter": (("v0 = 20.0", "v00 = 20.0"), UnknownNameError, ["'plant'", "'v00'", "did you mean 'v0'"]),
+    "control": (('"force"', '"forces"'), UnknownNameError, ["'forces'", "did you mean 'force'"]),
+    "noise input": (("[noise.disturbance]", "[noise.disturb]"), UnknownNameError, ["'disturb'"]),
+    "sensor count": (("C = [[1.0], [1.0]]", "C = [[1.0]]"), ConnectionError, ["1 sensors", "2"]),
+    "duration": (("duration = 20.0", "duration = '20 s'"), StepSizeError, ["'simulation'", "'20 s'"]),
+    "dt": (("dt = 0.02", "dt = 'x'"), StepSizeError, ["'model'", "'x'"]),
+    "setting": (("forgetting = 0.95", "forgetting = 1.5"), ModelError, ["controller.precision", "forgetting=1.5"]),
+    "window": (("stop = 14.0", "stop = 4.0"), ModelError, ["faults[0]", "stop=4.0"]),
+    "matrix": (("A = [[0.999]]", "A = [[0.999, 1.0]]"), ModelError, ["'model'", "square"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_wrong_is_said_with_its_place(write, case):
+    change, error, words = WRONG[case]
+    file = write(change)
+    with pytest.raises(error) as caught:
+        load_scenario(file).loop()
+    message = str(caught.value)
+    assert type(caught.value) is error
+    assert message.startswith(str(file))
+    assert message.endswith((".", "?"))
+    for word in words:
+        assert word in message, message
+
+
+def test_what_the_run_has_against_the_file_names_the_file(write):
+    scenario = load_scenario(write(("duration = 20.0", "duration = 20.01")))
+    with pytest.raises(StepSizeError, match=r"car\.toml: The duration"):
+        scenario.simulate()
+    with pytest.raises(StepSizeError, match=r"^The duration of 0\.03"):  # not the file's fault
+        scenario.simulate(duration=0.03)
+
+
+def test_a_failing_run_keeps_its_result(write):
+    scenario = load_scenario(write(("v0 = 20.0", "m = 1e-320, v0 = 20.0")))
+    with pytest.raises(SimulationError) as caught:
+        short(scenario)
+    assert len(caught.value.result.time) == 1
+
+
+def test_finding_files(tmp_path, monkeypatch, write):
+    file = write()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cruise_control").mkdir()  # a folder of the example's name does not hide it
+    assert find_scenario("car.toml").resolve() == file
+    assert find_scenario("cruise_control") == shipped_scenarios()["cruise_control"]
+    for name, words in {
+        "kar.toml": "did you mean 'car.toml'",
+        "nowhere/car.toml": "does not exist",
+        "cruise": "did you mean 'cruise_control'",
+        str(tmp_path): "is a folder",
+    }.items():
+        with pytest.raises(ScenarioError, match=words):
+            find_scenario(name)
+
+
+def test_files_that_are_no_text(tmp_path):
+    file = tmp_path / "car.toml"
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ScenarioError, match="UTF-8"):
+        load_scenario(file)
+    file.write_bytes(b"\xef\xbb\xbf" + CAR.encode())  # as Windows editors save it
+    assert load_scenario(file).simulation.seed == 1
+    file.write_text("x = " + "[" * 3000)
+    with pytest.raises(ScenarioError):
+        load_scenario(file)
+
+
+def test_every_setting_of_every_kind_can_be_written_in_toml():
+    """A new field with a type that TOML cannot express must be left out knowingly."""
+    from typing import get_type_hints
+
+    from bayesftc.scenario._schema import _dataclasses, _writable
+    from bayesftc.scenario._sections import CONTROLLERS, SOURCES
+
+    unsaid = set()
+    for cls in (*FAULTS, *LEARNERS, *SOURCES, *CONTROLLERS, cosim.Sensors, controllers.LinearModel):
+        hints = get_type_hints(cls)
+        for field in fields(cls):
+            if field.init and _writable(hints[field.name]) is type(None) and not _dataclasses(hints[field.name]):
+                unsaid.add(f"{cls.__name__}.{field.name}")
+    assert unsaid == {"Sensors.function"}
+    assert set(tomllib.loads(CAR)) == {
+        "simulation", "plant", "noise", "sensors", "faults", "reference", "model", "controller",
+    }  # fmt: skip
