@@ -8,6 +8,7 @@ on (:mod:`bayesftc.cosim._fingerprint`); numba then caches that module's compile
 
 from __future__ import annotations
 
+import builtins
 import hashlib
 import operator
 import os
@@ -28,7 +29,7 @@ from numba.extending import intrinsic, overload
 
 from bayesftc.cosim import _numba_ops
 from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim._fingerprint import Kernel, environment, fingerprint, functions_called, where
+from bayesftc.cosim._fingerprint import Kernel, environment, fingerprint, functions_called, references, where
 from bayesftc.cosim.errors import BayesFTCError, KernelError
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
@@ -84,7 +85,10 @@ def compile_kernel(kernel: Kernel, sections: dict[str, tuple[str, int, tuple[int
                 return address
         seen = _seen(kernel)
         name = f"block_{kernel.__name__.strip('<>')[:40]}_{fingerprint(kernel, body)}"
-        address = int(_load(name, body, {"kernel": kernel}, functions_called(kernel)).entry.address)
+        if name not in _modules:
+            twins = _twins(functions_called(kernel))
+            _load(name, body, {"kernel": twins[-1]}, twins)
+        address = int(_modules[name].entry.address)
         known[body] = seen, address
     return address
 
@@ -100,6 +104,24 @@ def _seen(kernel: FunctionType) -> list[Any]:
         found += [function.__code__, *values]
         functions += [value for value in values if isinstance(value, FunctionType) and value not in functions]
     return found
+
+
+def _twins(functions: list[FunctionType]) -> list[FunctionType]:
+    """Return copies of functions, callees first, that hold what the originals' globals and closures hold now.
+
+    numba keeps the code of a function it has seen: after a change of a global it would compile the old value again, and that
+    code would be stored under the new one's fingerprint.
+    """
+    twins: dict[FunctionType, FunctionType] = {}
+    for function in functions:
+        now = {name: twins.get(value, value) if callable(value) else value for name, value in references(function)}
+        closure = tuple(CellType(now[name]) for name in function.__code__.co_freevars)
+        # The name of a module that any process can import, which stored code refers to; a function made by exec has none.
+        namespace = {"__name__": __name__, "__builtins__": builtins, **now}
+        twin = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__, closure or None)
+        twin.__kwdefaults__ = function.__kwdefaults__
+        twins[function] = twin
+    return list(twins.values())
 
 
 def _filled(cell: CellType) -> bool:

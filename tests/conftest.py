@@ -1,0 +1,75 @@
+"""What several test modules share."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bayesftc.cosim import Block, Definition
+
+
+def assert_bits(a, b, what=""):
+    a, b = np.asarray(a), np.asarray(b)
+    assert a.shape == b.shape, (what, a.shape, b.shape)
+    same = (a.view(np.uint64) == b.view(np.uint64)) | (np.isnan(a) & np.isnan(b))
+    assert same.all(), (what, np.argwhere(~same)[:3].tolist(), a[~same][:3], b[~same][:3])
+
+
+@pytest.fixture(scope="session")
+def same_bits():
+    """Equality of every bit; all NaNs are one."""
+    return assert_bits
+
+
+@pytest.fixture(scope="session")
+def run_both():
+    """Simulate in both engines, insist on the same bits, and return the result."""
+
+    def run(diagram, duration, **options):
+        compiled = diagram.simulate(duration, engine="compiled", **options)
+        interpreted = diagram.simulate(duration, engine="interpreted", **options)
+        assert list(compiled) == list(interpreted)
+        for name in compiled:
+            assert_bits(compiled[name], interpreted[name], name)
+        assert_bits(compiled.time, interpreted.time)
+        return compiled
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def make_block():
+    """Return a block from its parts, without writing a class."""
+
+    def make(*, inputs=(), outputs=(), finite=False, sample_time=None, name="custom", **definition):
+        parts = {
+            "inputs": property(lambda self: tuple(inputs)),
+            "outputs": property(lambda self: tuple(outputs)),
+            "sample_time": property(lambda self: sample_time),
+            "checks_finite": finite,
+            "define": lambda self, step: Definition(**definition),
+        }
+        return type(name.capitalize(), (Block,), parts)()
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def python():
+    """Run a Python text in a process of its own and return what it prints last, read as JSON."""
+
+    def run(text, *arguments, cache=None, stdin=False, timeout=120):
+        environment = dict(os.environ)
+        if cache is not None:
+            environment["BAYESFTC_CACHE"] = str(cache)
+        command = [sys.executable, *(["-"] if stdin else ["-c", text]), *map(str, arguments)]
+        done = subprocess.run(
+            command, input=text if stdin else None, env=environment, capture_output=True, text=True, timeout=timeout
+        )
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout.splitlines()[-1])
+
+    return run

@@ -1,0 +1,413 @@
+"""What may be compiled, and that compiled code is reused exactly as long as it is the same code."""
+
+import importlib.util
+import json
+import math
+import os
+import subprocess
+import sys
+import textwrap
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim
+from bayesftc.cosim import Port, _compiler, ops
+from bayesftc.cosim._fingerprint import fingerprint
+from bayesftc.cosim.ops import both, exp, select, sqrt, square
+
+# --- the contract ---------------------------------------------------------------------------------------------------------------
+
+UNSUITABLE = {"a": 1}
+FUNCTIONS = (sqrt, exp)
+
+
+def uses_numpy(y):
+    y[0] = np.sin(y[0])
+
+
+def uses_math(y):
+    y[0] = math.exp(y[0])
+
+
+def uses_power(y):
+    y[0] = y[0] ** 2
+
+
+def uses_power_in_place(y):
+    y[0] **= 2
+
+
+def uses_product(y):
+    y[0] = y @ y
+
+
+def uses_unknown(y):
+    y[0] = nowhere(y[0])  # noqa: F821
+
+
+def uses_abs(y):
+    y[0] = abs(y[0])
+
+
+def uses_method(y):
+    y[0] = y.sum()
+
+
+def uses_dictionary(y):
+    y[0] = UNSUITABLE["a"]
+
+
+def recursive(y):
+    recursive(y)
+
+
+def first(y):
+    second(y)
+
+
+def second(y):
+    first(y)
+
+
+def uses_a_helper_with_math(y):
+    uses_math(y)
+
+
+def imports(y):
+    import math
+
+    y[0] = math.sin(y[0])
+
+
+def comprehends(y):
+    y[0] = sum_up([y[i] for i in range(1)])
+
+
+def sum_up(x):
+    return x[0]
+
+
+def writes_global(y):
+    global UNSUITABLE
+    UNSUITABLE = 1.0
+    y[0] = 1.0
+
+
+def helper_with_default(y, shape=math):
+    y[0] = 1.0
+
+
+def calls_default(y):
+    helper_with_default(y)
+
+
+def make_unfilled():
+    def unfilled(y):
+        y[0] = late
+
+    if False:
+        late = 1.0
+    return unfilled
+
+
+def changes_type(y):
+    x = 1.0
+    if y[0] > 0:
+        x = y
+    y[0] = x
+
+
+REFUSED = {
+    uses_numpy: r"'uses_numpy' \(test_compiler_cache.py, line \d+\) uses 'np' \(the module numpy\); a step function may use only",
+    uses_math: r"'uses_math' .* uses 'math' \(the module math\)",
+    uses_power: r"'uses_power' .* uses '\*\*', which rounds differently",
+    uses_power_in_place: r"uses '\*\*', which rounds differently",
+    uses_product: r"uses '@', which allocates",
+    uses_unknown: r"'uses_unknown' .* uses 'nowhere', which is not defined",
+    uses_abs: r"uses 'abs' \(a builtin_function_or_method\).*absolute",
+    uses_method: r"uses the attribute 'sum'; of arrays only shape, size and indexing",
+    uses_dictionary: r"uses 'UNSUITABLE' \(a dict\)",
+    recursive: r"calls itself \(recursive -> recursive\)",
+    first: r"calls itself \(first -> second -> first\)",
+    uses_a_helper_with_math: r"'uses_math' .* uses 'math'",
+    imports: r"'imports' .* imports inside; import from bayesftc.cosim.ops at the top",
+    comprehends: r"has a function or comprehension inside|uses 'sum_up'|cannot be compiled",
+    writes_global: r"writes a global variable; declare a state",
+    calls_default: r"'helper_with_default' .* (has a default that is no number|uses)",
+    make_unfilled(): r"uses 'late', which has no value yet",
+    changes_type: r"'changes_type' .* cannot be compiled: .*Write plain loops over float64 numbers",
+}
+
+
+@pytest.mark.parametrize("kernel", REFUSED, ids=lambda f: f.__name__)
+def test_refused(kernel, make_block):
+    block = make_block(outputs=[Port("y")], output=kernel)
+    diagram = cosim.Diagram(1)
+    diagram.add(block)
+    for run in (lambda: diagram.simulate(0, engine="compiled"), lambda: block.online(1)):
+        with pytest.raises(cosim.KernelError, match=REFUSED[kernel]):
+            run()
+
+
+def allowed_kernel(y, a):
+    total = 0.0
+    for i in range(len(a)):
+        total = total + select(both(a[i] > 0.0, i < a.size), ops.sqrt(a[i]), square(a[i]))
+    y[0] = total / (a.shape[0] - 3) if a.ndim == 1 else FUNCTIONS[0](total)
+
+
+def test_allowed(make_block):
+    block = make_block(outputs=[Port("y")], output=allowed_kernel, parameters={"a": [4.0, -3.0, 0.25]})
+    assert block.online(1)().y == block.online(1, compiled=False)().y == math.inf  # 11.5 / 0
+
+
+# --- reuse ----------------------------------------------------------------------------------------------------------------------
+
+MODULE = """
+from bayesftc.cosim.ops import sqrt
+{helper_import}
+FACTOR = {factor}
+
+def helper(x):
+    return {body}
+
+def make(scale):
+    def kernel(y):
+        y[0] = scale * helper({argument}) + FACTOR
+    return kernel
+"""
+PLAIN = {"helper_import": "", "factor": "0.5", "body": "x + 1.0", "argument": "2.0"}
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """Write a module, import it anew, and return it."""
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(_compiler, "_modules", {})  # as in a process of its own
+    monkeypatch.setattr(_compiler, "_kernels", WeakKeyDictionary())
+
+    def load(text=MODULE, **changes):
+        for key, value in {**PLAIN, **changes}.items():
+            text = text.replace("{" + key + "}", value)
+        path = tmp_path / "written.py"
+        path.write_text(text)
+        spec = importlib.util.spec_from_loader("written", loader=None)
+        fresh = importlib.util.module_from_spec(spec)
+        exec(compile(text, str(path), "exec"), fresh.__dict__)
+        return fresh
+
+    return load
+
+
+@pytest.fixture
+def evaluate(make_block):
+    """Return a kernel's y and how many functions were compiled for it."""
+
+    def run(kernel):
+        before = dict(_compiler.STATISTICS)
+        y = make_block(outputs=[Port("y")], output=kernel).online(1)().y
+        return y, _compiler.STATISTICS["compiled"] - before["compiled"]
+
+    return run
+
+
+def test_comments_and_moved_lines_compile_nothing(module, evaluate):
+    assert evaluate(module().make(3.0)) == (9.5, 1)
+    assert evaluate(module().make(3.0)) == (9.5, 0)
+    moved = "# a comment\n\n\n" + MODULE.replace("    return {body}", "    # why\n\n    return (  {body}  )  # so")
+    assert evaluate(module(moved).make(3.0)) == (9.5, 0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "scale", "y"),
+    [({"body": "x + 1.5"}, 3.0, 11.0), ({"factor": "0.25"}, 3.0, 9.25), ({}, 4.0, 12.5), ({"argument": "3.0"}, 3.0, 12.5),
+     ({"body": "sqrt(x)"}, 3.0, 3 * math.sqrt(2) + 0.5), ({"factor": "1"}, 3.0, 10.0)],
+)  # fmt: skip
+def test_edits_are_noticed(module, evaluate, changes, scale, y):
+    evaluate(module().make(3.0))
+    assert evaluate(module(**changes).make(scale)) == (y, 1)
+    assert evaluate(module().make(3.0)) == (9.5, 0)
+
+
+def test_a_changed_global_is_noticed_in_the_same_function(module, evaluate):
+    written = module()
+    kernel = written.make(3.0)
+    assert evaluate(kernel) == (9.5, 1)
+    written.FACTOR = 100.0
+    assert evaluate(kernel) == (109.0, 1)
+    written.helper = module(body="x").helper
+    assert evaluate(kernel) == (106.0, 1)
+    written.FACTOR = 0.5
+    assert evaluate(kernel) == (6.5, 1)
+    assert evaluate(kernel) == (6.5, 0)
+
+
+def test_functions_of_one_name_are_told_apart(evaluate):
+    # Both helpers are called h, and both are reached by way of g first, in whichever order they are then given.
+    def make_h(a):
+        def h(x):
+            return x + a
+
+        return h
+
+    one, two = make_h(1.0), make_h(10.0)
+
+    def g(x):
+        return one(x) + two(x)
+
+    def make(left, right):
+        def kernel(y):
+            y[0] = 0.0 * g(1.0) + left(1.0) * 2.0 + right(1.0)
+
+        return kernel
+
+    assert evaluate(make(one, two))[0] == 15.0
+    assert evaluate(make(two, one))[0] == 24.0
+    assert evaluate(make(two, two))[0] == 33.0
+    assert fingerprint(make(one, two), "") == fingerprint(make(one, two), "")
+
+
+def test_constants_that_look_alike_are_told_apart(module):
+    def print_of(value):
+        return fingerprint(module().make(value), "")
+
+    values = [
+        0.1,
+        np.float64(0.1),
+        np.float32(0.1),
+        0.0,
+        -0.0,
+        0,
+        False,
+        1,
+        True,
+        1.0,
+        0.1 + 2**-56,
+        math.nan,
+        (1.0,),
+        (1.0, 1.0),
+    ]
+    assert len({print_of(value) for value in values}) == len(values)
+
+
+TWO_FILES = """
+import json, sys
+sys.path.insert(0, sys.argv[1])
+from bayesftc import cosim
+from bayesftc.cosim import Port, _compiler
+from other import helper
+SHIFT = 1.0
+class B(cosim.Block):
+    inputs = (Port("z", draw="normal"),)
+    outputs = (Port("y"),)
+    def define(self, step):
+        return cosim.Definition(kernel)
+def kernel(y, z):
+    y[0] = helper(z[0]) + SHIFT
+d = cosim.Diagram(1); d.add(B(), "b"); r = d.simulate(3, record=["b.y", "b.z"])
+print(json.dumps([_compiler.STATISTICS, (r["b.y"] / r["b.z"]).tolist(), r["b.y"].tolist()]))
+"""
+
+
+def test_across_processes(python, tmp_path):
+    cache, other = tmp_path / "cache", tmp_path / "other.py"
+
+    def run(helper, text=TWO_FILES):
+        other.write_text(helper)
+        return python(text, tmp_path, cache=cache, stdin=True)
+
+    first = run("def helper(x):\n    return 2.0 * x\n")
+    assert first[0] == {"compiled": 2, "loaded": 0}  # the block and the loop
+    again = run(
+        "# moved\n\ndef helper(x):\n    return 2.0 * x  # so\n", TWO_FILES.replace("SHIFT = 1.0", "# why\nSHIFT = 1.0")
+    )
+    assert again[0] == {"compiled": 0, "loaded": 2}
+    assert again[1:] == first[1:]
+    edited = run("def helper(x):\n    return 3.0 * x\n")
+    assert edited[0] == {"compiled": 1, "loaded": 1}
+    np.testing.assert_allclose((np.array(edited[2]) - 1) / (np.array(first[2]) - 1), 1.5, rtol=1e-12)
+    # What is damaged is compiled anew: numba's index, its code, and the text that they belong to.
+    files = sorted(p for p in cache.rglob("*") if p.is_file())
+    for file in files:
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert run("def helper(x):\n    return 3.0 * x\n")[0] == {"compiled": 2, "loaded": 0}
+    for file in files:
+        if file.suffix in {".nbi", ".nbc"}:
+            file.write_bytes(b"")
+    mended = run("def helper(x):\n    return 3.0 * x\n")
+    assert mended[0] == {"compiled": 2, "loaded": 0}
+    assert mended[1:] == edited[1:]
+    assert not list(cache.rglob("*.tmp"))
+
+
+SMALL = textwrap.dedent("""
+    import json, sys
+    from bayesftc import cosim
+    from bayesftc.cosim import _compiler
+    space = {}
+    exec("def kernel(t, y):\\n    y[0] = 2.0 * t + 1.0", space)
+    class B(cosim.Block):
+        outputs = (cosim.Port("y"),)
+        def define(self, step):
+            return cosim.Definition(space["kernel"])
+    step = B().online(1)
+    print(json.dumps([_compiler.STATISTICS, [step().y for _ in range(3)]]))
+""")
+
+
+def test_processes_at_once_on_an_empty_cache_and_code_without_a_file(tmp_path):
+    environment = {**os.environ, "BAYESFTC_CACHE": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", SMALL]
+    several = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    for process in several:
+        out, error = process.communicate(timeout=120)
+        assert process.returncode == 0, error
+        assert json.loads(out)[1] == [1.0, 3.0, 5.0]
+    later = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert json.loads(later.stdout) == [{"compiled": 0, "loaded": 1}, [1.0, 3.0, 5.0]]
+
+
+def test_long_and_foreign_function_names(module, evaluate):
+    long, foreign = "k" * 300, "größe"
+    for name in (long, foreign):
+        written = module(MODULE.replace("def kernel(y)", f"def {name}(y)").replace("return kernel", f"return {name}"))
+        assert evaluate(written.make(3.0)) == (9.5, 1)
+
+
+def nothing_yet(y):
+    y[0] = 1.25
+
+
+def test_cache_folders_that_cannot_be_used(tmp_path, monkeypatch, make_block):
+    (tmp_path / "file").write_text("")
+    block = make_block(outputs=[Port("y")], output=nothing_yet)
+    for root in ("file", "file/below"):
+        monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / root))
+        with pytest.raises(
+            cosim.BayesFTCError, match=r"The cache folder .* cannot be written \(.*\); set BAYESFTC_CACHE to a folder"
+        ):
+            block.online(1)
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "gone"))
+    (tmp_path / "gone" / "compiled").mkdir(parents=True)
+
+    def read_only(*args, **kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tempfile.mkstemp", read_only)
+        with pytest.raises(cosim.BayesFTCError, match=r"cannot be written \(Permission denied\); set BAYESFTC_CACHE"):
+            block.online(1)
+    assert block.online(1)().y == 1.25
+
+
+def test_a_second_run_of_a_built_diagram_does_not_hash_again(monkeypatch):
+    diagram = cosim.Diagram(1)
+    diagram.add(cosim.Ramp(1.0))
+    diagram.simulate(1)
+    monkeypatch.setattr(_compiler, "fingerprint", lambda *a: pytest.fail("hashed again"))
+    assert diagram.simulate(2)["ramp.y"].tolist() == [0, 1, 2]
