@@ -8,6 +8,9 @@ from numbers import Rational, Real
 
 from bayesftc.cosim.errors import ModelError, StepSizeError
 
+_ROUNDING = Fraction(1, 10**15)
+_HALF_UNIT = Fraction(1, 2**54)
+
 EXACT = 2**53
 """Whole numbers up to here are doubles, so that the quotient of two of them is the double nearest to the true one."""
 
@@ -23,11 +26,11 @@ def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fr
     exact = _exact(dt, what)
     if exact <= 0:
         raise StepSizeError(f"{what} is {dt!r} s; it must be positive.")
-    if not isinstance(dt, str | Rational):  # the simplest fraction that rounds to this double
-        dt = float(dt)
-        for limit in (10**3, 10**6, 10**9, 10**12, 10**15):
+    if not isinstance(dt, str | Rational):
+        # The simplest fraction that rounds to this double; 3 * 0.1 is a rounding error away from 3/10, which is meant.
+        for limit in (10**3, 10**6, 10**9, 10**12, EXACT):
             simple = exact.limit_denominator(limit)
-            if simple > 0 and float(simple) == dt:
+            if simple > 0 and abs(simple - exact) <= exact * (_ROUNDING if limit <= 10**6 else _HALF_UNIT):
                 return simple
     return exact
 
