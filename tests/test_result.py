@@ -1,0 +1,260 @@
+"""Results: names, shapes, tables, files that are whole or not there."""
+
+import builtins
+import json
+import os
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+from bayesftc import cosim
+from bayesftc.cosim import Port, Result
+
+
+def write(t, k, a, b, c):
+    a[0] = t
+    for i in range(2):
+        b[i] = k + i
+        for j in range(3):
+            c[i, j] = 100.0 * k + 10 * i + j
+
+
+@pytest.fixture
+def result(make_block):
+    diagram = cosim.Diagram("1/30")
+    ports = [Port("a", unit="s"), Port("b", (2,)), Port("c", (2, 3), unit="m")]
+    diagram.add(make_block(outputs=ports, output=write), "block")
+    return diagram.simulate("1/2", seed=3, decimation=2)
+
+
+@pytest.fixture
+def partial(make_block):
+    def odd(k, y):
+        y[0] = 1.0 / (2 - k)
+        y[1] = -0.0
+
+    diagram = cosim.Diagram(1)
+    diagram.add(make_block(outputs=[Port("y", (2,))], output=odd, finite=True), "p")
+    with pytest.raises(cosim.SimulationError) as caught:
+        diagram.simulate(9)
+    return caught.value.result
+
+
+def test_signals(result):
+    assert list(result) == ["block.a", "block.b", "block.c"]
+    assert len(result) == 3
+    assert "block.b" in result
+    assert result.units == {"block.a": "s", "block.c": "m"}
+    assert [result[name].shape for name in result] == [(8,), (8, 2), (8, 2, 3)]
+    np.testing.assert_array_equal(result["block.a"], result.time)
+    np.testing.assert_array_equal(result.time, [k / 30 for k in range(0, 15, 2)])
+    assert result["block.c"][3].tolist() == [[600, 601, 602], [610, 611, 612]]
+    assert all(np.shares_memory(result[name], result[name]) for name in result)  # views, no copies
+    assert repr(result) == "<Result: 3 signals, 8 rows to t = 0.466667 s>"
+    assert result.stopped is None
+    with pytest.raises(cosim.UnknownNameError, match=r"The result has no signal 'block.d'; did you mean"):
+        result["block.d"]
+    with pytest.raises(cosim.UnknownNameError, match="no signal 0"):
+        result[0]
+    assert result.get("nothing") is None
+    assert result == result
+    assert result != pickle.loads(pickle.dumps(result))
+
+
+def test_to_pandas(result):
+    table = result.to_pandas()
+    assert list(table.columns[:4]) == ["block.a", "block.b[0]", "block.b[1]", "block.c[0,0]"]
+    assert table.columns[-1] == "block.c[1,2]"
+    assert table.index.name == "time"
+    np.testing.assert_array_equal(table.index, result.time)
+    np.testing.assert_array_equal(table["block.c[1,2]"], result["block.c"][:, 1, 2])
+    np.testing.assert_array_equal(table["block.b[1]"], result["block.b"][:, 1])
+
+
+def test_to_xarray(result):
+    data = result.to_xarray()
+    assert set(data.data_vars) == set(result)
+    assert data["block.c"].dims == ("time", "block.c_0", "block.c_1")
+    assert data["block.c"].attrs == {"units": "m"}
+    assert data["time"].attrs == {"units": "s"}
+    assert json.loads(data.attrs["metadata"])["seed"] == 3
+    np.testing.assert_array_equal(data["block.c"], result["block.c"])
+    np.testing.assert_array_equal(data["time"], result.time)
+
+
+def same(a, b, same_bits):
+    assert list(a) == list(b)
+    for name in a:
+        same_bits(a[name], b[name])
+    same_bits(a.time, b.time)
+    assert (a.units, a.metadata, a.stopped, a.step, a.decimation) == (
+        b.units,
+        b.metadata,
+        b.stopped,
+        b.step,
+        b.decimation,
+    )
+
+
+@pytest.mark.parametrize("which", ["result", "partial"])
+def test_round_trips(which, request, tmp_path, same_bits):
+    original = request.getfixturevalue(which)
+    path = original.save(tmp_path / "run.bayesftc")
+    assert os.listdir(tmp_path) == ["run.bayesftc"]
+    same(Result.load(path), original, same_bits)
+    same(Result.load(str(path)), original, same_bits)
+    same(pickle.loads(pickle.dumps(original)), original, same_bits)
+    assert (original.stopped is None) == (which == "result")
+    original.save(path)  # overwrites
+
+
+def test_save_and_load_keep_every_bit(tmp_path, same_bits):
+    rng = np.random.default_rng(1)
+    values = rng.integers(0, 2**64, (50, 3), dtype=np.uint64).view(np.float64)
+    values[:4, 0] = [np.nan, np.inf, -0.0, 5e-324]
+    result = Result(values, {"a.y": (0, ()), "b.y": (1, (2,))}, cosim.Diagram("1/7").step, stopped="It stopped: ü.")
+    back = Result.load(result.save(tmp_path / "r"))
+    np.testing.assert_array_equal(back._recording.view(np.uint64), values.view(np.uint64))
+    assert back.stopped == "It stopped: ü."
+
+
+def test_empty_results(tmp_path, same_bits, make_block):
+    empty = cosim.Diagram(1).simulate(2)
+    same(Result.load(empty.save(tmp_path / "empty")), empty, same_bits)
+    nothing = cosim.Diagram(1)
+    nothing.add(make_block(outputs=[Port("y", (2, 2))], output=_nan, finite=True), "n")
+    with pytest.raises(cosim.SimulationError) as caught:
+        nothing.simulate(2)
+    rows = caught.value.result
+    assert rows["n.y"].shape == (0, 2, 2)
+    assert rows.to_pandas().shape == (0, 4)
+    assert rows.to_xarray()["n.y"].shape == (0, 2, 2)
+    same(Result.load(rows.save(tmp_path / "none")), rows, same_bits)
+
+
+def _nan(t, y):
+    y[0, 0] = t / t
+
+
+def test_files_that_are_no_results(tmp_path, result):
+    with pytest.raises(cosim.ResultFileError, match=r"There is no result file .*nowhere; check the path"):
+        Result.load(tmp_path / "nowhere")
+    with pytest.raises(cosim.ResultFileError, match="There is no result file"):
+        Result.load(tmp_path)
+    foreign = {
+        "empty": b"", "text": b"time,v\n0,1\n", "pickle": pickle.dumps([1]), "zip head": b"PK\x03\x04" + b"0" * 50,
+        "npy head": b"\x93NUMPY\x01\x00v\x00{'descr': '<f8'",
+    }  # fmt: skip
+    for name, content in foreign.items():
+        (tmp_path / name).write_bytes(content)
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    np.savez(tmp_path / "arrays.npz", x=np.zeros(3))
+    np.savez(tmp_path / "objects.npz", header=np.array([{}], dtype=object), recording=np.zeros(3))
+    with zipfile.ZipFile(tmp_path / "fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", "<a/>")
+    good = {
+        "format": "bayesftc-result-1",
+        "step": "1/2",
+        "decimation": 1,
+        "columns": {"a": [0, []]},
+        "units": {},
+        "metadata": {},
+    }
+    headers = {
+        "list": [1],
+        "other format": {**good, "stopped": None, "format": "x"},
+        "no stopped": good,
+        "wide": {**good, "stopped": None, "columns": {"a": [0, [9]]}},
+        "zero step": {**good, "stopped": None, "step": "1/0"},
+        "columns": {**good, "stopped": None, "columns": [1]},
+        "text": "x",
+    }
+    for name, header in headers.items():
+        np.savez(tmp_path / f"{name}.npz", header=np.array(json.dumps(header)), recording=np.zeros((3, 1)))
+    np.savez(tmp_path / "flat.npz", header=np.array(json.dumps({**good, "stopped": None})), recording=np.zeros(3))
+    np.savez(tmp_path / "fine.npz", header=np.array(json.dumps({**good, "stopped": None})), recording=np.zeros((3, 1)))
+    for path in tmp_path.iterdir():
+        if path.name == "fine.npz":
+            assert Result.load(path)["a"].tolist() == [0, 0, 0]
+            continue
+        with pytest.raises(cosim.ResultFileError, match=r"is no result file of bayesftc, or it is damaged"):
+            Result.load(path)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damage_is_noticed(result, tmp_path, data, same_bits):
+    whole = result.save(tmp_path / "r").read_bytes()
+    where = data.draw(st.integers(0, len(whole) - 1))
+    cut = (
+        whole[:where]
+        if data.draw(st.booleans())
+        else whole[:where] + bytes([whole[where] ^ data.draw(st.integers(1, 255))]) + whole[where + 1 :]
+    )
+    (tmp_path / "damaged").write_bytes(cut)
+    try:
+        loaded = Result.load(tmp_path / "damaged")
+    except cosim.ResultFileError:
+        return
+    same(loaded, result, same_bits)  # a byte that the zip format does not need, such as a date
+
+
+def test_a_write_that_fails_leaves_what_was_there(result, tmp_path, monkeypatch):
+    path = result.save(tmp_path / "r")
+    before = path.read_bytes()
+
+    def full_disk(file, **arrays):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full_disk)
+    with pytest.raises(
+        cosim.ResultFileError, match=r"cannot be written to .*r: No space left on device; choose another folder"
+    ):
+        result.save(path)
+    with pytest.raises(cosim.ResultFileError, match="No space left"):
+        result.save(tmp_path / "new")
+
+    def interrupted(file, **arrays):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        result.save(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["r"]
+    assert path.read_bytes() == before
+
+
+def test_places_that_cannot_be_written(result, tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("")
+    for path in ("nowhere/r", "folder", "file/r", "x" * 400):
+        with pytest.raises(cosim.ResultFileError, match=r"The result cannot be written to "):
+            result.save(tmp_path / path)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "folder"]
+
+
+def test_a_file_that_cannot_be_read(result, tmp_path, monkeypatch):
+    path = result.save(tmp_path / "r")
+
+    def refuse(*args, **kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(builtins, "open", refuse)
+    with pytest.raises(cosim.ResultFileError, match=r"cannot be read: Permission denied"):
+        Result.load(path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
+def test_the_file_has_the_users_own_permissions(result, tmp_path):
+    old = os.umask(0o077)
+    try:
+        path = result.save(tmp_path / "private")
+    finally:
+        os.umask(old)
+    assert Path(path).stat().st_mode & 0o777 == 0o600
