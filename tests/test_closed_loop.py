@@ -1,0 +1,175 @@
+"""closed_loop wires reference, controller, plant, sensors and faults as it says."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim
+from bayesftc.cosim import Port
+
+
+def drive(v, position, speed, both):
+    speed[0] = v[0]
+    position[0] = v[1]
+    both[0] = v[0]
+    both[1] = v[1]
+
+
+def drive_on(v, force, gust, h):
+    v[1] = v[1] + h[0] * v[0]
+    v[0] = v[0] + h[0] * (force[0] - v[0]) + gust[0]
+
+
+class Car(cosim.Block):
+    inputs = (Port("force", feedthrough=False), Port("gust", feedthrough=False, default=0.0))
+    outputs = (Port("speed"), Port("position"), Port("both", (2,)))
+
+    def define(self, step):
+        return cosim.Definition(drive, drive_on, {"v": np.zeros(2)}, {"h": float(step)})
+
+
+def control(y, goal, u):
+    total = 0.0 * y[0]
+    for i in range(y.shape[0]):
+        total = total + (goal[0] - y[i])
+    for i in range(u.shape[0]):
+        u[i] = 4.0 * total
+
+
+@dataclass(frozen=True)
+class Proportional(cosim.Block):
+    sensors: int = 1
+    controls: int = 1
+    goals: int = 1
+    sample_time = Fraction(1, 50)
+
+    @property
+    def inputs(self):
+        return (Port("y", (self.sensors,)), Port("goal", (self.goals,)))
+
+    @property
+    def outputs(self):
+        return (Port("u", (self.controls,)),)
+
+    def define(self, step):
+        return cosim.Definition(control)
+
+
+def loop(**changes):
+    settings = {
+        "plant": Car(),
+        "controller": Proportional(),
+        "control": "force",
+        "measured": "speed",
+        "reference": 2.0,
+        **changes,
+    }
+    return cosim.closed_loop(**settings)
+
+
+def test_is_what_one_would_write_by_hand(run_both):
+    result = run_both(loop(), 4)
+    v, rows = 0.0, []
+    for _ in range(201):
+        rows.append(v)
+        v = v + 0.02 * (4.0 * (2.0 - v) - v)
+    np.testing.assert_allclose(result["plant.speed"], rows, rtol=1e-12)
+    assert [n.name for n in loop().nodes] == ["reference", "plant", "sensors", "controller"]
+
+
+def test_noise_sensors_and_faults_in_their_places(run_both):
+    faults = [cosim.Freeze(sensor=0, start=1.0, stop=2.0), cosim.Bias(sensor=1, start=0.5, magnitude=3.0)]
+    diagram = loop(
+        controller=Proportional(sensors=2),
+        sensors=cosim.Sensors(count=2, std=0.1),
+        faults=faults,
+        noise={"gust": cosim.Gaussian(0.01)},
+        reference=cosim.Sine(1.0, 2.0),
+    )
+    names = [n.name for n in diagram.nodes]
+    assert names == ["reference", "plant", "sensors", "freeze_0", "bias_1", "controller", "gust_noise"]
+    result = run_both(diagram, 3, seed=2, record=["*", "controller.y", "plant.gust"])
+    np.testing.assert_array_equal(result["controller.y"], result["bias_1.y"])
+    np.testing.assert_array_equal(result["plant.gust"], result["gust_noise.y"])
+    inside = (result.time >= 1.0) & (result.time < 2.0)
+    assert len(np.unique(result["bias_1.y"][inside, 0])) == 1
+    late = result.time >= 0.5
+    np.testing.assert_allclose(result["bias_1.y"][late, 1], result["sensors.y"][late, 1] + 3.0, rtol=1e-12)
+    assert abs((result["sensors.y"] - result["plant.speed"][:, None]).std() - 0.1) < 0.02
+
+
+def test_several_signals(run_both):
+    diagram = loop(
+        controller=Proportional(sensors=2, goals=2), measured=["position", "speed"], reference=[1.0, cosim.Ramp(0.1)]
+    )
+    assert [n.name for n in diagram.nodes][:2] == ["reference_0", "reference_1"]
+    result = run_both(diagram, 1, record=["controller.goal", "sensors.y", "plant.*"])
+    np.testing.assert_array_equal(result["sensors.y"], np.stack([result["plant.position"], result["plant.speed"]], 1))
+    np.testing.assert_array_equal(result["controller.goal"][:, 0], np.ones(51))
+    shared = loop(controller=Proportional(sensors=4), measured=["position", "speed"], sensors=cosim.Sensors(count=4))
+    assert run_both(shared, 1)["sensors.y"].shape == (51, 4)
+
+
+@pytest.mark.parametrize(
+    "reference", [2, 2.0, np.float32(2.0), np.int64(2), [2.0], (2,), np.array([2.0]), cosim.Constant(2.0)]
+)
+def test_references(reference):
+    assert loop(reference=reference).simulate(1)["reference.y"].tolist() == [2.0] * 51
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "sentence"),
+    [
+        ({"measured": "sped"}, cosim.UnknownNameError, r"Block 'plant' has no port 'sped'; did you mean 'speed'"),
+        ({"control": "froce"}, cosim.UnknownNameError, r"did you mean 'force'"),
+        ({"noise": {"gsut": cosim.Gaussian(1.0)}}, cosim.UnknownNameError, r"did you mean 'gust'"),
+        ({"measured": []}, cosim.ModelError, r"measured= is empty"),
+        ({"control": ()}, cosim.ModelError, r"control= is empty"),
+        ({"measured": "force"}, cosim.ConnectionError, r"plant\.force is an input, but the source must be an output"),
+        ({"control": "speed"}, cosim.ConnectionError, r"plant\.speed is an output, but the target must be an input"),
+        (
+            {"control": ["force", "gust"]},
+            cosim.ConnectionError,
+            r"The controller has 1 controls, but control= names 2 inputs",
+        ),
+        ({"noise": {"force": cosim.Gaussian(1.0)}}, cosim.ConnectionError, r"plant\.force has a source already"),
+        (
+            {"sensors": cosim.Sensors(count=2)},
+            cosim.ConnectionError,
+            r"The controller's model has 1 sensors, but the loop has 2",
+        ),
+        ({"faults": ["freeze"]}, cosim.ModelError, r"faults must be faults such as Freeze"),
+        ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"is to befall sensor 1, but there are 1"),
+        ({"reference": [1.0, 2.0]}, cosim.ConnectionError, r"cannot be connected to controller\.goal \(size 1\)"),
+        ({"reference": "up"}, cosim.ModelError, r"Only blocks can be added"),
+        ({"plant": cosim.Constant(1.0)}, cosim.UnknownNameError, r"Block 'plant' has no port 'speed'"),
+        (
+            {"controller": cosim.Gain(1.0)},
+            cosim.StepSizeError,
+            r"Gain does not know its sample time; give closed_loop\(dt=",
+        ),
+        (
+            {"controller": cosim.Gain(1.0), "dt": 0.1},
+            cosim.ConnectionError,
+            r"controller\.y is an output, but the target must be",
+        ),
+        (
+            {"dt": 0.1},
+            cosim.StepSizeError,
+            r"Block 'controller' must run every 0.02 s, but the diagram runs it every 0.1 s",
+        ),
+    ],
+)
+def test_what_does_not_fit(changes, error, sentence):
+    with pytest.raises(error, match=sentence):
+        loop(**changes)
+
+
+def test_two_faults_of_a_kind_on_a_sensor_need_names():
+    twice = [cosim.Freeze(sensor=0, start=1.0, stop=2.0), cosim.Freeze(sensor=0, start=3.0)]
+    with pytest.raises(cosim.ModelError, match=r"has a block 'freeze_0' already"):
+        loop(faults=twice)
+    named = [twice[0], cosim.Freeze(sensor=0, start=3.0, name="again")]
+    assert "again" in [n.name for n in loop(faults=named).nodes]
