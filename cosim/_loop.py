@@ -34,15 +34,16 @@ def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
 # Inlined: as a call of its own, numba passes 32 words of array descriptions, twice a step, which took longer than the FMU.
 @register_jitable(error_model="numpy", forceinline=True)
 def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
-    for c in range(begin, end):
+    # Unsigned, so that numba leaves out what would make negative indices count from the end: a tenth of the time of a small loop.
+    for c in range(np.uint64(begin), np.uint64(end)):
         every = calls[c, EVERY]
         count = k
         if every != 1:
             if k % every != 0:
                 continue
             count = k // every
-        for g in range(calls[c, GATHER_FROM], calls[c, GATHER_TO]):
-            memory[gathers[g, 0]] = memory[gathers[g, 1]]
+        for g in range(np.uint64(calls[c, GATHER_FROM]), np.uint64(calls[c, GATHER_TO])):
+            memory[np.uint64(gathers[g, 0])] = memory[np.uint64(gathers[g, 1])]
         if calls[c, FUNCTION] == 0:  # this one only brings inputs
             continue
         status = call_block(
@@ -53,7 +54,7 @@ def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
             failed[0], failed[1] = c, status
             return False
         for i in range(calls[c, CHECK_FROM], calls[c, CHECK_TO]):
-            if memory[i] - memory[i] != 0.0:
+            if memory[np.uint64(i)] - memory[np.uint64(i)] != 0.0:
                 failed[0], failed[1] = c, NOT_FINITE + i
                 return False
     return True
@@ -80,7 +81,7 @@ def run(
                     chunk = k // CHUNK
                     fill(seed, streams, chunk * CHUNK, buffer)
                 for j in range(drawn.size):
-                    memory[drawn[j]] = buffer[k - chunk * CHUNK, j]
+                    memory[drawn[j]] = buffer[j, k - chunk * CHUNK]
             if not _phase(calls, 0, evaluations, gathers, memory, base, t, k, failed):
                 return k - 1
             if k % decimation == 0:
@@ -97,4 +98,4 @@ def run(
 
 def empty_chunk(numbers):
     """Return the buffer of random numbers that `run` needs."""
-    return np.empty((CHUNK, numbers))
+    return np.empty((numbers, CHUNK))

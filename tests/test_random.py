@@ -135,11 +135,11 @@ def test_chunks_join():
 def test_chunks_of_plain_python_are_the_same():
     assert isinstance(random.fill, FunctionType)
     streams = np.array([[stream_key("s.n"), 3, 1, 0], [stream_key("s.n"), 0, 0, 1]], dtype=np.uint64)
-    compiled, plain = np.empty((CHUNK, 2)), np.empty((CHUNK, 2))
+    compiled, plain = np.empty((CHUNK, 2)), np.empty((2, CHUNK))
     draw_chunk(11, streams, CHUNK, compiled)
     with np.errstate(over="ignore"):
         random.fill(np.uint64(11), streams, CHUNK, plain)
-    assert_array_equal(plain, compiled)
+    assert_array_equal(plain.T, compiled)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
