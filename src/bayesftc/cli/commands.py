@@ -1,0 +1,134 @@
+"""The commands of ``bayesftc``; each loads what it needs when it is called, so that ``--help`` is instant."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bayesftc.cli.guard import guarded
+
+app = typer.Typer(
+    name="bayesftc",
+    help="Fault-tolerant control by Bayesian inference: run closed loops with faulty sensors, look into FMUs.",
+    epilog="Try: bayesftc run cruise_control",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+class Engine(StrEnum):
+    """What a run is computed with."""
+
+    auto = "auto"
+    compiled = "compiled"
+    interpreted = "interpreted"
+
+
+Json = Annotated[bool, typer.Option("--json", help="Print plain JSON instead of tables.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from bayesftc import __version__
+
+        typer.echo(f"bayesftc {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _bayesftc(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file (TOML), or the name of a shipped one: cruise_control.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Write result.npz, figure.png and figures.json there.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all noise, instead of the scenario's.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds, instead of the scenario's.")] = None,
+    engine: Annotated[Engine | None, typer.Option(help="Engine, instead of the scenario's.")] = None,
+    check_kalman: Annotated[
+        bool, typer.Option("--check-kalman", help="Compare the belief with filterpy's Kalman filter.")
+    ] = False,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Run a scenario and print the figures of the run."""
+    with guarded(debug):
+        from bayesftc.cli.run import run_scenario
+
+        options = {"seed": seed, "duration": duration, "engine": engine.value if engine else None}
+        run_scenario(scenario, out, options, check_kalman=check_kalman, json=json, quiet=quiet)
+
+
+@app.command()
+def inspect(
+    fmu: Annotated[str, typer.Argument(help="An FMU file, or the name of a shipped one: CruiseControl.")],
+    validate: Annotated[bool, typer.Option(help="Whether its description must keep the rules of FMI.")] = True,
+    json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Show what an FMU says of itself: variables, units, kinds, platforms, capabilities."""
+    with guarded(debug):
+        from bayesftc.cli.inspect import inspect_fmu
+
+        inspect_fmu(fmu, validate=validate, json=json)
+
+
+@app.command()
+def example(
+    name: Annotated[str | None, typer.Argument(help="A shipped scenario; without a name they are listed.")] = None,
+    debug: Debug = False,
+) -> None:
+    """Print a shipped scenario, to be changed: bayesftc example cruise_control > car.toml."""
+    with guarded(debug):
+        from bayesftc.cli.example import print_example
+
+        print_example(name)
+
+
+@app.command()
+def calibrate(
+    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a shipped one.")],
+    time_to_fault: Annotated[float, typer.Option(help="Mean time to a fault in seconds.")] = 2.8,
+    time_to_recovery: Annotated[float, typer.Option(help="Mean time to recovery in seconds.")] = 0.4,
+    injection: Annotated[float | None, typer.Option(help="Offset of an injection; by default 3 sensor sd.")] = None,
+    drift: Annotated[float | None, typer.Option(help="Drift per second; by default 5 sensor sd.")] = None,
+    steps: Annotated[int, typer.Option(help="Length of the simulated run.")] = 80_000,
+    seed: Annotated[int, typer.Option(help="Seed of its noise and faults.")] = 0,
+    json: Json = False,
+    debug: Debug = False,
+) -> None:
+    """Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file."""
+    with guarded(debug):
+        from bayesftc.cli.calibrate import calibrate_scenario
+        from bayesftc.controllers import Hazards
+
+        sizes = {"injection": injection, "drift": drift}
+        magnitudes = {name: size for name, size in sizes.items() if size is not None}
+        calibrate_scenario(
+            scenario, Hazards(time_to_fault, time_to_recovery), magnitudes, steps=steps, seed=seed, json=json
+        )
+
+
+@app.command()
+def bench(json: Json = False, debug: Debug = False) -> None:
+    """Measure the speed of the engines on this machine."""
+    with guarded(debug):
+        from bayesftc import bench as benchmarks
+
+        benchmarks.main(json=json)

@@ -1,0 +1,102 @@
+"""The command line as a process of its own: exit codes, streams, interruption, start-up, and the installed entry point."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bayesftc.scenario import shipped_scenarios
+
+CAR = shipped_scenarios()["cruise_control"].read_text()
+COMMAND = [sys.executable, "-m", "bayesftc"]
+
+
+def run(*arguments, folder, **options):
+    return subprocess.run([*COMMAND, *arguments], cwd=folder, capture_output=True, text=True, timeout=120, **options)
+
+
+@pytest.mark.parametrize(
+    ("code", "old", "new", "words"),
+    [
+        (3, "std = 1.0", "sdt = 1.0", "car.toml: 'sensors' has the unknown key 'sdt'; did you mean 'std'?"),
+        (4, '"CruiseControl"', '"gone.fmu"', "gone.fmu cannot be read"),
+        (5, '"force"', '"forces"', "did you mean 'force'?"),
+        (8, "duration = 20.0", "duration = 20.01", "no whole number of steps"),
+        (9, "forgetting = 0.95", "forgetting = 1.5", "'controller.precision'"),
+        (11, "v0 = 20.0", "m = 1e-320, v0 = 20.0", "plant.v came out infinite"),
+    ],
+)
+def test_an_error_is_one_sentence_on_stderr(tmp_path, code, old, new, words):
+    (tmp_path / "car.toml").write_text(CAR.replace(old, new, 1))
+    done = run("run", "car.toml", "--engine", "interpreted", folder=tmp_path)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert done.stderr.startswith("Error: ")
+    assert done.stderr.count("\n") == 1
+    assert words in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["car.toml"]
+
+
+def test_from_any_folder_twice_in_a_row(tmp_path):
+    outputs = []
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        folder.mkdir()
+        done = run("run", "cruise_control", "--duration", "2", folder=folder)
+        assert done.returncode == 0, done.stderr
+        assert done.stderr == ""  # no progress bar in a pipe
+        assert "\x1b" not in done.stdout
+        assert max(map(len, done.stdout.splitlines())) <= 80
+        assert not list(folder.iterdir())
+        outputs.append(done.stdout)
+    assert outputs[0] == outputs[1]
+
+
+def test_ctrl_c_leaves_nothing_half_written(tmp_path):
+    # A test runner in the background hands down an ignored SIGINT; the process is to have the usual one.
+    default = (
+        {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)} if os.name == "posix" else {}
+    )
+    command = [*COMMAND, "run", "cruise_control", "--duration", "8000", "--engine", "interpreted", "--out", "out"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, **default)
+    deadline = time.monotonic() + 30
+    while not (tmp_path / "out").is_dir() and time.monotonic() < deadline:  # made just before the run begins
+        time.sleep(0.05)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors.splitlines()[-1].startswith("Stopped by Ctrl-C")
+    assert "Traceback" not in errors
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_reader_that_has_enough(tmp_path):
+    text = f"{' '.join(COMMAND)} inspect CruiseControl | head -n 1"
+    done = subprocess.run(["sh", "-c", text], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("model")
+    assert "Traceback" not in done.stderr
+
+
+def test_help_loads_nothing_heavy(tmp_path):
+    code = (
+        "import sys\nfrom typer.testing import CliRunner\nfrom bayesftc.cli import app\n"
+        "assert CliRunner().invoke(app, ['--help']).exit_code == 0\n"
+        "print([m for m in ('numpy', 'numba', 'pydantic', 'control', 'sklearn', 'filterpy', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_a_run_without_files_loads_no_more_than_it_needs(tmp_path):
+    code = (
+        "import sys\nfrom typer.testing import CliRunner\nfrom bayesftc.cli import app\n"
+        "done = CliRunner().invoke(app, ['run', 'cruise_control', '--engine', 'interpreted', '--duration', '0.1'])\n"
+        "assert done.exit_code == 0, done.output\n"
+        "print([m for m in ('control', 'sklearn', 'filterpy', 'matplotlib', 'pandas', 'xarray') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "[]", done.stderr

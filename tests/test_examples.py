@@ -1,0 +1,54 @@
+"""Every example runs, and shows what it says it shows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayesftc.examples
+from bayesftc import fmus
+from bayesftc.examples.cruise_control import block_diagram, couple_external_fmu, cruise_control, kalman_validation
+from bayesftc.scenario import load_scenario, shipped_scenarios
+
+FOLDER = Path(bayesftc.examples.__path__[0]) / "cruise_control"
+MODULES = {"cruise_control", "couple_external_fmu", "block_diagram", "kalman_validation"}
+
+
+def test_no_example_is_forgotten():
+    assert {p.stem for p in FOLDER.glob("*.py")} - {"__init__"} == MODULES
+    assert set(shipped_scenarios()) == {"cruise_control"}
+
+
+def test_learned_precision_keeps_the_car_on_the_road(capsys):
+    errors = cruise_control.main()
+    assert errors["GammaPrecision"] < errors["SERFDI"] < errors["FixedPrecision"]
+    assert errors["FixedPrecision"] > 10 * errors["GammaPrecision"]
+    assert len(capsys.readouterr().out.splitlines()) == 5
+
+
+@pytest.mark.parametrize("name", [p.name for p in FOLDER.glob("*.toml")])
+def test_every_scenario_runs(name):
+    result = load_scenario(FOLDER / name).simulate(duration=0.5, engine="interpreted")
+    assert np.isfinite(result["plant.v"]).all()
+
+
+def test_the_three_ways_of_making_a_diagram_agree(capsys):
+    differences = block_diagram.main(8.0)
+    assert differences["FMU, block by block"] == 0.0
+    assert max(differences.values()) < 1e-11
+    assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+def test_the_belief_is_a_kalman_filters(capsys):
+    for check in kalman_validation.main(8.0).values():
+        assert check.steps == 401
+        assert check.mean_difference < 1e-12
+        assert check.covariance_difference < 1e-12
+
+
+@pytest.mark.parametrize("arguments", [[], [str(fmus.path("CruiseControl", fmi="3.0")), "--around", "10"]])
+def test_an_fmu_without_a_model(arguments, capsys):
+    result = couple_external_fmu.main([*arguments, "--duration", "8"])
+    wanted = 10.0 if arguments else 20.0
+    assert result["plant.v"][-100:].mean() == pytest.approx(wanted, abs=0.5)
+    assert "0.999000" in capsys.readouterr().out

@@ -1,0 +1,160 @@
+"""The figures of a run: their definitions, on signals made by hand, and what is not defined."""
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from sklearn.metrics import roc_auc_score
+
+from bayesftc import cosim
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.metrics import auc, detection, errors_by_phase, figures, periods, rmse
+from bayesftc.cosim.roles import SensorSignals, loop_signals
+from bayesftc.examples.cruise_control.block_diagram import by_hand
+from bayesftc.examples.cruise_control.cruise_control import LEARNERS, cruise_control
+
+TIME = np.arange(10) * 0.5
+FAULTY = np.array([0, 0, 1, 1, 1, 0, 0, 1, 1, 0], dtype=bool)
+
+
+def sensor(probability=None, beta=None, faulty=FAULTY):
+    as_array = [None if v is None else np.array(v, float) for v in (probability, beta)]
+    return SensorSignals(0, None, faulty, np.where(FAULTY, 0.25, 1.0), as_array[1], as_array[0])
+
+
+def test_periods():
+    assert periods(FAULTY) == [(2, 5), (7, 9)]
+    assert periods(np.ones(3, bool)) == [(0, 3)]
+    assert periods(np.zeros(3, bool)) == []
+
+
+def test_detection_by_hand():
+    #                          v alarm before    v one sample late        v lasts on        v missed
+    found = detection(sensor([0, 0.9, 0.1, 0.5, 0.9, 0.6, 0.2, 0.4, 0.4, 0]), TIME)
+    assert (found.faults, found.missed, found.delay) == (2, 1, 0.5)
+    assert found.false_alarm_rate == pytest.approx(2 / 5)
+    assert found.fault_share == 0.5
+    assert (found.precision_healthy, found.precision_faulty) == (1.0, 0.25)
+    assert found.ranked_by == "fault_probability"
+
+
+def test_what_is_not_defined_is_nan():
+    nothing = detection(sensor([np.nan] * 10, [np.nan] * 10), TIME)
+    assert np.isnan([nothing.missed, nothing.delay, nothing.false_alarm_rate, nothing.auc]).all()
+    assert nothing.ranked_by is None
+    healthy = detection(sensor([0.0] * 10, faulty=np.zeros(10, bool)), TIME)
+    assert np.isnan([healthy.missed, healthy.delay, healthy.auc, healthy.precision_faulty]).all()
+    assert healthy.false_alarm_rate == 0
+    always = detection(sensor([1.0] * 10, faulty=np.ones(10, bool)), TIME)
+    assert np.isnan([always.false_alarm_rate, always.auc]).all()
+    assert (always.delay, always.missed) == (0, 0)
+    assert np.isnan(detection(sensor([1.0] * 10, faulty=None), TIME).fault_share)
+    assert np.isnan(rmse([]))
+    assert np.isnan(rmse([np.nan]))
+    assert np.isnan(errors_by_phase(None, FAULTY).overall)
+
+
+def test_beta_ranks_where_there_is_no_probability():
+    beta = np.where(FAULTY, 5.0, 2.0)
+    found = detection(sensor([np.nan] * 10, beta), TIME)
+    assert (found.auc, found.ranked_by) == (1.0, "beta")
+
+
+def test_phases():
+    error = np.where(FAULTY, 2.0, 1.0)
+    error[6] = np.nan
+    found = errors_by_phase(error, FAULTY)
+    assert (found.before, found.during, found.after) == (1.0, 2.0, 1.0)
+    assert found.overall == pytest.approx(np.sqrt((4 + 5 * 4) / 9))
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), min_size=2, max_size=40))
+def test_auc_is_that_of_scikit_learn(samples):
+    truth, score = (np.array(column) for column in zip(*samples))
+    if truth.all() or not truth.any():
+        assert np.isnan(auc(truth, score))
+    else:
+        assert auc(truth, score) == pytest.approx(roc_auc_score(truth, score), abs=1e-12)
+        with_missing = np.append(score.astype(float), np.nan)
+        assert auc(np.append(truth, True), with_missing) == auc(truth, score)
+
+
+def test_json_has_no_nan():
+    loop = cruise_control(LEARNERS[0])
+    plain = figures(loop_signals(loop, loop.simulate(1.0, engine="interpreted"))).to_dict()
+    assert plain["sensors"][0]["auc"] is None
+
+
+def test_roles_do_not_hang_on_names(same_bits):
+    """A loop that was put together by hand has the same roles as that of closed_loop."""
+    from bayesftc import fmus
+
+    car = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})
+    loops = by_hand(car), cruise_control(LEARNERS[-1])
+    ours, theirs = (loop_signals(loop, loop.simulate(7.0, seed=1, engine="interpreted")) for loop in loops)
+    for a, b in zip(ours.quantities, theirs.quantities, strict=True):
+        same_bits(a.truth, b.truth)
+        same_bits(a.reference, b.reference)
+        same_bits(a.belief, b.belief)
+        assert (a.name, a.unit) == (b.name, b.unit) == ("v", "m/s")
+    for a, b in zip(ours.sensors, theirs.sensors, strict=True):
+        same_bits(a.samples, b.samples)
+        np.testing.assert_array_equal(a.faulty, b.faulty)
+    assert ours.sensors[0].faulty.sum() == 51
+    assert not ours.sensors[1].faulty.any()
+
+
+def two_outputs(**sensors):
+    """Return a plant of two states that are both measured, under a controller with a goal for the first."""
+    import control
+
+    from bayesftc import controllers
+
+    system = control.ss(
+        [[1, 0.1], [0, 0.9]], [[0.0], [0.1]], np.eye(2), 0, 0.1, inputs=["u"], outputs=["position", "speed"]
+    )
+    rows = np.asarray(sensors["matrix"]) if "matrix" in sensors else np.eye(2)[[0, 1, 0, 1]]
+    model = controllers.LinearModel(system.A, system.B, rows, 1e-4, 0.01, 0.1)
+    controller = controllers.BayesianController(
+        model, goal_on=[[1.0, 0.0]], control_covariance=10.0, goal_covariance=0.1
+    )
+    return cosim.closed_loop(
+        plant=cosim.StateSpace(system, initial=[0.0, 1.0]),
+        controller=controller,
+        control="u",
+        measured=["position", "speed"],
+        sensors=cosim.Sensors(count=len(rows), std=0.1, signals=2, **sensors),
+        faults=[cosim.Bias(sensor=1, magnitude=1.0, start=1.0)],
+        reference=1.0,
+    )
+
+
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")
+def test_several_quantities():
+    loop = two_outputs()
+    result = loop.simulate(3.0, engine="interpreted")
+    position, speed = loop_signals(loop, result).quantities
+    assert (position.name, position.sensors, speed.name, speed.sensors) == ("position", (0, 2), "speed", (1, 3))
+    np.testing.assert_array_equal(position.truth, result["plant.position"])
+    np.testing.assert_array_equal(position.reference, np.ones(31))
+    assert speed.reference is None  # the goal says nothing of it
+    np.testing.assert_allclose(speed.belief, result["controller.x_hat"][:, 1])
+    found = figures(loop_signals(loop, result))
+    assert np.isnan(found.tracking["speed"].overall)
+    assert found.belief["speed"].overall > 0
+
+
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")
+def test_a_sensor_of_a_mixture():
+    loop = two_outputs(matrix=[[1.0, 0.0], [0.5, 2.0]])
+    result = loop.simulate(1.0, engine="interpreted")
+    position, mixture = loop_signals(loop, result).quantities
+    assert mixture.name == "sensor 1"
+    np.testing.assert_allclose(mixture.truth, 0.5 * result["plant.position"] + 2 * result["plant.speed"])
+    assert position.name == "position"
+
+
+def test_what_is_no_closed_loop():
+    diagram = cosim.Diagram(0.1)
+    diagram.add(cosim.Constant(1.0))
+    with pytest.raises(ModelError, match="one Sensors block"):
+        loop_signals(diagram, diagram.simulate(1.0, engine="interpreted"))
