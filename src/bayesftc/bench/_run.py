@@ -1,0 +1,121 @@
+"""Runs the measurements and prints them, as a table or as JSON."""
+
+from __future__ import annotations
+
+import json as encoder
+import sys
+from collections.abc import Iterable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.bench._figures import Figure, Section
+from bayesftc.bench._machine import describe_machine
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+SECTIONS = ("plain_loop", "full_loop", "startup", "memory")
+"""The measurements, each a module of this package."""
+
+
+def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> list[Section]:
+    """Make the measurements, one after the other.
+
+    Parameters
+    ----------
+    sections : iterable of str
+        Which of `SECTIONS`.
+    quick : bool
+        Few and short repetitions, which show that everything works but not how fast.
+
+    Returns
+    -------
+    list of Section
+    """
+    from rich.console import Console
+
+    done = []
+    console = Console(stderr=True)
+    for name in sections:
+        if console.is_terminal:  # a line each and no spinner: its thread would take turns with what is measured
+            console.print(f"measuring: {name.replace('_', ' ')}")
+        done.append(import_module(f"bayesftc.bench.{name}").measure(quick))
+    return done
+
+
+def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = SECTIONS) -> None:
+    """Measure and print; a bar that is missed is a result like any other, not an error.
+
+    Parameters
+    ----------
+    json : bool
+        Print one JSON object instead of a table.
+    quick : bool
+        See `measure`.
+    sections : iterable of str
+        See `measure`.
+    """
+    done = measure(sections, quick=quick)
+    if json:
+        sys.stdout.write(encoder.dumps(as_json(done, quick), indent=2) + "\n")
+        return
+    from rich.console import Console
+
+    console = Console()
+    machine = describe_machine()
+    console.print(", ".join(f"{name} {value}" for name, value in machine.items()), highlight=False)
+    for section in done:
+        console.print(as_table(section))
+    if quick:
+        console.print("These are quick figures: too few steps to judge speed by.")
+
+
+def as_json(sections: Iterable[Section], quick: bool) -> dict[str, Any]:
+    """Return the measurements as plain data."""
+    sections = list(sections)
+    return {
+        "machine": describe_machine(),
+        "quick": quick,
+        **{s.key: {f.key: f.as_json() for f in s.figures} for s in sections},
+        "bars": {name: bar for s in sections for name, bar in s.bars().items()},
+    }
+
+
+def as_table(section: Section) -> Table:
+    """Return the measurements of a section as a table."""
+    from rich.table import Table
+
+    table = Table(title=section.title, title_justify="left")
+    table.add_column("", overflow="fold")
+    for heading in ("median", "min", "max", "bar"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("met", overflow="fold")
+    for figure in section.figures:
+        shown = [_shown(figure, value) for value in (figure.value, *_extremes(figure))]
+        table.add_row(figure.label, *shown, _bar(figure), _verdict(section, figure))
+    return table
+
+
+def _extremes(figure: Figure) -> tuple[float | None, float | None]:
+    return (min(figure.samples), max(figure.samples)) if len(figure.samples) > 1 else (None, None)
+
+
+def _shown(figure: Figure, value: float | None) -> str:
+    if value is None:
+        return ""
+    if figure.unit == "steps/s":
+        return f"{value / 1e6:.3g} M/s"
+    return f"{value:.3g} {figure.unit}".rstrip()
+
+
+def _bar(figure: Figure) -> str:
+    limits = (("≥", figure.at_least), ("≤", figure.at_most))
+    return ", ".join(f"{sign} {_shown(figure, limit)}" for sign, limit in limits if limit is not None)
+
+
+def _verdict(section: Section, figure: Figure) -> str:
+    met = section.met(figure) if figure.has_bar else None
+    words = {True: "[green]yes[/]", False: "[bold red]no[/]", None: ""}[met]
+    if met and not figure.clears:
+        words = "by the other"
+    return " ".join(text for text in (words, figure.reason or "", f"({figure.note})" if figure.note else "") if text)

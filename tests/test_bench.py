@@ -1,0 +1,142 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bayesftc import bench
+from bayesftc.bench import _child, _machine, _run, plain_loop
+from bayesftc.bench._figures import Figure, Section, in_turns, ratios
+
+BARS = {
+    "plain_loop.engine_over_c", "plain_loop.engine_over_fmpy", "plain_loop.difference",
+    "full_loop.engine", "full_loop.engine_over_user", "full_loop.difference", "full_loop.rmse_ratio",
+    "startup.import", "startup.help", "startup.scenario", "startup.scenario_compiled", "startup.second_engine",
+    "memory.growth_over_recording",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sections():
+    return bench.measure(quick=True)
+
+
+@pytest.fixture(scope="module")
+def report(sections):
+    return json.loads(json.dumps(_run.as_json(sections, quick=True)))
+
+
+def test_report_has_every_section_and_bar(report):
+    assert set(report) == {"machine", "quick", "bars", *bench.SECTIONS}
+    assert report["quick"] is True
+    assert set(report["bars"]) == BARS
+
+
+def test_every_bar_has_a_number_or_a_reason(report):
+    for bar in report["bars"].values():
+        assert isinstance(bar["value"], float) != bool(bar["reason"])
+        assert isinstance(bar["met"], bool) or bar["reason"]
+        assert {"at_least", "at_most"} & set(bar)
+
+
+def test_every_figure_has_median_min_and_max_or_a_reason(report):
+    for section in bench.SECTIONS:
+        for figure in report[section].values():
+            if figure["samples"]:
+                assert figure["min"] <= figure["median"] <= figure["max"]
+            else:
+                assert figure["median"] is None
+                assert figure["reason"].endswith(".")
+
+
+def test_what_is_compared_computes_the_same(report):
+    assert report["bars"]["plain_loop.difference"]["met"]
+    assert report["bars"]["full_loop.difference"]["met"]
+
+
+def test_compiled_code_is_kept(report):
+    assert report["startup"]["scenario_compiled"]["max"] == 0
+    assert report["startup"]["first_compiled"]["min"] > report["startup"]["second_compiled"]["max"] > 0
+    assert report["startup"]["first_engine"]["min"] > 0 == report["startup"]["second_engine"]["max"]
+
+
+def test_report_does_not_name_this_machine(report):
+    import platform
+
+    text = json.dumps(report)
+    assert str(Path(__file__).parents[1]) not in text
+    assert str(Path(sys.prefix)) not in text
+    assert f'"{platform.node()}"' not in text
+    assert set(report["machine"]) >= {"cpu", "cores", "python", "numba"}
+
+
+def test_tables_show_every_figure(sections):
+    for section in sections:
+        assert _run.as_table(section).row_count == len(section.figures)
+
+
+def test_json_is_one_object(capsys):
+    bench.main(json=True, quick=True, sections=["memory"])
+    assert set(json.loads(capsys.readouterr().out)) == {"machine", "quick", "memory", "bars"}
+
+
+def test_table_says_that_a_bar_is_missed(capsys):
+    missed = Figure("a", "a figure", "s", [3.0, 1.0, 2.0], at_most=1.5)
+    assert _run._verdict(Section("s", "S", (missed,)), missed) == "[bold red]no[/]"
+    bench.main(quick=True, sections=["memory"])
+    out = capsys.readouterr().out
+    assert "peak growth" in out
+    assert "quick figures" in out
+
+
+def test_one_of_two_alternatives_is_enough():
+    fast = Figure("fast", "", "", [5.0], at_least=4.0, either="speed")
+    slow = Figure("slow", "", "", [50.0], at_least=100.0, either="speed")
+    alone = Figure("alone", "", "", [50.0], at_least=100.0)
+    unknown = Figure("unknown", "", "", [], at_least=1.0, reason="There is none.")
+    section = Section("s", "S", (fast, slow, alone, unknown))
+    assert [section.met(f) for f in section.figures] == [True, True, False, None]
+    assert _run._verdict(section, slow) == "by the other"
+    assert section.bars()["s.unknown"] == {"value": None, "at_least": 1.0, "met": None, "reason": "There is none."}
+
+
+def test_candidates_take_turns():
+    order = []
+    samples = in_turns({n: lambda n=n: order.append(n) or 2.0 for n in "abc"}, 2)
+    assert order == [*"abcabc"]
+    assert ratios(samples["a"], [1.0, 4.0]) == [2.0, 0.5]
+
+
+def test_without_a_compiler_there_is_a_reason(monkeypatch):
+    from bayesftc.fmus._compiler import CompilerError
+
+    def refuse(folder):
+        raise CompilerError("No C compiler was found.")
+
+    monkeypatch.setattr(plain_loop, "compile_c_loop", refuse)
+    section = plain_loop.measure(quick=True)
+    bar = section.bars()["plain_loop.engine_over_c"]
+    assert bar["value"] is None
+    assert bar["reason"].startswith("No C compiler")
+    assert section.bars()["plain_loop.engine_over_fmpy"]["value"] is not None
+
+
+def test_a_process_that_fails_is_told_without_its_paths():
+    with pytest.raises(
+        _child.ChildError, match=r"^A process of the measurement failed with FileNotFoundError \(exit status 1\)\.$"
+    ):
+        _child.run_code("open('/some/path')")
+    with pytest.raises(_child.ChildError, match=r"failed \(exit status 3\)"):
+        _child.run_code("raise SystemExit(3)")
+
+
+def test_machine_without_a_processor_table(monkeypatch):
+    monkeypatch.setattr(_machine.Path, "is_file", lambda path: False)
+    assert isinstance(_machine._processor(), str)
+
+
+def test_import_is_light():
+    code = "import sys, bayesftc.bench; print(sorted({'numba', 'rich', 'fmpy', 'numpy'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
