@@ -28,8 +28,10 @@ LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "^", "s", "D", "v")
 MOST_POINTS = 20_000
 """A line with more points than this is thinned: no print shows more."""
-MOST_LABELS = 6
-"""More faults than this are shaded, but not labelled one by one."""
+MOST_ROWS = 3
+"""Faults whose names would need more rows than this are shaded, but not named one by one."""
+LETTER = 0.0115
+"""Width of a letter of those names, as a share of the panel's."""
 WIDTH, PANEL = 8.0, 2.1
 
 
@@ -130,8 +132,6 @@ def _draw_quantity(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) 
 
 
 def _draw_deviation(axis: Axes, signals: LoopSignals, unit: str | None) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     drawn = []
     for sensor in signals.sensors:
         if sensor.precision is None:
@@ -151,13 +151,18 @@ def _draw_deviation(axis: Axes, signals: LoopSignals, unit: str | None) -> None:
                 "transform": axis.get_xaxis_transform(),
             }
             axis.plot(ignored, top, label=f"sensor {sensor.index} ignored", **mark)
-    axis.set_yscale("log")
     axis.set_ylabel("expected standard\ndeviation" + (f" ({unit})" if unit else ""))
+    _logarithmic(axis, drawn)
+
+
+def _logarithmic(axis: Axes, drawn: list[Floats]) -> None:
+    """Make the axis logarithmic, with ticks at 1, 2, 5 where powers of ten alone would leave one number or none."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_yscale("log")
     known = np.concatenate(drawn) if drawn else np.array([])
-    known = known[np.isfinite(known)]
-    if (
-        len(known) and known.max() < 30 * known.min()
-    ):  # less than a decade or so: powers of ten alone would leave one label
+    known = known[np.isfinite(known) & (known > 0)]
+    if len(known) and known.max() < 100 * known.min():
         axis.set_ylim(0.8 * known.min(), 1.3 * known.max())
         axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -180,7 +185,7 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
         axis.plot(*_thin(signals.time, sensor.beta), **_line(sensor))
     axis.set_ylabel("beta")
     if rated:
-        axis.set_yscale("log")
+        _logarithmic(axis, [s.beta for s in rated if s.beta is not None])
     else:
         axis.set_yticks([])
         axis.set_ylabel("fault probability")
@@ -211,20 +216,26 @@ def _shade(axis: Axes, signals: LoopSignals) -> None:
 
 
 def _name_faults(axis: Axes, signals: LoopSignals) -> None:
-    """Write each fault's name above its period, or one note where there are many."""
-    shown = [(name, sensor, a, b) for name, (sensor, active) in signals.faults.items() for a, b in periods(active)]
+    """Write each fault's name above its period, in as many rows as they need, or one note where there are too many."""
     style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
-    if len(shown) > MOST_LABELS:
+    faults = [(a, b, sensor, name) for name, (sensor, active) in signals.faults.items() for a, b in periods(active)]
+    length = float(signals.time[-1] - signals.time[0]) if len(signals.time) else 0.0
+    rows: list[float] = []  # where the last name of each row ends
+    names = []
+    for a, b, sensor, name in sorted(faults):
+        kind = name.rsplit("_", 1)[0].replace("_", " ") if name.endswith(f"_{sensor}") else name
+        text, middle = f"sensor {sensor}: {kind}", 0.5 * float(signals.time[a] + signals.time[b - 1])
+        half = 0.5 * LETTER * length * (len(text) + 2)
+        row = next((i for i, end in enumerate(rows) if end <= middle - half), len(rows))
+        rows[row : row + 1] = [middle + half]
+        names.append((middle, 1.02 + 0.1 * row, text, _colour(sensor)))
+    if len(rows) > MOST_ROWS:
         axis.text(
-            signals.time[0], 1.02, f"shaded: {len(shown)} faults, in the colour of their sensor", color="0.3", **style
+            signals.time[0], 1.02, f"shaded: {len(faults)} faults, in the colour of their sensor", color="0.3", **style
         )
         return
-    for row, (name, sensor, a, b) in enumerate(sorted(shown, key=lambda entry: entry[2])):
-        middle = 0.5 * (signals.time[a] + signals.time[b - 1])
-        overlaps = any(a < other[3] and other[2] < b for other in shown if other[0] != name)
-        kind = name.rsplit("_", 1)[0].replace("_", " ") if name.endswith(f"_{sensor}") else name
-        height = 1.02 + (0.11 * (row % 3) if overlaps else 0)
-        axis.text(middle, height, f"sensor {sensor}: {kind}", ha="center", color=_colour(sensor), **style)
+    for middle, height, text, colour in names:
+        axis.text(middle, height, text, ha="center", color=colour, **style)
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
