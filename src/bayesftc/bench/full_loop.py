@@ -71,7 +71,7 @@ def tracking_error(recording: Floats) -> float:
 def measure(quick: bool = False) -> Section:
     """Check that both loops do the same, then measure them in turns."""
     # A million steps record 64 MB: far more at a time would measure how fast the system hands out fresh memory.
-    fast, slow, rounds, runs = (20_000, 300, 2, 2) if quick else (1_000_000, 20_000, 11, 30)
+    fast, slow, rounds, runs = (20_000, 300, 2, 2) if quick else (1_000_000, 20_000, 11, 100)
     diagram = full_diagram()
     with unpacked_car() as car:
         same = np.abs(
