@@ -9,7 +9,6 @@ on (:mod:`bayesftc.cosim._fingerprint`); numba then caches that module's compile
 from __future__ import annotations
 
 import builtins
-import hashlib
 import operator
 import os
 import sys
@@ -29,7 +28,7 @@ from numba.extending import intrinsic, overload
 
 from bayesftc.cosim import _numba_ops
 from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim._fingerprint import Kernel, environment, fingerprint, functions_called, references, where
+from bayesftc.cosim._fingerprint import Kernel, fingerprint, functions_called, references, service_fingerprint, where
 from bayesftc.cosim.errors import BayesFTCError, KernelError
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
@@ -38,9 +37,8 @@ SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, type
 STATISTICS = {"compiled": 0, "loaded": 0}
 """How many functions this process has compiled, and how many came ready from the disk."""
 
-_STAMP = (
-    1_000_000_000.0  # numba takes the time stamp of a source file for its version; here the file's name says it all
-)
+# Older versions of numba take the time stamp of a source file for its version; here the file's name says it all.
+_STAMP = 1_000_000_000.0
 
 _lock = threading.RLock()
 _modules: dict[str, ModuleType] = {}
@@ -132,7 +130,7 @@ def _filled(cell: CellType) -> bool:
     return True
 
 
-def compile_function(function: FunctionType, signature: str, *modules: ModuleType) -> Any:
+def compile_function(function: FunctionType, signature: str) -> Any:
     """Compile a service function of the engine for one numba signature, or load it from the disk.
 
     Parameters
@@ -141,8 +139,6 @@ def compile_function(function: FunctionType, signature: str, *modules: ModuleTyp
         What to compile; numba sees it as it stands.
     signature : str
         The only signature it is called with, in numba's notation.
-    *modules : module
-        Further modules that its code depends on: an edit there compiles it anew, as an edit in its own file does.
     """
     arguments = ", ".join(_arguments(function))
     # Without numba's reference counts (_nrt): such functions borrow their arrays and allocate none, and counting atomically
@@ -151,18 +147,16 @@ def compile_function(function: FunctionType, signature: str, *modules: ModuleTyp
         f'from numba import njit\n\n@njit({signature!r}, error_model="numpy", nogil=True, cache=True, _nrt=False)\n'
         f"def entry({arguments}):\n    return kernel({arguments})\n"
     )
-    return _load_service(function, text, modules).entry
+    return _load_service(function, text).entry
 
 
-def compile_raw(function: FunctionType, *modules: ModuleType) -> CFunc:
+def compile_raw(function: FunctionType) -> CFunc:
     """Compile a service function with the engine's own signature, which gets the four addresses, or load it from the disk.
 
     Parameters
     ----------
     function : function
         Takes ``(state, parameters, inputs, outputs, t, k)`` and returns a status; numba sees it as it stands.
-    *modules : module
-        Further modules that its code depends on.
 
     Returns
     -------
@@ -174,15 +168,14 @@ def compile_raw(function: FunctionType, *modules: ModuleType) -> CFunc:
         "from numba import cfunc\nfrom bayesftc.cosim._compiler import SIGNATURE\n\n"
         f'@cfunc(SIGNATURE, error_model="numpy", cache=True)\ndef entry({arguments}):\n    return kernel({arguments})\n'
     )
-    compiled: CFunc = _load_service(function, text, modules).entry
+    compiled: CFunc = _load_service(function, text).entry
     return compiled
 
 
-def _load_service(function: FunctionType, text: str, modules: tuple[ModuleType, ...]) -> ModuleType:
-    digest = hashlib.sha256(environment().encode() + text.encode())
-    for file in (function.__code__.co_filename, *(str(module.__file__) for module in modules)):
-        digest.update(Path(file).read_bytes())
-    return _load(f"engine_{function.__name__}_{digest.hexdigest()[:24]}", text, {"kernel": function}, [function])
+def _load_service(function: FunctionType, text: str) -> ModuleType:
+    return _load(
+        f"engine_{function.__name__}_{service_fingerprint(function, text)}", text, {"kernel": function}, [function]
+    )
 
 
 def _arguments(function: FunctionType) -> tuple[str, ...]:

@@ -41,9 +41,12 @@ def environment() -> str:
     import llvmlite.binding as llvm
     import numba
 
+    from bayesftc.cosim import _compiler, _numba_ops
+
     features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
-    here = Path(__file__).parent
-    sources = [hashlib.sha256((here / name).read_bytes()).hexdigest() for name in ("_numba_ops.py", "_compiler.py")]
+    # The code that this process has loaded, not the files, which may have been edited since.
+    sources = [f"{_numba_ops.OPTIONS}{_code_text(_compiler.as_floats._defn.__code__)}"]
+    sources += [_code_text(f.__code__) for _, f in sorted(vars(_numba_ops).items()) if isinstance(f, FunctionType)]
     parts = [platform.python_version(), numba.__version__, llvmlite.__version__, llvm.get_host_cpu_name(), features]
     return "|".join(parts + sources)
 
@@ -151,6 +154,46 @@ def fingerprint(function: FunctionType, specialisation: str) -> str:
             digest.update(f"{name}={_text(value, number)};".encode())
         digest.update(repr((reached.__defaults__, reached.__kwdefaults__)).encode())
     return digest.hexdigest()[:24]
+
+
+def service_fingerprint(function: FunctionType, text: str) -> str:
+    """Return a hexadecimal hash of a service function of the engine, all that it calls, and the wrapper around it.
+
+    It is taken over the code that this process has loaded: the files may have been edited since.
+    """
+    digest = hashlib.sha256(f"{environment()}\n{text}\n".encode())
+    visited: list[FunctionType] = []
+    package = function.__module__.split(".")[0]
+
+    def visit(value: Any) -> None:
+        value = getattr(value, "_defn", value)  # an intrinsic's Python function
+        if isinstance(value, FunctionType) and value.__module__.split(".")[0] == package:
+            if value in visited:
+                digest.update(f"function {visited.index(value)}".encode())
+                return
+            visited.append(value)
+            digest.update(f"{_code_text(value.__code__)} {value.__defaults__!r}".encode())
+            for name in sorted(set(_names(value.__code__)) & value.__globals__.keys()):
+                digest.update(f"{name}=".encode())
+                visit(value.__globals__[name])
+            for cell in value.__closure__ or ():
+                visit(cell.cell_contents)
+        elif isinstance(value, ModuleType | FunctionType | type):
+            digest.update(f"{value.__name__};".encode())
+        elif isinstance(value, Number | str | tuple):
+            digest.update(f"{value!r};".encode())
+        else:
+            digest.update(f"{type(value).__name__};".encode())
+
+    visit(function)
+    return digest.hexdigest()[:24]
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
 
 
 def _text(value: Any, number: dict[FunctionType, str]) -> str:

@@ -38,7 +38,7 @@ def _compiled(major: int, role: str) -> Any:
     from bayesftc.cosim._compiler import compile_raw
 
     function: Any = _fmi_kernels.FUNCTIONS[major, role]
-    return compile_raw(function, _fmi_kernels)
+    return compile_raw(function)
 
 
 class StepFunctions:

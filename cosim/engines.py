@@ -125,10 +125,10 @@ class CompiledEngine:
 @cache
 def compiled_loop() -> Any:
     """Return the compiled loop, from the disk if any process has compiled it before."""
-    from bayesftc.cosim import _loop, random
+    from bayesftc.cosim import _loop
     from bayesftc.cosim._compiler import compile_function
 
-    return compile_function(_loop.run, _loop.SIGNATURE, random)
+    return compile_function(_loop.run, _loop.SIGNATURE)
 
 
 class InterpretedEngine:

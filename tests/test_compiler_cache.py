@@ -14,7 +14,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import Port, _compiler, ops
-from bayesftc.cosim._fingerprint import fingerprint
+from bayesftc.cosim._fingerprint import fingerprint, service_fingerprint
 from bayesftc.cosim.ops import both, exp, select, sqrt, square
 
 # --- the contract ---------------------------------------------------------------------------------------------------------------
@@ -269,6 +269,39 @@ def test_functions_of_one_name_are_told_apart(evaluate):
     assert fingerprint(make(one, two), "") == fingerprint(make(one, two), "")
 
 
+SERVICE = """
+from numba.extending import intrinsic, register_jitable
+RATE = {rate}
+
+@intrinsic
+def native(context, x):
+    def codegen(context, builder, signature, args):
+        return {native}
+    return x(x), codegen
+
+@register_jitable
+def helper(x):
+    return {helper}
+
+def service(x):
+    return native(helper(x)) + RATE
+"""
+
+
+def test_the_engines_own_functions_are_known_by_the_code_that_is_loaded(module):
+    plain = {"rate": "1.0", "native": "args[0]", "helper": "x"}
+
+    def print_of(text=SERVICE, **changes):
+        return service_fingerprint(module(text, **{**plain, **changes}).service, "")
+
+    loaded = module(SERVICE, **plain).service
+    edited = [print_of(), print_of(rate="2.0"), print_of(native="args[1]"), print_of(helper="2.0 * x")]
+    assert len(set(edited)) == 4
+    assert print_of("# moved\n\n" + SERVICE) == edited[0]
+    assert service_fingerprint(loaded, "") == edited[0]  # though its file has been edited since
+    assert service_fingerprint(loaded, "another wrapper") != edited[0]
+
+
 def test_constants_that_look_alike_are_told_apart(module):
     def print_of(value):
         return fingerprint(module().make(value), "")
@@ -340,6 +373,7 @@ def test_across_processes(python, tmp_path):
     assert mended[0] == {"compiled": 2, "loaded": 0}
     assert mended[1:] == edited[1:]
     assert not list(cache.rglob("*.tmp"))
+    assert len({p.stat().st_mtime for p in cache.rglob("*.py")}) == 1  # whoever writes a text, numba finds it unchanged
 
 
 SMALL = textwrap.dedent("""
