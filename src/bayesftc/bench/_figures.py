@@ -81,12 +81,17 @@ class Section:
             return True
         return None if None in verdicts else False
 
+    def alternatives(self, figure: Figure) -> list[Figure]:
+        """Return the other figures of which one is enough."""
+        return [f for f in self.figures if f is not figure and f.either is not None and f.either == figure.either]
+
     def bars(self) -> dict[str, dict[str, Any]]:
         """Return each bar with the value that was measured, as plain data."""
         return {
             f"{self.key}.{f.key}": {
                 "value": f.value,
                 **{name: limit for name in ("at_least", "at_most") if (limit := getattr(f, name)) is not None},
+                **({"or": others} if (others := [f"{self.key}.{o.key}" for o in self.alternatives(f)]) else {}),
                 "met": self.met(f),
                 "reason": f.reason,
             }
