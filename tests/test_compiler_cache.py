@@ -361,6 +361,7 @@ def test_across_processes(python, tmp_path):
     edited = run("def helper(x):\n    return 3.0 * x\n")
     assert edited[0] == {"compiled": 1, "loaded": 1}
     np.testing.assert_allclose((np.array(edited[2]) - 1) / (np.array(first[2]) - 1), 1.5, rtol=1e-12)
+    assert len({p.stat().st_mtime for p in cache.rglob("*.py")}) == 1  # whoever writes a text, numba finds it unchanged
     # What is damaged is compiled anew: numba's index, its code, and the text that they belong to.
     files = sorted(p for p in cache.rglob("*") if p.is_file())
     for file in files:
@@ -373,7 +374,6 @@ def test_across_processes(python, tmp_path):
     assert mended[0] == {"compiled": 2, "loaded": 0}
     assert mended[1:] == edited[1:]
     assert not list(cache.rglob("*.tmp"))
-    assert len({p.stat().st_mtime for p in cache.rglob("*.py")}) == 1  # whoever writes a text, numba finds it unchanged
 
 
 SMALL = textwrap.dedent("""
