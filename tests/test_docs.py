@@ -1,0 +1,75 @@
+"""Documentation that cannot drift: README and pages run, and every public argument is described."""
+
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bayesftc import controllers, cosim, fmus
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PUBLIC = {f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, controllers) for n in m.__all__}
+
+
+def snippets(page):
+    """The Python of a page, as one program: later snippets may use names of earlier ones."""
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M))
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if snippets(p)], ids=lambda p: p.name)
+def test_snippets_run(page, tmp_path):
+    done = subprocess.run([sys.executable, "-c", snippets(page)], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    for expected in re.findall(r"^print\(.*\)  # (.*)$", snippets(page), re.M):
+        assert expected in done.stdout.splitlines()
+
+
+def test_readme_has_both_commands_and_they_are_what_ci_runs():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for marker in ("run", "test"):
+        assert len(re.findall(rf"<!-- {marker} command -->\n```sh\n[^\n]+\n```", text)) == 1
+    assert "<!-- test command -->" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_links_of_the_pages_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+            if "://" not in target:
+                assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_every_public_name_is_described_with_all_its_arguments(name):
+    thing = PUBLIC[name]
+    if not (inspect.isclass(thing) or inspect.isfunction(thing)):
+        return
+    text = inspect.getdoc(thing)
+    assert text, f"{name} has no docstring"
+    if inspect.isclass(thing) and issubclass(thing, Exception):
+        return
+    members = [thing] if inspect.isfunction(thing) else []
+    if inspect.isclass(thing):
+        text += "".join(inspect.getdoc(base) or "" for base in thing.__mro__[1:-1])
+        members.append(thing.__init__)
+        for attribute, member in vars(thing).items():
+            if not attribute.startswith("_") and (callable(member) or isinstance(member, property)):
+                assert inspect.getdoc(getattr(thing, attribute)), f"{name}.{attribute} has no docstring"
+    for member in members:
+        try:
+            parameters = inspect.signature(member).parameters.values()
+        except (TypeError, ValueError):
+            continue
+        for parameter in parameters:
+            described = re.search(rf"\b{re.escape(parameter.name)}\b", text)
+            assert parameter.name in {"self", "args", "kwargs"} or described, f"{name} does not describe {parameter.name!r}"
+
+
+def test_examples_folder_ships_with_the_package():
+    import bayesftc.examples
+
+    assert (Path(bayesftc.examples.__file__).parent / "cruise_control" / "cruise_control.toml").is_file()
+    assert fmus.path("CruiseControl").is_file()
