@@ -3,13 +3,20 @@
 from bayesftc.controllers._linalg import (
     apply,
     cholesky,
+    cholesky_semidefinite,
     congruence,
     multiply,
     multiply_transposed,
     solve_columns,
     solve_vector,
 )
-from bayesftc.cosim.ops import both, maximum, minimum, select
+from bayesftc.cosim.ops import both, maximum, minimum, select, sqrt
+
+MEAN_CAP = 1e150
+"""Largest magnitude of a predicted state; its square is still a double."""
+
+VARIANCE_CAP = 1e20
+"""Largest predicted variance, in units of the largest variance among initial belief, process noise and sensors."""
 
 
 def innovate(y, mean, covariance, C, e, present, CP, spread):
@@ -29,63 +36,80 @@ def innovate(y, mean, covariance, C, e, present, CP, spread):
         e[i] = select(finite, d, 0.0)
 
 
-def measure(e, used, R, C, CP, spread, mean, covariance, S, K, KR, J, JP, x_hat, P):
-    """Condition the belief on the sensors in use: Kalman's update in Joseph's form, a row and column of the unused left out."""
+def measure(e, used, R, C, mean, covariance, L, D, whitened, v, gain, J, JP, x_hat, P):
+    """Condition the belief on the sensors in use, one after the other, each by Kalman's update in Joseph's form.
+
+    The sensors' noise is whitened first by the Cholesky factor of its covariance (a row and column of the unused left out). One
+    by one, no matrix has to be inverted that becomes singular when the belief is far less certain than the sensors.
+    """
     m, n = C.shape[0], C.shape[1]
     for i in range(m):
         for j in range(m):
             together = both(used[i] > 0.5, used[j] > 0.5)
             alone = 1.0 if i == j else 0.0
-            S[i, j] = select(together, spread[i, j] + R[i, j], alone)
+            L[i, j] = select(together, R[i, j], alone)
+        whitened[i] = select(used[i] > 0.5, e[i], 0.0)
         for j in range(n):
-            K[i, j] = select(used[i] > 0.5, CP[i, j], 0.0)  # K holds the gain's transpose: S^-1 C P
-    cholesky(S, S)
-    solve_columns(S, K)
-    for j in range(n):
-        total = mean[j]
-        for i in range(m):
-            total = total + K[i, j] * e[i]
-        x_hat[j] = total
+            D[i, j] = select(used[i] > 0.5, C[i, j], 0.0)
+    cholesky(L, L)
+    for i in range(m):
+        for k in range(i):
+            whitened[i] = whitened[i] - L[i, k] * whitened[k]
+            for j in range(n):
+                D[i, j] = D[i, j] - L[i, k] * D[k, j]
+        whitened[i] = whitened[i] / L[i, i]
+        for j in range(n):
+            D[i, j] = D[i, j] / L[i, i]
     for i in range(n):
+        x_hat[i] = mean[i]
         for j in range(n):
-            total = 1.0 if i == j else 0.0
-            for s in range(m):
-                total = total - K[s, i] * C[s, j]
-            J[i, j] = total
-    congruence(J, covariance, JP, P)
+            P[i, j] = covariance[i, j]
     for s in range(m):
-        for j in range(n):
-            total = 0.0 * K[s, j]
-            for r in range(m):
-                total = total + select(both(used[s] > 0.5, used[r] > 0.5), R[s, r], 0.0) * K[r, j]
-            KR[s, j] = total
-    for i in range(n):
-        for j in range(i + 1):
-            total = P[i, j]
-            for s in range(m):
-                total = total + K[s, i] * KR[s, j]
-            P[i, j] = total
-            P[j, i] = total
+        S = 1.0 + 0.0 * whitened[s]
+        error = whitened[s]
+        for i in range(n):
+            total = P[i, 0] * D[s, 0]
+            for j in range(1, n):
+                total = total + P[i, j] * D[s, j]
+            v[i] = total
+            S = S + D[s, i] * total
+            error = error - D[s, i] * (x_hat[i] - mean[i])
+        for i in range(n):
+            gain[i] = v[i] / S
+            x_hat[i] = x_hat[i] + gain[i] * error
+        for i in range(n):
+            for j in range(n):
+                J[i, j] = (1.0 if i == j else 0.0) - gain[i] * D[s, j]
+        congruence(J, P, JP, P)
+        for i in range(n):
+            for j in range(n):
+                P[i, j] = P[i, j] + gain[i] * gain[j]
 
 
-def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, GA, GAP, SG, pull, W, Lambda, u):
+def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u):
     """Infer the control: the mean of p(u_t | belief, goal) when x_t+1 = A x_t + B u_t + q is pulled to the goal.
 
     ``GQ`` is G Q G' plus the goal's covariance, ``GB`` is G B, ``prior_precision`` and ``prior_pull`` the control prior's
-    precision and its product with the prior mean (zeros for a flat prior). Leaves the goal's error in ``pull``.
+    precision and its product with the prior mean (zeros for a flat prior). A goal that is not finite counts as none: its row
+    is left out (``wanted``). Leaves the goal's error in ``pull``.
     """
     g, p = GB.shape[0], GB.shape[1]
     multiply(G, A, GA)
+    for i in range(g):
+        wanted[i] = select(goal[i] - goal[i] == 0.0, 1.0, 0.0)
+        for j in range(GA.shape[1]):
+            GA[i, j] = select(wanted[i] > 0.5, GA[i, j], 0.0)
+        for j in range(p):
+            W[i, j] = select(wanted[i] > 0.5, GB[i, j], 0.0)
     congruence(GA, P, GAP, SG)
     for i in range(g):
         for j in range(g):
-            SG[i, j] = SG[i, j] + GQ[i, j]
+            alone = 1.0 if i == j else 0.0
+            SG[i, j] = select(both(wanted[i] > 0.5, wanted[j] > 0.5), SG[i, j] + GQ[i, j], alone)
         expected = GA[i, 0] * x_hat[0]
         for j in range(1, GA.shape[1]):
             expected = expected + GA[i, j] * x_hat[j]
-        pull[i] = goal[i] - expected
-        for j in range(p):
-            W[i, j] = GB[i, j]
+        pull[i] = select(wanted[i] > 0.5, goal[i] - expected, 0.0)
     cholesky(SG, SG)
     solve_columns(SG, W)
     for i in range(p):
@@ -103,33 +127,47 @@ def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, GA, GAP, S
 
 
 def limit(u, applied, u_min, u_max, u_change):
-    """Limit the control and its change since the last step, and remember what is applied."""
+    """Limit the control's change since the last step, then the control itself, and remember what is applied.
+
+    A control that is not finite (nothing determines it: no goal under a flat prior) becomes the last one.
+    """
     for i in range(u.shape[0]):
-        low = maximum(u_min[i], applied[i] - u_change[i])
-        high = minimum(u_max[i], applied[i] + u_change[i])
-        u[i] = maximum(minimum(u[i], high), low)
+        asked = select(u[i] - u[i] == 0.0, u[i], applied[i])
+        asked = maximum(minimum(asked, applied[i] + u_change[i]), applied[i] - u_change[i])
+        u[i] = maximum(minimum(asked, u_max[i]), u_min[i])
         applied[i] = u[i]
 
 
-def predict(x_hat, P, u, A, B, Q, AP, mean, covariance):
-    """Take the belief to the next step, with the control that was applied."""
+def predict(x_hat, P, u, A, B, Q, largest, AP, mean, covariance):
+    """Take the belief to the next step, with the control that was applied.
+
+    Means beyond `MEAN_CAP` and variances beyond ``largest`` are held there: an unstable plant that no sensor has seen for
+    hundreds of steps then leaves a belief that knows nothing, not one that is not a number.
+    """
+    n = A.shape[0]
     apply(A, x_hat, mean)
-    for i in range(B.shape[0]):
+    for i in range(n):
         total = mean[i]
         for j in range(B.shape[1]):
             total = total + B[i, j] * u[j]
-        mean[i] = total
+        mean[i] = maximum(minimum(total, MEAN_CAP), -MEAN_CAP)
     congruence(A, P, AP, covariance)
-    for i in range(Q.shape[0]):
-        for j in range(Q.shape[1]):
+    for i in range(n):
+        for j in range(n):
             covariance[i, j] = covariance[i, j] + Q[i, j]
+    for i in range(n):
+        variance = covariance[i, i]
+        shrink = select(variance > largest[0], sqrt(largest[0] / variance), 1.0)
+        for j in range(n):
+            covariance[i, j] = covariance[i, j] * shrink
+            covariance[j, i] = covariance[j, i] * shrink
 
 
-def keep_belief(pull, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P):
+def keep_belief(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P):
     """Carry p(x_t | y_1..t): goal and control prior leave the belief alone (``belief="filtered"``)."""
 
 
-def fold_goal(pull, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P):
+def fold_goal(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P):
     """Condition the belief about x_t on the goal as well: the marginal of the paper's full joint (``belief="joint"``).
 
     With N = GQ the goal's covariance given x_t and u_t, what the goal says about x_t once u_t is integrated out has the
@@ -140,9 +178,10 @@ def fold_goal(pull, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL
     for i in range(g):
         for j in range(g):
             V[i, j] = 1.0 if i == j else 0.0
+            N[i, j] = select(both(wanted[i] > 0.5, wanted[j] > 0.5), GQ[i, j], V[i, j])
         for j in range(p):
-            W[i, j] = GB[i, j]
-    cholesky(GQ, N)
+            W[i, j] = select(wanted[i] > 0.5, GB[i, j], 0.0)
+    cholesky(N, N)
     solve_columns(N, V)
     solve_columns(N, W)
     for i in range(p):
@@ -159,10 +198,7 @@ def fold_goal(pull, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL
         for j in range(g):
             for s in range(p):
                 V[i, j] = V[i, j] - W[i, s] * Wt[s, j]
-    for i in range(n):
-        for j in range(n):
-            L[i, j] = 0.0
-    cholesky(P, L)
+    cholesky_semidefinite(P, L)
     multiply(GA, L, GL)
     multiply(V, GL, VGL)
     for i in range(n):
@@ -179,12 +215,14 @@ def fold_goal(pull, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL
     cholesky(M, M)
     solve_vector(M, h)
     solve_columns(M, X)
+    # Where no goal is left to determine a control of flat prior, nothing is learned from it either, and M is not finite.
+    known = M[n - 1, n - 1] - M[n - 1, n - 1] == 0.0
     for i in range(n):
         for j in range(n):
-            x_hat[i] = x_hat[i] + L[i, j] * h[j]
+            x_hat[i] = x_hat[i] + select(known, L[i, j] * h[j], 0.0)
         for j in range(i + 1):
             total = L[i, 0] * X[0, j]
             for s in range(1, n):
                 total = total + L[i, s] * X[s, j]
-            P[i, j] = total
-            P[j, i] = total
+            P[i, j] = select(known, total, P[i, j])
+            P[j, i] = P[i, j]

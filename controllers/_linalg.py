@@ -1,6 +1,6 @@
 """Dense linear algebra in scalar loops, for step functions: nothing is allocated, every result goes into a given array."""
 
-from bayesftc.cosim.ops import sqrt
+from bayesftc.cosim.ops import maximum, select, sqrt
 
 
 def multiply(a, b, out):
@@ -24,7 +24,7 @@ def multiply_transposed(a, b, out):
 
 
 def congruence(a, p, work, out):
-    """``out = a @ p @ a.T`` for symmetric `p`: exactly symmetric. `work` has the shape of `a`; `out` must not be `p`."""
+    """``out = a @ p @ a.T`` for symmetric `p`: exactly symmetric. `work` has the shape of `a`; `out` may be `p`."""
     multiply(a, p, work)
     for i in range(a.shape[0]):
         for j in range(i + 1):
@@ -57,6 +57,27 @@ def cholesky(a, lower):
             for k in range(j):
                 t = t - lower[i, k] * lower[j, k]
             lower[i, j] = t / d
+
+
+def cholesky_semidefinite(a, lower):
+    """Write a lower factor of the positive semi-definite `a` into `lower`, with a column of zeros for each missing rank."""
+    n = a.shape[0]
+    for j in range(n):
+        d = a[j, j]
+        for k in range(j):
+            d = d - lower[j, k] * lower[j, k]
+        positive = d > 1e-14 * a[j, j]
+        d = sqrt(maximum(d, 0.0))
+        for i in range(n):
+            if i < j:
+                lower[i, j] = 0.0
+            elif i == j:
+                lower[i, j] = select(positive, d, 0.0)
+            else:
+                t = a[i, j]
+                for k in range(j):
+                    t = t - lower[i, k] * lower[j, k]
+                lower[i, j] = select(positive, t / d, 0.0)
 
 
 def solve_columns(lower, b):

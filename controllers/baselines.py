@@ -15,6 +15,8 @@ from bayesftc.cosim.timebase import whole_steps
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
 
+INFINITE = float("inf")
+
 EFFDI_QUANTILE_999 = 19.76
 """The 99.9 % quantile of EF-FDI's statistic without fault, in standard deviations of the sensor's noise (checked by a test)."""
 
@@ -22,11 +24,12 @@ EFFDI_QUANTILE_999 = 19.76
 def _decide(i, ignored, nominal, nan, R, used, present, precision, beta, fault_probability):
     for j in range(R.shape[0]):
         R[i, j] = nominal[i, j]
+    R[i, i] = select(ignored, INFINITE, nominal[i, i])  # so that the output R says that it is left out
     trusted = both(present > 0.5, negate(ignored))
     used[i] = select(trusted, 1.0, 0.0)
     precision[i] = select(ignored, 0.0, 1.0 / nominal[i, i])
     beta[i] = nan
-    fault_probability[i] = select(ignored, 1.0, 0.0)
+    fault_probability[i] = select(present > 0.5, select(ignored, 1.0, 0.0), nan)
 
 
 def learn_effdi(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
@@ -89,7 +92,9 @@ class SERFDI(PrecisionLearner):
     """State estimation residual: a sensor whose innovation exceeds the threshold is ignored at this sample.
 
     The estimate is a Kalman filter's that leaves ignored sensors out (`bayesftc.controllers.validation.ser_reference` is the
-    same on filterpy's). The decision is ``fault_probability`` (0 or 1); beta is NaN.
+    same on filterpy's). The decision is ``fault_probability`` (0 or 1); beta is NaN. Started from a belief that is sure and wrong
+    it ignores every sample: give the controller an ``initial_mean``, or an ``initial_covariance`` that admits what it does not
+    know.
 
     Parameters
     ----------

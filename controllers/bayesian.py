@@ -31,18 +31,19 @@ def _make_step(learn: Callable[..., None], fold: Callable[..., None]) -> Callabl
     def bayesian_controller(
         y, goal, u, x_hat, P, R, precision, beta, fault_probability,
         mean, covariance, applied, memory,
-        A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change,
-        e, present, used, CP, spread, S, K, KR, J, JP, GA, GAP, SG, pull, W, Lambda, N, V, Wt, L, GL, VGL, M, X, h,
+        A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
+        e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
+        N, V, Wt, L, GL, VGL, M, X, h,
     ):  # fmt: skip
         innovate(y, mean, covariance, C, e, present, CP, spread)
         learn(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability)
-        measure(e, used, R, C, CP, spread, mean, covariance, S, K, KR, J, JP, x_hat, P)
-        decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, GA, GAP, SG, pull, W, Lambda, u)
+        measure(e, used, R, C, mean, covariance, chol, D, whitened, v, gain, J, JP, x_hat, P)
+        decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
         limit(u, applied, u_min, u_max, u_change)
         for i in range(pull.shape[0]):
             pull[i] = pull[i] - goal_shift[i]
-        fold(pull, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
-        predict(x_hat, P, u, A, B, Q, J, mean, covariance)
+        fold(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
+        predict(x_hat, P, u, A, B, Q, largest, J, mean, covariance)
 
     return bayesian_controller
 
@@ -55,8 +56,10 @@ class BayesianController(Block):
     the prediction prior and the sensors give the belief p(x_t | y_1..t); the goal prior on x_t+1 and, if wanted, a control
     prior give the control. How far each sensor is trusted is the precision learner's part.
 
-    Inputs ``y`` (m samples; NaN is a missing one) and ``goal`` (of x_t+1). Outputs ``u`` (p), ``x_hat`` (n), ``P`` (n x n),
-    ``R`` (m x m, the sensor covariance in use), ``precision`` (m), ``beta`` (m), ``fault_probability`` (m).
+    Inputs ``y`` (m samples; NaN is a missing one) and ``goal`` (of x_t+1; NaN is no goal, under which a flat control prior holds
+    the last control). Outputs ``u`` (p), ``x_hat`` (n), ``P`` (n x n),
+    ``R`` (m x m, the sensor covariance in use; infinite on the diagonal for a sensor that is left out), ``precision`` (m),
+    ``beta`` (m), ``fault_probability`` (m; NaN while a sensor delivers no sample: that is known, not inferred).
 
     Parameters
     ----------
@@ -91,7 +94,7 @@ class BayesianController(Block):
     Warns
     -----
     UnstableLoopWarning
-        If the closed loop (fixed precision, no limits) has a pole on or outside the unit circle.
+        If plant and belief together (fixed precision, no limits) have a pole on or outside the unit circle.
     """
 
     model: LinearModel
@@ -201,15 +204,18 @@ class BayesianController(Block):
         A, B, Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
         prior = self._prior_precision()
         pull = prior @ np.asarray(self.control_mean)
+        initial = np.asarray(self.initial_covariance)
         parameters = {
             "A": A, "B": B, "C": model.matrix("C"), "Q": Q, "nominal": model.matrix("sensor_covariance"),
-            "G": G, "GB": G @ B, "GQ": G @ Q @ G.T + np.asarray(self.goal_covariance, float), "prior_precision": prior, "prior_pull": pull,
-            "goal_shift": G @ B @ self.control_mean, "settings": learner.settings,
+            "G": G, "GB": G @ B, "GQ": G @ Q @ G.T + np.asarray(self.goal_covariance, float),
+            "prior_precision": prior, "prior_pull": pull, "goal_shift": G @ B @ self.control_mean, "settings": learner.settings,
             "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
+            "largest": _filter.VARIANCE_CAP * max(M.diagonal().max() for M in (initial, Q, model.matrix("sensor_covariance"))),
         }  # fmt: skip
         scratch = {
-            "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "S": (m, m), "K": (m, n), "KR": (m, n),
-            "J": (n, n), "JP": (n, n), "GA": (g, n), "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
+            "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m), "D": (m, n),
+            "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n), "GAP": (g, n), "SG": (g, g),
+            "pull": (g,), "W": (g, p), "Lambda": (p, p),
         }  # fmt: skip
         joint = self.belief == "joint"
         folding = {
@@ -232,26 +238,42 @@ class BayesianController(Block):
         return Definition(_make_step(learner.step, fold), state=state, parameters=parameters)
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:
-        """Return the poles of the plant's states under this controller in steady state, at fixed precision and without limits.
+        """Return the poles of plant and belief together in steady state, at fixed precision and without limits.
 
-        The separation of estimation and control holds, so these are the eigenvalues of A - B L, with L the control's gain on
-        the belief. States of an estimated disturbance, which no control can move, are left out.
+        With ``belief="filtered"`` estimation and control separate: these are the eigenvalues of A - B L, with L the control's
+        gain on the belief, and those of the filter. States of an estimated disturbance move on their own; of them only the
+        estimates are counted.
         """
-        from scipy.linalg import solve_discrete_are
-
         model, G = self.model, self._goal_matrix()
         A, B, C = (model.matrix(name) for name in "ABC")
-        Q, R = model.matrix("process_covariance"), model.matrix("sensor_covariance")
-        try:
-            predicted = solve_discrete_are(A.T, C.T, Q, R)
-            P = predicted - predicted @ C.T @ np.linalg.solve(C @ predicted @ C.T + R, C @ predicted)
-        except (np.linalg.LinAlgError, ValueError):
-            P = Q  # no steady state of the filter; the gain's dependence on P is slight
-        GA, GB = G @ A, G @ B
-        weight = np.linalg.solve(GA @ P @ GA.T + G @ Q @ G.T + np.asarray(self.goal_covariance, float), GB)
-        gain = np.linalg.solve(self._prior_precision() + GB.T @ weight, weight.T @ GA)
-        plant = model.states - model.disturbances
-        return np.linalg.eigvals((A - B @ gain)[:plant, :plant]).astype(np.complex128)
+        n, plant = model.states, model.states - model.disturbances
+        K, L, T = self._steady_gains(A, B, C, G)
+        seen = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
+        move = A @ T - B @ L  # mean at the next step = move @ x_hat
+        top = np.hstack([A[:plant, :plant] - (B @ L @ K @ C)[:plant, :plant], -(B @ L @ seen)[:plant]])
+        bottom = np.hstack([(move @ K @ C)[:, :plant], move @ seen])
+        return np.linalg.eigvals(np.vstack([top, bottom])).astype(np.complex128)
+
+    def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the filter's gain, the control's gain, and what the goal leaves of the belief's mean, in steady state."""
+        Q, R = self.model.matrix("process_covariance"), self.model.matrix("sensor_covariance")
+        GA, GB, one = G @ A, G @ B, np.eye(len(A))
+        N, prior = G @ Q @ G.T + np.asarray(self.goal_covariance, float), self._prior_precision()
+        weight = np.linalg.solve(N, GB)
+        V = np.linalg.inv(N) - weight @ np.linalg.solve(prior + GB.T @ weight, weight.T)
+        predicted = np.asarray(self.initial_covariance) + Q + 1e-9 * np.trace(R) * one
+        largest = _filter.VARIANCE_CAP * np.trace(predicted)
+        for _ in range(2000):  # the covariances' own recursion, which an undetectable model makes grow without end
+            K = np.linalg.solve(C @ predicted @ C.T + R, C @ predicted).T
+            P = (one - K @ C) @ predicted @ (one - K @ C).T + K @ R @ K.T
+            T = one if self.belief == "filtered" else np.linalg.inv(one + P @ GA.T @ V @ GA)
+            following = A @ (T @ P) @ A.T + Q
+            change = np.abs(following - predicted).max()
+            predicted = (following + following.T) / 2
+            if change <= 1e-10 * np.abs(predicted).max() or np.trace(predicted) > largest:
+                break
+        weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
+        return K, np.linalg.solve(prior + GB.T @ weight, weight.T @ GA), T
 
     def _prior_precision(self) -> Floats:
         p = self.model.controls
@@ -262,11 +284,13 @@ class BayesianController(Block):
     def _warn_if_unstable(self) -> None:
         poles = self.closed_loop_poles()
         if np.abs(poles).max() >= 1.0:
+            poles = poles[np.argsort(-np.abs(poles))]
             shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
             warnings.warn(
-                f"The goal and control priors make the closed loop unstable: its poles are {shown}, the largest of magnitude "
-                f"{np.abs(poles).max():.3g}. A goal for the next step alone is short-sighted: weaken it (goal_covariance), "
-                "tighten the control prior (control_covariance), or set goals only for what the control reaches in one step.",
+                f"The closed loop is unstable: its poles are {shown}, the largest of magnitude {np.abs(poles).max():.3g}. "
+                "Either the goal for the next step alone is short-sighted: weaken it (goal_covariance), tighten the control "
+                "prior (control_covariance), or set goals only for what the control reaches in one step; or no sensor sees an "
+                "unstable mode of the model: add one.",
                 UnstableLoopWarning,
                 stacklevel=4,
             )

@@ -22,10 +22,12 @@ import numpy as np
 
 from bayesftc.controllers._checks import Floats
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import exp, log, minimum, select
+from bayesftc.cosim.ops import either, exp, log, minimum, select
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
+
+NAN = float("nan")
 
 ERROR_CAP = 1e12
 """Largest squared error, in units of the sensor's nominal variance, that is learned from."""
@@ -107,10 +109,28 @@ class Calibration:
 
 
 # Settings of the gamma learner.
-_FORGETTING, _SHAPE0, _TO_PRIOR, _BELIEF, _MODE, _SLOPE, _INTERCEPT, _LOG = range(8)
+_FORGETTING, _SHAPE0, _TO_PRIOR, _BELIEF, _MODE, _SLOPE, _INTERCEPT = range(7)
 
 
-def _report(i, a, b, b0, settings, R, used, present, precision, beta, fault_probability):
+def _no_probability(ratio, settings):
+    """Without a calibration: NaN, which stands where the slope would."""
+    return settings[_SLOPE]
+
+
+def _logistic(x, settings):
+    return 1.0 / (1.0 + exp(-(settings[_SLOPE] * x + settings[_INTERCEPT])))
+
+
+def _logistic_of_log(ratio, settings):
+    return _logistic(log(ratio), settings)
+
+
+def _squared(i, e, spread, nominal, settings):
+    squared = e[i] * e[i] + settings[_BELIEF] * spread[i, i]
+    return minimum(squared, ERROR_CAP * nominal[i, i])
+
+
+def _report(i, a, b, settings, present, probability, R, used, precision, beta, fault_probability):
     """Turn shape and rate of sensor `i` into its precision, covariance, beta and probability."""
     for j in range(R.shape[0]):
         R[i, j] = 0.0
@@ -120,50 +140,58 @@ def _report(i, a, b, b0, settings, R, used, present, precision, beta, fault_prob
     used[i] = present
     precision[i] = w
     beta[i] = b
-    ratio = b / b0
-    x = select(settings[_LOG] > 0.5, log(ratio), ratio)
-    fault_probability[i] = 1.0 / (1.0 + exp(-(settings[_SLOPE] * x + settings[_INTERCEPT])))
+    fault_probability[i] = select(present > 0.5, probability, NAN)
 
 
-def _squared(i, e, spread, nominal, settings):
-    squared = e[i] * e[i] + settings[_BELIEF] * spread[i, i]
-    return minimum(squared, ERROR_CAP * nominal[i, i])
+def _forgetting_learner(to_probability: Callable[..., float]) -> Callable[..., None]:
+    def learn_gamma(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
+        """Forget, then learn from this sample: shape + 1/2, rate + e^2 / 2 (paper, section 3.2). ``memory``: shapes, rates.
+
+        Without a sample the distribution decays towards its prior; one that decays towards zero waits instead, for the shape
+        must not vanish.
+        """
+        m = y.shape[0]
+        a0 = settings[_SHAPE0]
+        for i in range(m):
+            b0 = a0 * nominal[i, i]
+            sampled = present[i] > 0.5
+            rho = select(either(sampled, settings[_TO_PRIOR] > 0.5), settings[_FORGETTING], 1.0)
+            back = settings[_TO_PRIOR] * (1.0 - rho)
+            a = rho * memory[i] + back * a0 + 0.5 * present[i]
+            b = rho * memory[m + i] + back * b0
+            b = b + select(sampled, 0.5 * _squared(i, e, spread, nominal, settings), 0.0)
+            memory[i] = a
+            memory[m + i] = b
+            probability = to_probability(b / b0, settings)
+            _report(i, a, b, settings, present[i], probability, R, used, precision, beta, fault_probability)
+
+    return learn_gamma
 
 
-def learn_gamma(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
-    """Forget, then learn from this sample: shape + 1/2, rate + e^2 / 2 (paper, section 3.2). ``memory``: shapes, rates."""
-    m = y.shape[0]
-    rho, a0 = settings[_FORGETTING], settings[_SHAPE0]
-    for i in range(m):
-        b0 = a0 * nominal[i, i]
-        back = settings[_TO_PRIOR] * (1.0 - rho)
-        a = rho * memory[i] + back * a0
-        b = rho * memory[m + i] + back * b0
-        a = a + 0.5 * present[i]
-        b = b + select(present[i] > 0.5, 0.5 * _squared(i, e, spread, nominal, settings), 0.0)
-        memory[i] = a
-        memory[m + i] = b
-        _report(i, a, b, b0, settings, R, used, present[i], precision, beta, fault_probability)
+def _window_learner(to_probability: Callable[..., float]) -> Callable[..., None]:
+    def learn_gamma_window(
+        y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability
+    ):
+        """Learn from the last samples only. ``memory``: for each sensor a shift register of e^2; then of 1 for a sample."""
+        m = y.shape[0]
+        length = memory.shape[0] // (2 * m)
+        a0 = settings[_SHAPE0]
+        for i in range(m):
+            b0 = a0 * nominal[i, i]
+            errors, counts = i * length, (m + i) * length
+            for s in range(length - 1):
+                memory[errors + length - 1 - s] = memory[errors + length - 2 - s]
+                memory[counts + length - 1 - s] = memory[counts + length - 2 - s]
+            memory[errors] = select(present[i] > 0.5, _squared(i, e, spread, nominal, settings), 0.0)
+            memory[counts] = present[i]
+            a, b = a0, b0
+            for s in range(length):
+                a = a + 0.5 * memory[counts + s]
+                b = b + 0.5 * memory[errors + s]
+            probability = to_probability(b / b0, settings)
+            _report(i, a, b, settings, present[i], probability, R, used, precision, beta, fault_probability)
 
-
-def learn_gamma_window(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
-    """Learn from the last samples only. ``memory``: for each sensor a shift register of e^2, then one of 1 for a sample."""
-    m = y.shape[0]
-    length = memory.shape[0] // (2 * m)
-    a0 = settings[_SHAPE0]
-    for i in range(m):
-        b0 = a0 * nominal[i, i]
-        errors, counts = i * length, (m + i) * length
-        for s in range(length - 1):
-            memory[errors + length - 1 - s] = memory[errors + length - 2 - s]
-            memory[counts + length - 1 - s] = memory[counts + length - 2 - s]
-        memory[errors] = select(present[i] > 0.5, _squared(i, e, spread, nominal, settings), 0.0)
-        memory[counts] = present[i]
-        a, b = a0, b0
-        for s in range(length):
-            a = a + 0.5 * memory[counts + s]
-            b = b + 0.5 * memory[errors + s]
-        _report(i, a, b, b0, settings, R, used, present[i], precision, beta, fault_probability)
+    return learn_gamma_window
 
 
 @dataclass(frozen=True)
@@ -177,8 +205,8 @@ class GammaPrecision(PrecisionLearner):
     Parameters
     ----------
     forgetting : float or None
-        Forgetting factor in (0, 1] per step; None is the paper's literal update, which never forgets (and so cannot notice a
-        recovery: see the documentation).
+        Forgetting factor in (0, 1] per step; None is the paper's literal update, which never forgets (and so trusts a
+        recovered sensor again only after many times the fault's length).
     window : int or None
         Look-back window in steps (at most 64) instead of forgetting.
     prior_shape : float
@@ -229,20 +257,21 @@ class GammaPrecision(PrecisionLearner):
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        nan = float("nan")
         c = self.calibration
-        settings = np.zeros(8)
+        settings = np.zeros(7)
         settings[_FORGETTING] = 1.0 if self.forgetting is None else self.forgetting
         settings[_SHAPE0] = self.prior_shape
         settings[_TO_PRIOR] = self.forget_to == "prior"
         settings[_BELIEF] = self.belief_uncertainty
         settings[_MODE] = self.estimate == "mode"
-        settings[_SLOPE], settings[_INTERCEPT] = (c.slope, c.intercept) if c else (nan, nan)
-        settings[_LOG] = c is None or c.feature == "log"
+        settings[_SLOPE], settings[_INTERCEPT] = (c.slope, c.intercept) if c else (NAN, NAN)
+        to_probability = _no_probability if c is None else _logistic_of_log if c.feature == "log" else _logistic
         if self.window is not None:
-            return Learner(learn_gamma_window, np.zeros(2 * model.sensors * int(self.window)), settings)
+            memory = np.zeros(2 * model.sensors * int(self.window))
+            return Learner(_window_learner(to_probability), memory, settings)
         rates = self.prior_shape * np.diag(model.matrix("sensor_covariance"))
-        return Learner(learn_gamma, np.concatenate([np.full(model.sensors, self.prior_shape), rates]), settings)
+        memory = np.concatenate([np.full(model.sensors, self.prior_shape), rates])
+        return Learner(_forgetting_learner(to_probability), memory, settings)
 
     @property
     def why_no_probability(self) -> str | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bayesftc.controllers._checks import Floats
+from bayesftc.controllers._checks import Floats, as_covariance
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 
@@ -86,8 +86,7 @@ def ser_reference(
     kf = KalmanFilter(dim_x=n, dim_z=m, dim_u=p)
     kf.F, kf.B, kf.Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
     kf.x = np.broadcast_to(np.asarray(initial_mean, float), n).reshape(n, 1).copy()
-    covariance = np.asarray(initial_covariance, float)
-    kf.P = covariance * np.eye(n) if covariance.ndim == 0 else covariance.copy()
+    kf.P = np.array(as_covariance("The initial_covariance", initial_covariance, n, singular=True))
     C, nominal = model.matrix("C"), model.matrix("sensor_covariance")
     means, covariances, ignored = np.empty((len(y), n)), np.empty((len(y), n, n)), np.zeros((len(y), m), bool)
     for k, sample in enumerate(y):

@@ -98,6 +98,107 @@ def test_limits_hold_and_the_prediction_uses_the_applied_control():
     np.testing.assert_allclose(down, [1.0, 0.0, -1.0, -1.0, -1.0])
 
 
+def test_limits_win_over_the_rate():
+    model = LinearModel([[1.0]], [[1.0]], [[1.0]], 0.1, 1.0, 0.02)
+    step = BayesianController(model, u_min=-100.0, u_max=-10.0, u_rate=1.0).online()
+    assert [step(y=[0.0], goal=[5.0]).u[0] for _ in range(3)] == [-10.0, -10.0, -10.0]
+
+
+@pytest.mark.parametrize("belief", ["filtered", "joint"])
+@pytest.mark.parametrize("limit", [np.inf, 1000.0])
+def test_a_missing_goal_holds_the_control_under_a_flat_prior(belief, limit):
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, 0.02)
+    step = BayesianController(model, belief=belief, u_min=-limit, u_max=limit, initial_mean=20.0).online()
+    before = step(y=[20.0, 20.0], goal=[20.0])
+    for missing in (np.nan, np.inf):
+        out = step(y=[20.0, 20.0], goal=[missing])
+        assert out.u[0] == before.u[0]
+        assert np.isfinite(out.x_hat).all()
+        assert np.isfinite(out.P).all()
+    assert np.isfinite(step(y=[20.0, 20.0], goal=[20.0]).u).all()
+
+
+def test_a_missing_goal_leaves_the_control_to_its_prior_and_the_other_goals():
+    model = LinearModel(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), 0.1, 1.0, 0.1)
+    options = {"control_covariance": 2.0, "control_mean": [0.3, -0.7], "goal_covariance": [[1.0, 0.5], [0.5, 2.0]]}
+    out = BayesianController(model, **options).online()(y=[1.0, 2.0], goal=[np.nan, 5.0])
+    only = BayesianController(model, **{**options, "goal_on": [[0.0, 1.0]], "goal_covariance": 2.0})
+    np.testing.assert_allclose(out.u, only.online()(y=[1.0, 2.0], goal=[5.0]).u, rtol=1e-12)
+    assert out.u[0] == pytest.approx(0.3)
+
+
+def test_a_singular_belief_is_conditioned_on_the_goal_where_it_is_not_certain():
+    """One state is known exactly: the joint belief moves the other one only, and equals the limit of ever surer beliefs."""
+    model = LinearModel(np.diag([0.9, 0.8]), [[1.0], [0.5]], np.eye(2), 0.01, 1.0, 0.1)
+    options = {"belief": "joint", "control_covariance": 1.0, "goal_covariance": 0.1, "initial_mean": [1.0, 2.0]}
+
+    def belief(covariance):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
+            return BayesianController(model, initial_covariance=covariance, **options).online()(
+                y=[1.5, 2.5], goal=[0.0, 0.0]
+            )
+
+    exact, nearly = belief([0.0, 0.5]), belief([1e-10, 0.5])
+    np.testing.assert_allclose(exact.x_hat, nearly.x_hat, rtol=1e-7)
+    np.testing.assert_allclose(exact.P, nearly.P, rtol=1e-7, atol=1e-9)
+    assert exact.x_hat[0] == 1.0
+    certain = belief(0.0)
+    np.testing.assert_array_equal(certain.x_hat, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (1.0, 1e-6)])
+def test_an_unstable_plant_is_found_again_after_a_blackout(scales):
+    """Thousands of steps without a sample: the belief knows nothing then, and is right again after one sample."""
+    model = LinearModel([[1.2, 0.3], [0.0, 0.9]], np.eye(2), np.eye(2), 0.01, scales, 0.1)
+    step = BayesianController(model).online()
+    for blackout in (150, 1000, 5000):
+        for _ in range(blackout):
+            out = step(y=[None, None], goal=[0.0, 0.0])
+            assert np.isfinite(out.P).all()
+            assert np.isfinite(out.u).all()
+        for _ in range(3):
+            out = step(y=[3.0, -2.0], goal=[3.0, -2.0])
+        np.testing.assert_allclose(out.x_hat, [3.0, -2.0], atol=0.1)
+        assert (np.diag(out.P) < 1.1 * np.array(scales)).all()
+        assert (np.linalg.eigvalsh(out.P) > 0).all()
+
+
+@pytest.mark.parametrize("belief", ["filtered", "joint"])
+def test_the_poles_are_those_of_plant_and_belief_together(belief):
+    """The loop in steady state is linear: its matrix, column by column from the step function itself, has these eigenvalues."""
+    rng = np.random.default_rng(8)
+    for _ in range(4):
+        n, p, m = rng.integers(1, 4), rng.integers(1, 3), rng.integers(1, 4)
+        model = random_model(rng, n, p, m)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
+            controller = BayesianController(model, belief=belief, control_covariance=0.5, goal_covariance=0.1)
+        A, B, C = (model.matrix(name) for name in "ABC")
+
+        def settled(controller=controller, model=model):
+            step = controller.online(compiled=False)
+            for _ in range(150):
+                step(y=np.zeros(model.sensors), goal=np.zeros(controller.goals))
+            return step
+
+        columns = []
+        for k in range(2 * n):
+            step, x = settled(), np.zeros(n)
+            mean = step._view("mean")
+            (x if k < n else mean)[k % n] = 1.0
+            out = step(y=C @ x, goal=np.zeros(controller.goals))
+            columns.append(np.concatenate([A @ x + B @ out.u, mean]))
+        expected = np.sort(np.abs(np.linalg.eigvals(np.array(columns).T)))
+        np.testing.assert_allclose(np.sort(np.abs(controller.closed_loop_poles())), expected, atol=1e-6)
+
+
+def test_an_unstable_mode_that_no_sensor_sees_is_warned_about():
+    model = LinearModel([[1.1, 0.0], [0.0, 0.5]], np.eye(2), [[0.0, 1.0]], 0.1, 1.0, 0.1)
+    with pytest.warns(controllers.UnstableLoopWarning, match="no sensor sees"):
+        BayesianController(model)
+
+
 def simulate_with_load(controller, load, steps=4000):
     """The car on a slope: a constant force that the model does not know. Returns the mean error over the last quarter."""
     rng, step = np.random.default_rng(0), controller.online()

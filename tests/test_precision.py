@@ -4,12 +4,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import integrate, stats
 
 from bayesftc import controllers
 from bayesftc.controllers import EFFDI, SERFDI, Calibration, FixedPrecision, GammaPrecision
+from bayesftc.controllers.validation import compare, ser_reference
 from bayesftc.cosim.errors import BayesFTCError
 
 MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], 0.02)
@@ -58,6 +58,41 @@ def test_compiled_and_plain_agree_to_the_last_bit_and_stay_finite(precision):
         assert ((probability >= 0) & (probability <= 1)).all()
 
 
+FORGETFUL = [
+    GammaPrecision(forget_to=to, estimate=estimate, forgetting=rho)
+    for to in ("prior", "zero")
+    for estimate in ("mean", "mode")
+    for rho in (0.6, 0.95)
+]
+
+
+@pytest.mark.parametrize("precision", [*EXAMPLES, *FORGETFUL], ids=repr)
+def test_long_dropouts_are_survived(precision):
+    """Both sensors fall silent for a long time and return: precisions stay positive, the belief finds the car again."""
+    y = 20.0 + np.random.default_rng(3).normal(size=(700, 2))
+    y[50:600] = np.nan
+    outs = run(precision, y, compiled=False)
+    for out in outs:
+        assert (np.diag(out.R) > 0).all()
+        assert (out.precision >= 0).all()
+        assert np.isfinite(out.P).all()
+    assert np.isnan(outs[300].fault_probability).all()
+    assert abs(outs[-1].x_hat[0] - 20.0) < 1.5
+
+
+@pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
+def test_the_belief_is_filterpys_given_the_covariances_that_are_reported(precision):
+    """Also for learners that leave sensors out: their R is infinite there."""
+    y = samples()
+    y[150, 0] += 40.0
+    outs = run(precision, y)
+    u, x_hat, P, R = (np.array([out[name] for out in outs]) for name in ("u", "x_hat", "P", "R"))
+    check = compare(x_hat, P, ser_reference(MODEL, y, u, R=R, initial_mean=20.0))
+    assert max(check.mean_difference, check.covariance_difference) < 1e-9
+    if isinstance(precision, EFFDI | SERFDI):
+        assert np.isinf(R[150, 0, 0])
+
+
 @pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
 def test_absurd_samples_are_survived(precision):
     y = samples(120)
@@ -84,9 +119,10 @@ def test_gamma_update_with_forgetting(forget_to, belief):
     outs = run(GammaPrecision(forgetting=rho, prior_shape=a0, forget_to=forget_to, belief_uncertainty=belief), y)
     a, b = np.full(2, a0), a0 * R
     for (e, variance), out in zip(prior_predictions(y, outs), outs, strict=True):
-        back = (1 - rho) if forget_to == "prior" else 0.0
-        a, b = rho * a + back * a0, rho * b + back * a0 * R
         present = np.isfinite(e)
+        back = (1 - rho) if forget_to == "prior" else 0.0
+        keep = rho if forget_to == "prior" else np.where(present, rho, 1.0)  # towards zero only with a sample
+        a, b = keep * a + back * a0, keep * b + back * a0 * R
         a = a + 0.5 * present
         b = b + np.where(present, 0.5 * (e**2 + belief * variance), 0.0)
         np.testing.assert_allclose(out.beta, b, rtol=1e-9)
@@ -150,8 +186,10 @@ def test_the_step_function_makes_that_conjugate_update():
 def test_logistic_map():
     for feature, x in (("log", lambda r: np.log(r)), ("linear", lambda r: r)):
         precision = GammaPrecision(prior_shape=2.0, calibration=Calibration(1.5, -2.0, feature))
-        for out in run(precision, samples(50)):
+        y = samples(50)
+        for row, out in zip(y, run(precision, y), strict=True):
             expected = 1 / (1 + np.exp(-(1.5 * x(out.beta / (2.0 * np.array([1.0, 4.0]))) - 2.0)))
+            expected[np.isnan(row)] = np.nan  # a missing sample is known, not inferred
             np.testing.assert_allclose(out.fault_probability, expected, rtol=1e-12)
         assert precision.why_no_probability is None
     assert "calibrate" in str(GammaPrecision().why_no_probability)
