@@ -214,8 +214,8 @@ class BayesianController(Block):
         }  # fmt: skip
         scratch = {
             "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m), "D": (m, n),
-            "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n), "GAP": (g, n), "SG": (g, g),
-            "pull": (g,), "W": (g, p), "Lambda": (p, p),
+            "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n), "GAP": (g, n),
+            "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
         }  # fmt: skip
         joint = self.belief == "joint"
         folding = {
@@ -273,7 +273,8 @@ class BayesianController(Block):
             if change <= 1e-10 * np.abs(predicted).max() or np.trace(predicted) > largest:
                 break
         weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
-        return K, np.linalg.solve(prior + GB.T @ weight, weight.T @ GA), T
+        L = np.linalg.solve(prior + GB.T @ weight, weight.T @ GA)
+        return np.asarray(K, float), np.asarray(L, float), np.asarray(T, float)
 
     def _prior_precision(self) -> Floats:
         p = self.model.controls

@@ -158,7 +158,8 @@ class LinearModel:
         """Return the model extended by an unknown disturbance on each control, which the controller then estimates.
 
         The disturbance ``d`` adds to the control, ``x_t+1 = A x_t + B (u_t + d_t) + q``, and drifts as a random walk, so that
-        a constant load or a wrong model leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003).
+        under a flat control prior a constant load leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003). A proper
+        control prior pulls the control towards its own mean and leaves one.
 
         Parameters
         ----------

@@ -7,11 +7,17 @@ import pytest
 
 import bayesftc.examples
 from bayesftc import fmus
-from bayesftc.examples.cruise_control import block_diagram, couple_external_fmu, cruise_control, kalman_validation
+from bayesftc.examples.cruise_control import (
+    block_diagram,
+    couple_external_fmu,
+    cruise_control,
+    kalman_validation,
+    where_it_helps,
+)
 from bayesftc.scenario import load_scenario, shipped_scenarios
 
 FOLDER = Path(bayesftc.examples.__path__[0]) / "cruise_control"
-MODULES = {"cruise_control", "couple_external_fmu", "block_diagram", "kalman_validation"}
+MODULES = {"cruise_control", "couple_external_fmu", "block_diagram", "kalman_validation", "where_it_helps"}
 
 
 def test_no_example_is_forgotten():
@@ -24,6 +30,14 @@ def test_learned_precision_keeps_the_car_on_the_road(capsys):
     assert errors["GammaPrecision"] < errors["SERFDI"] < errors["FixedPrecision"]
     assert errors["FixedPrecision"] > 10 * errors["GammaPrecision"]
     assert len(capsys.readouterr().out.splitlines()) == 5
+
+
+def test_learned_precision_helps_on_a_sine_and_hurts_on_a_constant(capsys):
+    """The README says both."""
+    table = where_it_helps.main(runs=20)
+    assert table["freeze", "sine"]["GammaPrecision"] < 0.2 * table["freeze", "sine"]["FixedPrecision"]
+    assert table["freeze", "constant"]["GammaPrecision"] > 1.3 * table["freeze", "constant"]["FixedPrecision"]
+    assert len(capsys.readouterr().out.splitlines()) == 7
 
 
 @pytest.mark.parametrize("name", [p.name for p in FOLDER.glob("*.toml")])

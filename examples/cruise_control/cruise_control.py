@@ -14,7 +14,13 @@ from bayesftc.cosim.roles import loop_signals
 LEARNERS = (FixedPrecision(), EFFDI(), SERFDI(), GammaPrecision(forgetting=0.95))
 
 
-def cruise_control(precision: controllers.PrecisionLearner) -> cosim.Diagram:
+FREEZE = cosim.Freeze(sensor=0, start=6.0, stop=14.0)
+SINE = cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
+
+
+def cruise_control(
+    precision: controllers.PrecisionLearner, fault: cosim.Fault = FREEZE, reference: cosim.Source = SINE
+) -> cosim.Diagram:
     """Return the closed loop of the paper's second experiment with a given way of learning precisions."""
     b, m, dt = 5.0, 100.0, 0.02  # drag (N s/m), mass (kg), sample time (s)
     model = controllers.LinearModel(
@@ -27,8 +33,8 @@ def cruise_control(precision: controllers.PrecisionLearner) -> cosim.Diagram:
         measured="v",
         noise={"disturbance": cosim.Gaussian(std=0.001**0.5)},
         sensors=cosim.Sensors(count=2, std=1.0),
-        faults=[cosim.Freeze(sensor=0, start=6.0, stop=14.0)],
-        reference=cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
+        faults=[fault],
+        reference=reference,
     )
 
 
