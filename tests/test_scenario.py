@@ -276,8 +276,9 @@ def test_every_setting_of_every_kind_can_be_written_in_toml():
     """A new field with a type that TOML cannot express must be left out knowingly."""
     from typing import get_type_hints
 
+    from bayesftc.controllers.registry import CONTROLLERS
     from bayesftc.scenario._schema import _dataclasses, _writable
-    from bayesftc.scenario._sections import CONTROLLERS, SOURCES
+    from bayesftc.scenario._sections import SOURCES
 
     unsaid = set()
     for cls in (*FAULTS, *LEARNERS, *SOURCES, *CONTROLLERS, cosim.Sensors, controllers.LinearModel):

@@ -7,9 +7,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from bayesftc.controllers.bayesian import BayesianController
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.registry import LEARNERS
+from bayesftc.controllers.registry import CONTROLLERS, LEARNERS
 from bayesftc.cosim import faults, sources
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.errors import FMUError
@@ -17,9 +16,6 @@ from bayesftc.cosim.sensors import Sensors
 from bayesftc.cosim.timebase import rational_step
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of
-
-CONTROLLERS: tuple[type[Block], ...] = (BayesianController,)
-"""What ``[controller] kind`` can be."""
 
 SOURCES: tuple[type[Block], ...] = tuple(getattr(sources, name) for name in sources.__all__ if name != "Source")
 
