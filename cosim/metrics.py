@@ -1,9 +1,13 @@
 """The figures of a run: errors of tracking and belief, and how well faults were detected.
 
-Every figure is NaN where it is not defined (no fault, nothing detected, no probability), never a made-up 0 or 1. The
+Every figure is NaN where it is not defined (no fault, nothing detected, no probability), never a made-up 0 or 1; also where
+an estimate, a true value or a probability that it is made from is not finite, so that a run that diverges cannot look good. The
 detection figures follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
 
 - a *fault* is an unbroken run of samples in which it is present; an *alarm* is a sample with a probability of at least 0.5;
+- a sample that is *missing* (NaN) needs no detector, since the controller leaves it out at once, and tells a detector nothing:
+  it counts in none of the figures below, and a fault of which all samples are missing is *seen as missing*, neither detected
+  nor missed;
 - a fault is *missed* if no sample of it has an alarm; else its *delay* is the time from its first sample to its first alarm;
 - the *false-alarm rate* is the share of the fault-free samples that have an alarm, also right after a fault's end, where the
   posterior still has to come back;
@@ -13,6 +17,7 @@ detection figures follow river's ``drift/evaluate.py`` (delay, misses, false ala
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -45,13 +50,17 @@ class Detection:
     sensor : int
         Its number.
     fault_share : float
-        Share of the samples in which a fault was present.
+        Share of time in which a fault was present.
+    missing_share : float
+        Share of samples that were missing; NaN if the samples were not recorded, and then none is taken to be.
     faults : float
         How many faults there were.
+    seen_as_missing : float
+        Of how many of them all samples were missing; NaN if the samples were not recorded.
     missed : float
-        How many of them were missed.
+        How many of the others were missed.
     delay : float
-        Mean delay of those that were not, in seconds.
+        Mean delay of those that were detected, in seconds.
     false_alarm_rate : float
         Share of fault-free samples with an alarm.
     auc : float
@@ -64,7 +73,9 @@ class Detection:
 
     sensor: int
     fault_share: float
+    missing_share: float
     faults: float
+    seen_as_missing: float
     missed: float
     delay: float
     false_alarm_rate: float
@@ -84,16 +95,18 @@ class Figures:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""
-        plain: dict[str, Any] = _without_nan(asdict(self))
+        plain: dict[str, Any] = without_nan(asdict(self))
         return plain
 
 
 def rmse(error: ArrayLike, where: Flags | None = None) -> float:
-    """Return the root of the mean square of `error` over the samples `where` is true; missing samples (NaN) are left out."""
+    """Return the root of the mean square of `error` where `where` is true; NaN if one of the errors is not finite."""
     values = np.asarray(error, dtype=np.float64)
     values = values if where is None else values[where]
-    values = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else NAN
+    if not len(values) or not np.isfinite(values).all():
+        return NAN
+    scale = float(np.abs(values).max()) or 1.0  # the square of an error of 1e200 would be infinite
+    return scale * float(np.sqrt(np.mean(np.square(values / scale))))
 
 
 def auc(truth: ArrayLike, score: ArrayLike) -> float:
@@ -136,30 +149,38 @@ def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
 def detection(signals: SensorSignals, time: Floats) -> Detection:
     """Return how the faults of one sensor were seen, from its signals and the time of each row in seconds."""
     faulty, probability = signals.faulty, signals.probability
+    missing = NAN if signals.missing is None else _share(signals.missing)
     if faulty is None:
-        return Detection(signals.index, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
-    present = periods(faulty)
+        return Detection(signals.index, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
+    there = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
+    # The numbers of the samples of each fault that arrived; of a dropout there are none.
+    arrived = [a + np.flatnonzero(there[a:b]) for a, b in periods(faulty)]
+    visible = [samples for samples in arrived if len(samples)]
     missed = delay = false_alarms = NAN
-    if probability is not None and not np.isnan(probability).all():
+    if probability is not None and not np.isnan(probability[there]).any():
         alarm = probability >= THRESHOLD
-        delays = [time[a + int(np.argmax(alarm[a:b]))] - time[a] for a, b in present if alarm[a:b].any()]
-        missed = float(len(present) - len(delays)) if present else NAN
+        delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
+        missed = float(len(visible) - len(delays)) if visible else NAN
         delay = float(np.mean(delays)) if delays else NAN
-        false_alarms = float(alarm[~faulty].mean()) if not faulty.all() else NAN
+        false_alarms = _share(alarm[~faulty & there])
     candidates = {"fault_probability": probability, "beta": signals.beta}
     scores = {name: score for name, score in candidates.items() if score is not None and not np.isnan(score).all()}
     ranked_by = next(iter(scores), None)
     return Detection(
         sensor=signals.index,
-        fault_share=float(faulty.mean()) if len(faulty) else NAN,
-        faults=len(present),
+        fault_share=_share(faulty),
+        missing_share=missing,
+        faults=len(arrived),
+        seen_as_missing=NAN if signals.missing is None else float(len(arrived) - len(visible)),
         missed=missed,
         delay=delay,
         false_alarm_rate=false_alarms,
-        auc=auc(faulty, scores[ranked_by]) if ranked_by else NAN,
+        auc=auc(faulty[there], scores[ranked_by][there])
+        if ranked_by and not np.isnan(scores[ranked_by][there]).any()
+        else NAN,
         ranked_by=ranked_by,
-        precision_healthy=_mean(signals.precision, ~faulty),
-        precision_faulty=_mean(signals.precision, faulty),
+        precision_healthy=_mean(signals.precision, ~faulty & there),
+        precision_faulty=_mean(signals.precision, faulty & there),
     )
 
 
@@ -178,25 +199,33 @@ def figures(signals: LoopSignals) -> Figures:
 
 
 def _difference(one: Floats | None, other: Floats | None) -> Floats | None:
-    return None if one is None or other is None else one - other
+    if one is None or other is None:
+        return None
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is told by the figures
+        return one - other
+
+
+def _share(flags: Flags) -> float:
+    return float(flags.mean()) if len(flags) else NAN
 
 
 def _mean(values: Floats | None, where: Flags) -> float:
     if values is None:
         return NAN
     chosen = values[where]
-    chosen = chosen[~np.isnan(chosen)]
     return float(chosen.mean()) if len(chosen) else NAN
 
 
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
+def without_nan(value: Any) -> Any:
+    """Return plain data with None for every number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
+        return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 __all__ = [
     *(cls.__name__ for cls in (Detection, Errors, Figures)), "auc", "detection", "errors_by_phase", "figures", "periods", "rmse",
+    "without_nan",
 ]  # fmt: skip

@@ -79,8 +79,9 @@ def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
     """Return the figure of a closed loop: what was measured and believed, the sensors' precisions, and the faults seen.
 
     Above, a panel for each measured quantity: true value, reference, samples as dots, the controller's belief. Then the
-    standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``; samples that it ignores altogether
-    as marks at the top), and the fault probability of each sensor, or beta where there is no probability. Faults are shaded.
+    standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``), with marks at the top for samples
+    that it ignores altogether and for missing ones, and the fault probability of each sensor, or beta where there is no
+    probability; both have gaps where samples are missing. Faults are shaded.
 
     Parameters
     ----------
@@ -138,19 +139,22 @@ def _draw_deviation(axis: Axes, signals: LoopSignals, unit: str | None) -> None:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             expected = np.where(sensor.precision > 0, 1.0 / np.sqrt(sensor.precision), np.nan)
+        expected = _given(sensor, expected)
         drawn.append(expected)
         axis.plot(*_thin(signals.time, expected), **_line(sensor))
-        ignored = signals.time[sensor.precision == 0]
-        if len(ignored):
-            top = np.full(len(ignored), 0.97 - 0.05 * sensor.index)
-            mark: dict[str, Any] = {
-                "ls": "none",
-                "marker": "|",
-                "ms": 5,
-                "color": _colour(sensor.index),
-                "transform": axis.get_xaxis_transform(),
-            }
-            axis.plot(ignored, top, label=f"sensor {sensor.index} ignored", **mark)
+        missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
+        marks = (("ignored", "|", (sensor.precision == 0) & ~missing), ("missing", "x", missing))
+        for what, marker, where in marks:
+            if where.any():
+                top = np.full(int(where.sum()), 0.97 - 0.05 * sensor.index)
+                mark: dict[str, Any] = {
+                    "ls": "none",
+                    "marker": marker,
+                    "ms": 5 if marker == "|" else 2.5,
+                    "color": _colour(sensor.index),
+                    "transform": axis.get_xaxis_transform(),
+                }
+                axis.plot(*_thin(signals.time[where], top), label=f"sensor {sensor.index} {what}", **mark)
     axis.set_ylabel("expected standard\ndeviation" + (f" ({unit})" if unit else ""))
     _logarithmic(axis, drawn)
 
@@ -174,7 +178,7 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
     if known:
         for sensor in known:
             assert sensor.probability is not None
-            axis.plot(*_thin(signals.time, sensor.probability), **_line(sensor))
+            axis.plot(*_thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
         axis.axhline(THRESHOLD, color="0.4", lw=0.8, zorder=0, label=f"alarm from {THRESHOLD:g}")
         axis.set_ylim(-0.04, 1.04)
         axis.set_ylabel("fault probability")
@@ -182,7 +186,7 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
     rated = [s for s in signals.sensors if s.beta is not None and not np.isnan(s.beta).all()]
     for sensor in rated:
         assert sensor.beta is not None
-        axis.plot(*_thin(signals.time, sensor.beta), **_line(sensor))
+        axis.plot(*_thin(signals.time, _given(sensor, sensor.beta)), **_line(sensor))
     axis.set_ylabel("beta")
     if rated:
         _logarithmic(axis, [s.beta for s in rated if s.beta is not None])
@@ -267,6 +271,11 @@ def _close(axes: list[Axes], time: Floats) -> None:
     if len(time) > 1:
         axes[-1].set_xlim(float(time[0]), float(time[-1]))
     axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]
+
+
+def _given(sensor: SensorSignals, values: Floats) -> Floats:
+    """Return a learner's output with a gap where there was no sample to learn from: it only relaxes there, and says nothing."""
+    return values if sensor.missing is None else np.where(sensor.missing, np.nan, values)
 
 
 def _line(sensor: SensorSignals) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.faults import Fault
+from bayesftc.cosim.ports import Port, PortRef
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.sensors import Sensors
 
@@ -29,7 +30,7 @@ class SensorSignals:
     samples : array
         What the controller was given (NaN for a missing sample).
     faulty : array of bool or None
-        Whether one of its faults was present; None if that was not recorded.
+        Whether a fault between the sensor and the controller was present; None if that was not recorded.
     precision, beta, probability : array
         The controller's outputs for this sensor.
     """
@@ -40,6 +41,11 @@ class SensorSignals:
     precision: Floats | None
     beta: Floats | None
     probability: Floats | None
+
+    @property
+    def missing(self) -> Flags | None:
+        """Which samples were missing (NaN); None if the samples were not recorded."""
+        return None if self.samples is None else np.isnan(self.samples)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +80,7 @@ class QuantitySignals:
 class LoopSignals:
     """A run of a closed loop: time in seconds, the measured quantities, the sensors.
 
-    ``faults`` has for each fault that was recorded the number of its sensor and when it was present.
+    ``faults`` has for each fault of a sensor that was recorded the number of that sensor and when it was present.
     """
 
     time: Floats
@@ -107,25 +113,71 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
     """
     reader = _Reader(diagram, result)
     seen, brain = _sensors(diagram), _controller(diagram)
-    faults = {
-        n.name: (n.block.sensor, reader.flags(f"{n.name}.active")) for n in diagram.nodes if isinstance(n.block, Fault)
-    }
     parameters = brain.block.define(diagram.step * brain.every).parameters
     C, G = (np.atleast_2d(np.asarray(parameters[name])) if name in parameters else None for name in ("C", "G"))
     y = brain.block.port("y")
+    chains = [faults_before(diagram, brain, i) for i in range(y.size)]
+    active = {name: reader.flags(f"{name}.active") for chain in chains for name in chain}
     none: Flags = np.zeros(len(result.time), dtype=bool)
     outputs = {name: reader.signal(f"{brain.name}.{name}") for name in ("precision", "beta", "fault_probability")}
     sensors = tuple(
         SensorSignals(
             i,
             reader.source(brain, "y", i),
-            _any([none, *(active for sensor, active in faults.values() if sensor == i)]),
+            _any([none, *(active[name] for name in chain)]),
             *(None if values is None else values[:, i] for values in outputs.values()),
         )
-        for i in range(y.size)
+        for i, chain in enumerate(chains)
     )
-    known = {name: (sensor, active) for name, (sensor, active) in faults.items() if active is not None}
+    known: dict[str, tuple[int, Flags]] = {}
+    for i, chain in enumerate(chains):
+        for name in chain:
+            if (flags := active[name]) is not None:
+                known.setdefault(name, (i, flags))  # a channel that is read twice is named once
     return LoopSignals(result.time, _quantities(reader, seen, brain, C, G), sensors, known)
+
+
+def faults_before(diagram: Diagram, brain: Node, sensor: int) -> list[str]:
+    """Return the names of the faults between the sensors and one element of the controller's ``y``, in their order.
+
+    A fault elsewhere, such as that of an actuator between controller and plant, is no fault of a sensor.
+    """
+    # What comes out of the controller leads to no sensor, whatever it has seen.
+    known: _Known = {(brain.name, port.name, i): None for port in brain.block.inputs for i in range(port.size)}
+    return _trace_source(diagram, diagram.source_of(brain, brain.block.port("y"), sensor), known) or []
+
+
+_Known = dict[tuple[str, str, int], list[str] | None]
+
+
+def _trace(diagram: Diagram, node: Node, port: Port, element: int, known: _Known) -> list[str] | None:
+    """Follow one element of an input back to the sensors; return the faults on the way, None if it does not lead there."""
+    at = (node.name, port.name, element)
+    if at not in known:
+        known[at] = None  # a way that comes back here leads round in a circle
+        known[at] = _trace_source(diagram, diagram.source_of(node, port, element), known)
+    return known[at]
+
+
+def _trace_source(diagram: Diagram, origin: tuple[PortRef, int] | None, known: _Known) -> list[str] | None:
+    if origin is None:
+        return None
+    node, channel = origin[0].node, origin[1]
+    block = node.block
+    if isinstance(block, Sensors):
+        return []
+    if isinstance(block, Fault):
+        found = _trace(diagram, node, block.port("u"), channel, known)
+        return None if found is None else [*found, *([node.name] if block.sensor == channel else [])]
+    # Another block on the way, such as a delay, has one input as long as its output: element by element. Else all may matter.
+    alike = [p.size for p in block.inputs] == [origin[0].port.size]
+    ways = [
+        _trace(diagram, node, entry, i, known)
+        for entry in block.inputs
+        for i in ([channel] if alike else range(entry.size))
+    ]
+    there = [names for names in ways if names is not None]
+    return list(dict.fromkeys(name for names in there for name in names)) if there else None
 
 
 class _Reader:

@@ -49,7 +49,7 @@ def test_what_is_not_defined_is_nan():
     assert (always.delay, always.missed) == (0, 0)
     assert np.isnan(detection(sensor([1.0] * 10, faulty=None), TIME).fault_share)
     assert np.isnan(rmse([]))
-    assert np.isnan(rmse([np.nan]))
+    assert np.isnan(rmse([np.nan, 1.0]))
     assert np.isnan(errors_by_phase(None, FAULTY).overall)
 
 
@@ -61,10 +61,48 @@ def test_beta_ranks_where_there_is_no_probability():
 
 def test_phases():
     error = np.where(FAULTY, 2.0, 1.0)
-    error[6] = np.nan
     found = errors_by_phase(error, FAULTY)
     assert (found.before, found.during, found.after) == (1.0, 2.0, 1.0)
-    assert found.overall == pytest.approx(np.sqrt((4 + 5 * 4) / 9))
+    assert found.overall == pytest.approx(np.sqrt((5 + 5 * 4) / 10))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_an_error_that_is_not_finite_spoils_its_phase(bad):
+    """A run that diverges must not look as good as its first half."""
+    error = np.where(FAULTY, 2.0, 1.0)
+    error[6] = bad
+    found = errors_by_phase(error, FAULTY)
+    assert (found.before, found.during) == (1.0, 2.0)
+    assert np.isnan([found.after, found.overall]).all()
+
+
+def test_errors_whose_squares_are_infinite():
+    assert rmse([3e200, 4e200]) == pytest.approx(12.5**0.5 * 1e200)
+    assert rmse([0.0, 0.0]) == 0.0
+
+
+def test_missing_samples_are_left_out_of_detection():
+    """A dropout, in which beta decays to its prior, is neither missed nor healthier than health."""
+    samples = np.array([1, 1, np.nan, np.nan, np.nan, 1, 1, 1, 1, 1])
+    probability = np.array([0.1, 0.2, 0.0, 0.0, 0.0, 0.1, 0.7, 0.1, 0.9, 0.1])
+    precision = np.array([1.0, 1, 9, 9, 9, 1, 1, 0.5, 0.3, 1])
+    both = detection(SensorSignals(0, samples, FAULTY, precision, None, probability), TIME)
+    assert (both.missing_share, both.faults, both.seen_as_missing, both.missed) == (0.3, 2, 1, 0)
+    assert both.delay == 0.5
+    assert both.false_alarm_rate == pytest.approx(1 / 5)
+    there = ~np.isnan(samples)
+    assert both.auc == pytest.approx(roc_auc_score(FAULTY[there], probability[there]))
+    assert (both.precision_healthy, both.precision_faulty) == (1.0, 0.4)
+    alone = detection(SensorSignals(0, samples, np.isnan(samples), precision, None, probability), TIME)
+    assert (alone.faults, alone.seen_as_missing) == (1, 1)
+    assert np.isnan([alone.missed, alone.delay, alone.auc, alone.precision_faulty]).all()
+    unknown = detection(SensorSignals(0, None, FAULTY, precision, None, probability), TIME)
+    assert np.isnan([unknown.missing_share, unknown.seen_as_missing]).all()
+
+
+def test_a_probability_that_breaks_down_gives_no_figures():
+    found = detection(sensor([0, 0, 1, 1, 1, 0, 0, np.nan, np.nan, np.nan]), TIME)
+    assert np.isnan([found.missed, found.delay, found.false_alarm_rate, found.auc]).all()
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 4)), min_size=2, max_size=40))
@@ -101,6 +139,37 @@ def test_roles_do_not_hang_on_names(same_bits):
         np.testing.assert_array_equal(a.faulty, b.faulty)
     assert ours.sensors[0].faulty.sum() == 51
     assert not ours.sensors[1].faulty.any()
+
+
+def faulty_actuator():
+    """Return a loop with a fault of sensor 1, a delay behind it, and a fault of the actuator, put together by hand."""
+    from bayesftc import fmus
+
+    example = cruise_control(LEARNERS[0])
+    diagram = cosim.Diagram(0.02)
+    car = diagram.add(cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}))
+    sensors = diagram.add(cosim.Sensors(count=2, std=1.0))
+    bias = diagram.add(cosim.Bias(sensor=1, magnitude=2.0, start=1.0, channels=2))
+    delay = diagram.add(cosim.UnitDelay(initial=20.0, size=2))
+    brain = diagram.add(example["controller"].block)
+    actuator = diagram.add(cosim.GainFault(sensor=0, factor=0.5, start=0.5, channels=1), name="actuator")
+    goal = diagram.add(cosim.Constant(20.0))
+    diagram.connect(car["v"], sensors["u"])
+    diagram.connect(sensors["y"], bias["u"])
+    diagram.connect(bias["y"], delay["u"])
+    diagram.connect(delay["y"], brain["y"])
+    diagram.connect(goal["y"], brain["goal"])
+    diagram.connect(brain["u"], actuator["u"])
+    diagram.connect(actuator["y"], car["force"])
+    return diagram
+
+
+def test_a_fault_of_the_actuator_is_no_fault_of_a_sensor():
+    loop = faulty_actuator()
+    signals = loop_signals(loop, loop.simulate(2.0, engine="interpreted"))
+    assert not signals.sensors[0].faulty.any()
+    assert signals.sensors[1].faulty.sum() == 51
+    assert {name: sensor for name, (sensor, _) in signals.faults.items()} == {"bias_1": 1}
 
 
 def two_outputs(**sensors):

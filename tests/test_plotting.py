@@ -91,6 +91,23 @@ def test_ignored_samples_are_marked():
     assert len(marks["sensor 0 ignored"]) > 5
 
 
+def test_missing_samples_are_gaps_and_marks():
+    loop = cosim.closed_loop(
+        plant=cosim.StateSpace(_integrator()),
+        controller=load_scenario("cruise_control").controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        faults=[cosim.Dropout(sensor=0, start=2.0, stop=3.0)],
+        reference=1.0,
+    )
+    _, deviation, detection = plot_run(run_of(loop, 4.0)).axes
+    assert np.isnan(detection.lines[0].get_ydata()).sum() == 50
+    marks = {line.get_label(): line.get_xdata() for line in deviation.lines}
+    assert len(marks["sensor 0 missing"]) == 50
+    assert "sensor 1 missing" not in marks
+
+
 def test_many_faults_are_not_named_one_by_one():
     loop = cosim.closed_loop(
         plant=cosim.StateSpace(_integrator()),
