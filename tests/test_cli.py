@@ -13,7 +13,7 @@ from bayesftc.cli import app, run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.metrics import figures
 from bayesftc.cosim.roles import loop_signals
-from bayesftc.scenario import load_scenario, shipped_scenarios
+from bayesftc.scenario import Scenario, load_scenario, shipped_scenarios
 
 CAR = shipped_scenarios()["cruise_control"].read_text()
 LEARNER = CAR.index("[controller.precision]")
@@ -129,9 +129,93 @@ def test_check_kalman(bayesftc_):
     assert check["steps"] == 101
     assert check["mean_difference"] < 1e-12
     assert check["covariance_difference"] < 1e-12
+    assert check["agrees"] is True
     table = run_car(bayesftc_, "--check-kalman", "--duration", "2").output
+    assert "The belief agrees with filterpy to 1e-9." in table
     assert "Kalman filter over 101 samples" in table
     assert f"{check['mean_absolute']:.2e}" in table
+
+
+def test_a_belief_that_is_not_finite(bayesftc_, tmp_path, monkeypatch):
+    """It is told, with numbers that JSON can say, and all files are there."""
+    simulate = Scenario.simulate
+
+    def diverging(*arguments, **options):
+        result = simulate(*arguments, **options)
+        result["controller.x_hat"][300:] = np.nan
+        result["controller.P"][300:] = np.inf
+        return result
+
+    monkeypatch.setattr(Scenario, "simulate", diverging)
+    done = run_car(bayesftc_, "--check-kalman", "--out", "out")
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figure.png", "figures.json", "result.npz"]
+    numbers = json.loads((tmp_path / "out" / "figures.json").read_text())
+    check = numbers["kalman"]
+    assert check["agrees"] is check["mean_difference"] is check["covariance_absolute"] is None
+    assert "The mean of the belief is not finite from t = 6 s on." in check["verdict"]
+    assert "The covariance of the belief is not finite from t = 6 s on." in check["verdict"]
+    assert numbers["belief"]["v"]["overall"] is numbers["belief"]["v"]["during"] is None
+    assert numbers["belief"]["v"]["before"] > 0
+    note = "The belief of v is not finite from t = 6 s on, so it has no error of the belief then."
+    assert note in numbers["notes"]
+    output = " ".join(done.output.split())
+    assert check["verdict"] in output
+    assert note in output
+    assert " nan " not in output
+
+
+def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
+    """No sensor sees the second state; filterpy's estimate of it overflows."""
+    text = CAR
+    for old, new in {
+        "A = [[0.999]]": "A = [[0.999, 0.0], [0.0, 9.0]]",
+        "B = [[2e-4]]": "B = [[2e-4], [0.0]]",
+        "C = [[1.0], [1.0]]": "C = [[1.0, 0.0], [1.0, 0.0]]",
+        "initial_mean = 20.0": "initial_mean = [20.0, 1.0]\ngoal_on = [[1.0, 0.0]]",
+    }.items():
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "car.toml").write_text(text)
+    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--check-kalman", "--json")
+    assert done.exit_code == 0, done.output
+    check = json.loads(done.stdout)["kalman"]
+    assert check["agrees"] is None
+    assert "cannot be said" in check["verdict"]
+    assert "filterpy's that has grown beyond" in check["verdict"]
+
+
+def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
+    joint = 'initial_mean = 20.0\nbelief = "joint"\ncontrol_covariance = 1e4\ngoal_covariance = 1e-3'
+    (tmp_path / "car.toml").write_text(CAR.replace("initial_mean = 20.0", joint))
+    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--check-kalman", "--json")
+    check = json.loads(done.output)["kalman"]
+    assert check["agrees"] is False
+    assert "does NOT agree" in check["verdict"]
+    assert "the goal leaks" in check["verdict"]
+
+
+def test_check_kalman_says_before_the_run_what_it_cannot_do(bayesftc_, tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "loop_signals", lambda *_: pytest.fail("the run was made"))
+    (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", "seed = 1\ndecimation = 5"))
+    done = bayesftc_("run", "car.toml", "--check-kalman", "--engine", "interpreted")
+    assert done.exit_code == 9
+    assert "compares every step, but car.toml has decimation = 5" in " ".join(done.output.split())
+
+
+def test_a_dropout_is_neither_missed_nor_detected(bayesftc_, tmp_path):
+    (tmp_path / "car.toml").write_text(CAR.replace('"Freeze"', '"Dropout"'))
+    done = bayesftc_("run", "car.toml", "--engine", "interpreted")
+    rows = {line[:42].strip(): line[42:].split() for line in done.output.splitlines()}
+    assert rows["samples missing (share of all)"] == ["40.0%", "0.0%"]
+    assert rows["faults seen as missing samples"] == ["1", "0"]
+    assert rows["faults missed"] == rows["AUC"] == ["–", "–"]
+    assert "A missing sample needs no detector" in done.output
+    assert "samples missing" not in run_car(bayesftc_, "--duration", "1").output
+
+
+def test_what_tracking_compares_is_said(bayesftc_):
+    assert "aims at it with the next state" in " ".join(run_car(bayesftc_, "--duration", "1").output.split())
 
 
 def test_check_kalman_without_its_signals(bayesftc_, tmp_path):
@@ -180,23 +264,49 @@ def test_a_run_that_stops_keeps_what_it_has(bayesftc_, tmp_path):
 def test_a_folder_that_cannot_be_written_is_known_before_the_run(bayesftc_, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(run_module, "loop_signals", lambda *_: pytest.fail("the run was made"))
-    done = run_car(bayesftc_, "--out", "file")
-    assert done.exit_code == 12
-    assert "it is a file" in done.output
+    (tmp_path / "taken" / "figure.png").mkdir(parents=True)
+    for out, words in {
+        "file": "file is no folder, but a file",
+        "file/deeper": "file is no folder, but a file",
+        "taken": "figure.png cannot be written: it is a folder",
+        "x" * 300: "File name too long",
+    }.items():
+        done = run_car(bayesftc_, "--out", out)
+        assert done.exit_code == 12, done.output
+        assert words in done.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "taken"]
 
 
-def test_a_figure_that_fails_leaves_no_half_file(bayesftc_, tmp_path, monkeypatch):
-    from matplotlib.figure import Figure
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("raised", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("file", ["result.npz", "figures.json", "figure.png"])
+def test_files_appear_all_or_none(bayesftc_, tmp_path, monkeypatch, file, raised, there):
+    """A disk that is full at one file, or Ctrl-C, leaves what was there before: no file, and no folder made for it."""
+    out = tmp_path / "deep" / "out"
+    if there:
+        assert run_car(bayesftc_, "-q", "--out", out, "--duration", "1").exit_code == 0
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
 
-    def fail(self, path, **_):
-        path.write_bytes(b"half")
-        raise OSError(28, "No space left on device")
+    def fail(path, *_, **__):
+        with open(path, "wb") as half:
+            half.write(b"half")
+        raise raised
 
-    monkeypatch.setattr(Figure, "savefig", fail)
-    done = run_car(bayesftc_, "--out", "out", "--duration", "1")
-    assert done.exit_code == 12
-    assert "figure.png cannot be written (No space left on device)" in done.output
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figures.json", "result.npz"]
+    if file == "result.npz":
+        monkeypatch.setattr(np, "savez_compressed", lambda handle, **_: fail(handle.name))
+    else:
+        name = "write_text" if file == "figures.json" else "write_bytes"
+        monkeypatch.setattr(f"pathlib.Path.{name}", fail)
+    done = run_car(bayesftc_, "--out", out, "--duration", "2")
+    monkeypatch.undo()
+    assert done.exit_code == (130 if isinstance(raised, KeyboardInterrupt) else 12)
+    assert ".writing-" not in done.output
+    if done.exit_code == 12:
+        assert "No space left on device" in done.output
+        assert str(out) in done.output.replace("\n", "")
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    assert (tmp_path / "deep").exists() == there
+    assert not list(tmp_path.rglob(".writing-*"))
 
 
 def test_wrong_options(bayesftc_):
@@ -241,7 +351,7 @@ def test_warnings_are_sentences(bayesftc_, tmp_path):
         text = text.replace(old, new)
     (tmp_path / "car.toml").write_text(text)
     done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "0.1")
-    assert "Warning: The goal and control priors make the closed loop unstable" in done.output
+    assert re.search("Warning: The .*closed loop.* unstable", done.output)
     assert "UnstableLoopWarning" not in done.output
 
 
@@ -262,6 +372,14 @@ def test_inspect(bayesftc_, tmp_path):
         done = bayesftc_("inspect", name)
         assert done.exit_code == 4
         assert words in done.output
+
+
+def test_bench_passes_its_options_on(bayesftc_, monkeypatch):
+    seen = []
+    monkeypatch.setattr("bayesftc.bench.main", lambda **options: seen.append(options))
+    for options in ([], ["--quick"], ["--quick", "--json"]):
+        assert bayesftc_("bench", *options).exit_code == 0
+    assert seen == [{"json": j, "quick": q} for j, q in ((False, False), (False, True), (True, True))]
 
 
 def test_example(bayesftc_, tmp_path):

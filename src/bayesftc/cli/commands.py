@@ -126,9 +126,15 @@ def calibrate(
 
 
 @app.command()
-def bench(json: Json = False, debug: Debug = False) -> None:
+def bench(
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few and short repetitions: shows that all works, not how fast.")
+    ] = False,
+    json: Json = False,
+    debug: Debug = False,
+) -> None:
     """Measure the speed of the engines on this machine."""
     with guarded(debug):
         from bayesftc import bench as benchmarks
 
-        benchmarks.main(json=json)
+        benchmarks.main(json=json, quick=quick)

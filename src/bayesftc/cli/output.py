@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
-import secrets
+import os
+import shutil
 import tempfile
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.errors import ResultFileError
+from bayesftc.cosim.metrics import without_nan
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -20,11 +23,14 @@ if TYPE_CHECKING:
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"
+TRACKING = "Tracking compares with the reference at the same instant; the controller aims at it with the next state, one step on."
 DOTS_PER_INCH = 150
 
 SENSOR_ROWS = (
     ("share of time in fault", "fault_share", "{:.1%}"),
+    ("samples missing (share of all)", "missing_share", "{:.1%}"),
     ("faults", "faults", "{:.0f}"),
+    ("faults seen as missing samples", "seen_as_missing", "{:.0f}"),
     ("faults missed", "missed", "{:.0f}"),
     ("mean detection delay (s)", "delay", "{:.2f}"),
     ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
@@ -32,34 +38,41 @@ SENSOR_ROWS = (
     ("mean precision without fault", "precision_healthy", "{:.3g}"),
     ("mean precision in fault", "precision_faulty", "{:.3g}"),
 )
+MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
+"""Rows that are shown only if a sensor has missing samples."""
 PHASES = (("overall", "whole run"), ("before", "before faults"), ("during", "during"), ("after", "after"))
 
 
-def prepare_folder(folder: Path) -> Path:
-    """Make the folder, before the run rather than after it.
+def check_folder(folder: Path) -> None:
+    """Check, before the run rather than after it, that files can be written to a folder that may not be there yet.
+
+    Nothing is made: whatever way the run ends, an empty folder does not stay behind.
 
     Raises
     ------
     ResultFileError
-        If it cannot be made or written to.
+        If they cannot.
     """
-    if folder.exists() and not folder.is_dir():
-        raise ResultFileError(
-            f"Nothing can be written into {folder}: it is a file, and must be a folder; choose another name."
-        )
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        there = next(p for p in (folder, *folder.absolute().parents) if os.path.lexists(p))
+        if not there.is_dir():
+            raise ResultFileError(
+                f"Nothing can be written into {folder}: {there} is no folder, but a file; choose another name."
+            )
+        with tempfile.TemporaryFile(dir=there):
             pass
+        folder.exists()  # says if the name is one that cannot be
+        taken = [name for name in (RESULT, FIGURE, NUMBERS) if (folder / name).is_dir()]
     except OSError as error:
+        raise _unwritable(folder, error) from None
+    if taken:
         raise ResultFileError(
-            f"Nothing can be written to the folder {folder} ({error.strerror}); choose another."
-        ) from None
-    return folder
+            f"{folder / taken[0]} cannot be written: it is a folder; choose another folder for --out."
+        )
 
 
 def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signals: LoopSignals) -> None:
-    """Write ``result.npz``, ``figures.json`` and ``figure.png``, each in one piece.
+    """Write ``result.npz``, ``figures.json`` and ``figure.png``: all of them, or none and no folder made for them.
 
     Raises
     ------
@@ -68,29 +81,50 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
     """
     from bayesftc.cosim.plotting import plot_run
 
-    result.save(folder / RESULT)
-    write_whole(folder / NUMBERS, lambda path: path.write_text(as_json(numbers) + "\n", encoding="utf-8"))
+    text = as_json(numbers) + "\n"
     title = f"{Path(numbers['scenario']).stem}, seed {numbers['seed']}" + (" (stopped early)" if result.stopped else "")
-    figure = plot_run(signals, title)
-    write_whole(folder / FIGURE, lambda path: figure.savefig(path, dpi=DOTS_PER_INCH, format="png"))
+    picture = io.BytesIO()
+    plot_run(signals, title).savefig(picture, dpi=DOTS_PER_INCH, format="png")
+    with _staged(folder) as stage:
+        result.save(stage / RESULT)
+        (stage / NUMBERS).write_text(text, encoding="utf-8")
+        (stage / FIGURE).write_bytes(picture.getbuffer())
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a file beside `path`, then move it there in one step; a failure leaves nothing behind."""
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}.tmp")
+@contextmanager
+def _staged(folder: Path) -> Iterator[Path]:
+    """Give an empty folder inside `folder`; what is in it at the end moves into `folder`, and a failure leaves nothing."""
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    stage = None
     try:
-        write(temporary)
-        temporary.replace(path)
-    except OSError as error:
-        raise ResultFileError(f"{path} cannot be written ({error.strerror or error}); choose another folder.") from None
-    finally:
-        with suppress(OSError):  # it is there only where the write has failed
-            temporary.unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        stage = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder))
+        yield stage
+        for file in sorted(stage.iterdir()):
+            file.replace(folder / file.name)
+        stage.rmdir()
+    except BaseException as error:
+        if stage is not None:
+            shutil.rmtree(stage, ignore_errors=True)
+        for path in made:
+            with suppress(OSError):  # not made yet, or somebody else's files are in it by now
+                path.rmdir()
+        if isinstance(error, OSError):
+            raise _unwritable(folder, error) from None
+        if isinstance(error, ResultFileError) and stage is not None:
+            raise ResultFileError(str(error).replace(str(stage), str(folder))) from None
+        raise
+
+
+def _unwritable(folder: Path, error: OSError) -> ResultFileError:
+    return ResultFileError(
+        f"Nothing can be written to the folder {folder} ({error.strerror or error}); choose another."
+    )
 
 
 def as_json(numbers: Mapping[str, Any]) -> str:
-    """Return the text of a JSON file, which has null where a number is not defined."""
-    return json.dumps(numbers, indent=2, allow_nan=False, ensure_ascii=False)
+    """Return the text of a JSON file, which has null where a number is not finite: JSON knows neither NaN nor infinity."""
+    return json.dumps(without_nan(numbers), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
@@ -101,15 +135,17 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
     console = Console(highlight=False)
     title = f"{numbers['scenario']}: {numbers['duration']:g} s, {numbers['steps']} steps, seed {numbers['seed']}"
     console.print(Text(title), soft_wrap=True)
-    tables = [_sensors(numbers["sensors"])]
+    tables = [(*_sensors(numbers["sensors"]), "")]
     if numbers["tracking"]:
-        tables.insert(0, _errors(numbers))
+        tables.insert(0, (*_errors(numbers), TRACKING))
     if "kalman" in numbers:
-        tables.append(_kalman(numbers["kalman"]))
-    for heading, table in tables:
+        tables.append((*_kalman(numbers["kalman"]), numbers["kalman"]["verdict"]))
+    for heading, table, sentence in tables:
         console.print()
         console.print(Text(heading, style="bold"))
         console.print(table)
+        if sentence:
+            console.print(Text(sentence))
     for note in numbers["notes"]:
         console.print()
         console.print(Text(note))
@@ -131,7 +167,10 @@ def _errors(numbers: Mapping[str, Any]) -> tuple[str, Table]:
 
 def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
     table = _table(*(f"sensor {s['sensor']}" for s in sensors))
+    missing = any(s["missing_share"] for s in sensors)
     for label, key, form in SENSOR_ROWS:
+        if key in MISSING_ROWS and not missing:
+            continue
         of_beta = key == "auc" and any(s["ranked_by"] == "beta" for s in sensors)
         table.add_row("AUC of beta" if of_beta else label, *(_number(s[key], form) for s in sensors))
     return "Faults and their detection", table
@@ -139,8 +178,8 @@ def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
 
 def _kalman(check: Mapping[str, Any]) -> tuple[str, Table]:
     table = _table("relative", "absolute")
-    table.add_row("mean", f"{check['mean_difference']:.2e}", f"{check['mean_absolute']:.2e}")
-    table.add_row("covariance", f"{check['covariance_difference']:.2e}", f"{check['covariance_absolute']:.2e}")
+    for what in ("mean", "covariance"):
+        table.add_row(what, *(_number(check[f"{what}_{kind}"], "{:.2e}") for kind in ("difference", "absolute")))
     return f"Largest differences from filterpy's Kalman filter over {check['steps']} samples", table
 
 

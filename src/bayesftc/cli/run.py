@@ -9,18 +9,25 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.metrics import figures
+from bayesftc.cosim.metrics import figures, without_nan
 from bayesftc.cosim.roles import LoopSignals, loop_signals
 from bayesftc.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
+    from bayesftc.cosim.block import Floats
     from bayesftc.cosim.diagram import Diagram
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.simulation import Progress
+
+AGREEMENT = 1e-9
+"""Largest relative difference from filterpy that is rounding."""
+UNKNOWN = "Whether the belief agrees with filterpy cannot be said: a number in the comparison is not finite."
+DIFFERENCES = ("mean_difference", "covariance_difference", "mean_absolute", "covariance_absolute")
 
 
 def run_scenario(
@@ -43,25 +50,28 @@ def run_scenario(
     """
     scenario = load_scenario(path)
     loop = scenario.loop()
-    folder = None if out is None else output.prepare_folder(out)
+    if check_kalman:
+        _refuse_kalman(scenario)
+    if out is not None:
+        output.check_folder(out)
     try:
         with _progress(shown=sys.stderr.isatty() and not quiet and not json) as progress:
             result = scenario.simulate(loop, progress=progress, **options)
     except SimulationError as error:
-        if folder is not None and error.result is not None:
+        if out is not None and error.result is not None:
             report = _report(path, scenario, loop, error.result)
-            output.write_files(folder, error.result, *report)
-            raise SimulationError(f"{error} They are in {folder / output.RESULT}.", error.result) from error
+            output.write_files(out, error.result, *report)
+            raise SimulationError(f"{error} They are in {out / output.RESULT}.", error.result) from error
         raise
     numbers, signals = _report(path, scenario, loop, result)
     if check_kalman:
         numbers["kalman"] = _kalman(scenario, loop, result)
-    if folder is not None:
-        output.write_files(folder, result, numbers, signals)
+    if out is not None:
+        output.write_files(out, result, numbers, signals)
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
-        output.print_report(numbers, folder)
+        output.print_report(numbers, out)
 
 
 def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any], LoopSignals]:
@@ -94,8 +104,29 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
             )
         elif quantity.reference is None:
             notes.append(f"{quantity.name} has no tracking error: no element of the goal is for it.")
+        for what, values, figures_of in (
+            ("true value", quantity.truth, "errors"),
+            ("reference", quantity.reference, "tracking error"),
+            ("belief", quantity.belief, "error of the belief"),
+        ):
+            if when := _first_not_finite(values, signals.time):
+                notes.append(f"The {what} of {quantity.name} is not finite {when}, so it has no {figures_of} then.")
     if signals.faulty is None:
         notes.append("When faults were present was not recorded, so nothing can be said of their detection.")
+    for sensor in signals.sensors:
+        if sensor.probability is not None and why is None:
+            arrived = (
+                sensor.probability if sensor.missing is None else np.where(sensor.missing, 0.0, sensor.probability)
+            )
+            if when := _first_not_finite(arrived, signals.time):
+                notes.append(f"The fault probability of sensor {sensor.index} is not finite {when}.")
+    if any(s.missing is not None and s.missing.any() for s in signals.sensors):
+        notes.append(
+            "A missing sample needs no detector: the controller leaves that sensor out at once. Missing samples are in none of "
+            "the figures of detection and precision, and a fault that shows in nothing else counts as seen, not as missed."
+        )
+    elif signals.faulty is not None and any(s.missing is None for s in signals.sensors):
+        notes.append("The samples were not recorded, so the figures of detection take none of them to be missing.")
     if not signals.quantities:
         notes.append(
             "What the sensors measure is a function of the plant's outputs, so true values are not known here."
@@ -103,21 +134,73 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
     return notes
 
 
-def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]:
+def _first_not_finite(values: Floats | None, time: Floats) -> str | None:
+    """Return in words when values (a row for each time) are not finite, or None if they always are."""
+    if values is None:
+        return None
+    bad = np.asarray(~np.isfinite(values).reshape(len(time), -1).all(axis=1))
+    if not bad.any():
+        return None
+    first = int(np.argmax(bad))
+    return f"from t = {time[first]:g} s on" if bad[first:].all() else f"at times, the first at t = {time[first]:g} s"
+
+
+def _refuse_kalman(scenario: Scenario) -> None:
+    """Say before the run what --check-kalman cannot do after it."""
     from bayesftc.controllers import BayesianController
-    from bayesftc.controllers.validation import check_kalman
 
     if not isinstance(scenario.controller, BayesianController):
         raise ModelError(
             f"--check-kalman needs a BayesianController, not a {type(scenario.controller).__name__}; leave it out."
         )
+    if scenario.simulation.decimation != 1:
+        raise ModelError(
+            f"--check-kalman compares every step, but {scenario.path} has decimation = {scenario.simulation.decimation} in "
+            "[simulation]; set it to 1, or leave --check-kalman out."
+        )
+
+
+def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]:
+    """Return the differences from filterpy's filter, whether that is agreement, and the verdict in words."""
+    from bayesftc.controllers import BayesianController
+    from bayesftc.controllers.validation import check_kalman
+
+    assert isinstance(scenario.controller, BayesianController)
     brain = loop["controller"]
     source = loop.source_of(brain, brain.block.port("y"), 0)
     name = None if source is None else f"{source[0].node.name}.{source[0].port.name}"
     try:
-        return asdict(check_kalman(result, scenario.controller, y=name))
+        with np.errstate(all="ignore"):  # a filter that diverges is told by the verdict
+            check = asdict(check_kalman(result, scenario.controller, y=name))
     except BayesFTCError as error:
         raise type(error)(f"--check-kalman: {error}") from None
+    except np.linalg.LinAlgError:  # a belief that diverges has filterpy invert what cannot be inverted
+        check = {**dict.fromkeys(DIFFERENCES, float("nan")), "steps": len(result.time)}
+    agrees, verdict = _verdict(check, scenario.controller.belief)
+    if agrees is None:
+        for what, signal in (("mean", "x_hat"), ("covariance", "P")):
+            if when := _first_not_finite(result[f"{brain.name}.{signal}"], result.time):
+                verdict += f" The {what} of the belief is not finite {when}."
+        if verdict.endswith(UNKNOWN):
+            verdict += " The belief is finite, so it is filterpy's that has grown beyond what a number can be."
+    plain: dict[str, Any] = without_nan(check | {"agrees": agrees, "verdict": verdict})
+    return plain
+
+
+def _verdict(check: Mapping[str, float], belief: str) -> tuple[bool | None, str]:
+    """Return whether the belief agrees with filterpy's, None if that cannot be said, and a sentence on it."""
+    # Where the absolute difference is zero the relative one is zero too, or zero by zero.
+    pairs = (("mean_difference", "mean_absolute"), ("covariance_difference", "covariance_absolute"))
+    relative = [0.0 if check[absolute] == 0.0 else check[name] for name, absolute in pairs]
+    if not np.isfinite(relative).all():
+        return None, UNKNOWN
+    largest = max(relative)
+    if largest <= AGREEMENT:
+        return True, "The belief agrees with filterpy to 1e-9."
+    sentence = f"The belief does NOT agree with filterpy: the largest relative difference is {largest:.2g}."
+    if belief == "joint":
+        sentence += ' That is by design of belief = "joint", into which the goal leaks; belief = "filtered" agrees.'
+    return False, sentence
 
 
 @contextmanager
