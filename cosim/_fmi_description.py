@@ -103,6 +103,9 @@ class FMUDescription:
         As in the model description.
     timing : str or None
         What the vendor annotation of this package's exports says: ``"plant"`` or ``"sampled"``.
+    feedthrough : mapping of str to tuple of str, or None
+        For each output, the inputs on which it depends at the same instant; None where the FMU does not say, which by the
+        standard means all of them.
     identifier, token : str
         Name of the binary, and what proves that binary and description belong together.
     log_categories : tuple of str
@@ -119,6 +122,7 @@ class FMUDescription:
     description: str | None = None
     generation_tool: str | None = None
     timing: str | None = None
+    feedthrough: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
     identifier: str = ""
     token: str = field(default="", repr=False)
     log_categories: tuple[str, ...] = field(default=(), repr=False)
@@ -184,6 +188,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         description=model.description,
         generation_tool=model.generationTool,
         timing=next((a for a in annotations if a in {"plant", "sampled"}), None),
+        feedthrough=_feedthrough(model),
         identifier=getattr(first, "modelIdentifier", None) or "",
         token=model.guid or "",
         log_categories=tuple(c.name for c in model.logCategories),
@@ -228,6 +233,14 @@ def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:
         clocked=bool(variable.clocks),
         alias=variable.alias is not None,
     )
+
+
+def _feedthrough(model: ModelDescription) -> dict[str, tuple[str, ...] | None]:
+    found: dict[str, tuple[str, ...] | None] = {v.name: None for v in model.modelVariables if v.causality == "output"}
+    for unknown in model.outputs:
+        if unknown.variable is not None and unknown.dependencies is not None and unknown.variable.name in found:
+            found[unknown.variable.name] = tuple(v.name for v in unknown.dependencies if v.causality == "input")
+    return found
 
 
 def _start(archive: Archive, variable: ModelVariable) -> Value | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -38,7 +39,8 @@ class FMU(ExternalBlock):
     timing : {"plant", "sampled"}, optional
         ``"plant"``: the outputs at t_k are read before the step that the inputs at t_k take to t_k+1. ``"sampled"``: the FMU
         makes its step with the inputs at t_k and its outputs count at t_k, as a controller's do. By default what the FMU
-        says of itself (exports of this package do), else ``"plant"``.
+        says of itself (exports of this package do), else ``"plant"``; a ``"plant"`` that was not asked for warns where outputs
+        depend at once on inputs.
     name : str, optional
         Name under which a diagram adds it; the model's name in small letters by default.
     validate : bool
@@ -51,6 +53,12 @@ class FMU(ExternalBlock):
         variable cannot be what it was asked to be.
     UnknownNameError
         If it has no variable of that name.
+
+    Warns
+    -----
+    UserWarning
+        If outputs depend at once on inputs by the FMU's own account (or for lack of one), and `timing` is not given: as a
+        plant's, these outputs show the inputs of the step before.
 
     Examples
     --------
@@ -77,12 +85,17 @@ class FMU(ExternalBlock):
         set_(self, "path", Path(self.path).expanduser().absolute())
         archive, description = self._read()
         _check_kind(archive, description)
-        set_(self, "timing", self.timing or description.timing or "plant")
+        asked = self.timing
+        set_(self, "timing", asked or description.timing or "plant")
         set_(self, "name", self.name or "".join(description.name.lower().split()))
         set_(self, "parameters", _start_values(archive, description, self.parameters or {}))
         for side, causality in (("inputs", "input"), ("outputs", "output")):
             chosen = _choose(archive, description, causality, getattr(self, side))
             set_(self, side, tuple(self._port(variable) for variable in chosen))
+        if asked is None and self.timing == "plant":
+            late = _late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
+            if late:
+                warnings.warn(late, stacklevel=3)  # at the line that makes the block
 
     @property
     def default_name(self) -> str:
@@ -204,6 +217,29 @@ def _choose(
             raise ModelError(f"FMU has {name!r} twice among its {causality}s; name it once.")
         chosen.append(variable)
     return chosen
+
+
+def _late_outputs(
+    archive: Archive, description: FMUDescription, inputs: Sequence[Port], outputs: Sequence[Port]
+) -> str | None:
+    """Return the sentence that names the outputs which depend at once on inputs, or None.
+
+    FMI forbids to set inputs and read outputs without a step in between (FMI 2), so that no order of calls would show them.
+    """
+    here = [port.name for port in inputs]
+    reached = {port.name: description.feedthrough.get(port.name) for port in outputs}
+    silent = [name for name, through in reached.items() if through is None] if here else []
+    fed = {name: [u for u in through or () if u in here] for name, through in reached.items()}
+    declared = [f"{name} depends on {' and '.join(through)}" for name, through in fed.items() if through]
+    if not declared and not silent:
+        return None
+    told = [f"declares that at the same instant {', '.join(declared)}"] if declared else []
+    told += [f"does not say on which inputs {', '.join(silent)} depends at the same instant"] if silent else []
+    return (
+        f"The FMU {archive.path.name} {' and '.join(told)}, but a plant's outputs at t_k are read before its inputs of t_k are "
+        "set, so such an output shows the inputs of the step before: give timing='sampled' if the FMU is a controller or has "
+        "no memory, or timing='plant' if this is as it should be."
+    )
 
 
 def _start_values(archive: Archive, description: FMUDescription, values: Mapping[str, Any]) -> dict[str, Value]:

@@ -99,8 +99,21 @@ def _facts(path: Path, description: FMUDescription) -> list[tuple[str, str]]:
         ("default experiment", experiment),
         ("made by", description.generation_tool),
         ("timing", description.timing),
+        ("direct feedthrough", _feedthrough(description)),
     ]
     return [(label, value) for label, value in entries if value]
+
+
+def _feedthrough(description: FMUDescription) -> str:
+    """Return which outputs depend at the same instant on which inputs."""
+    if not any(v.causality == "input" for v in description.variables):
+        return "none"
+    told = [
+        f"{output} <- {'any input (it does not say)' if inputs is None else ', '.join(inputs)}"
+        for output, inputs in description.feedthrough.items()
+        if inputs != ()
+    ]
+    return "; ".join(told) or "none"
 
 
 def _plain(value: Any) -> Any:
