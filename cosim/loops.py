@@ -16,6 +16,7 @@ from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError
 from bayesftc.cosim.faults import Fault
 from bayesftc.cosim.sensors import Sensors
 from bayesftc.cosim.sources import Constant
+from bayesftc.cosim.timebase import show
 
 Names = str | Sequence[str]
 
@@ -57,12 +58,21 @@ def closed_loop(
     noise : mapping of plant input to Block, optional
         Sources for further inputs of the plant.
     dt : float, str or Fraction, optional
-        Base step in seconds; by default the controller's own sample time.
+        Base step in seconds; by default the controller's own sample time. With a smaller one, of which the controller's (or
+        a discrete plant's) sample time is a whole multiple, these run at every n-th step; sensors, faults and sources run at
+        the base step.
 
     Returns
     -------
     Diagram
         Built and ready: ``closed_loop(...).simulate(20.0, seed=1)``.
+
+    Raises
+    ------
+    StepSizeError
+        If `dt` is missing and the controller knows none, or if it does not divide a sample time.
+    ConnectionError, UnknownNameError
+        If the parts do not fit together.
     """
     step = controller.sample_time if dt is None else dt
     if step is None:
@@ -71,7 +81,7 @@ def closed_loop(
         )
     diagram = Diagram(step)
     goals = [diagram.add(block, name) for name, block in _references(reference)]
-    node = diagram.add(plant, "plant")
+    node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
     outputs = [node[name] for name in _names(measured, "measured")]
     sensors = _fitted(sensors, len(outputs))
     seen = diagram.add(sensors, "sensors")
@@ -83,7 +93,7 @@ def closed_loop(
         modifier = diagram.add(replace(fault, channels=sensors.count))
         diagram.connect(last["y"], modifier["u"])
         last = modifier
-    brain = diagram.add(controller, "controller")
+    brain = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
     if len(brain["y"]) != sensors.count:
         raise ConnectionError(
             f"The controller's model has {len(brain['y'])} sensors, but the loop has {sensors.count}; give the model's C a row "
@@ -101,6 +111,17 @@ def closed_loop(
     for name, source in (noise or {}).items():
         diagram.connect(diagram.add(source, f"{name}_noise")["y"], node[name])
     return diagram.build()
+
+
+def _every(block: Block, name: str, step: Fraction) -> int:
+    """Return at how many base steps a block with a sample time of its own runs."""
+    ratio = Fraction(1) if block.sample_time is None else block.sample_time / step
+    if ratio.denominator != 1:
+        raise StepSizeError(
+            f"The {name} must run every {show(block.sample_time or step)} s, which is no whole multiple of dt, {show(step)} s; "
+            "give closed_loop a dt that divides it, or leave dt out to take the controller's."
+        )
+    return int(ratio)
 
 
 def _names(given: Names, what: str) -> list[str]:

@@ -30,6 +30,10 @@ class Car(cosim.Block):
         return cosim.Definition(drive, drive_on, {"v": np.zeros(2)}, {"h": float(step)})
 
 
+class Sampled(Car):
+    sample_time = Fraction(1, 25)
+
+
 def control(y, goal, u):
     total = 0.0 * y[0]
     for i in range(y.shape[0]):
@@ -112,6 +116,29 @@ def test_several_signals(run_both):
     assert run_both(shared, 1)["sensors.y"].shape == (51, 4)
 
 
+@pytest.mark.parametrize("dt", ["1/200", 0.005, Fraction(1, 200)])
+def test_a_smaller_step_leaves_the_controller_its_own(dt, run_both):
+    diagram = loop(
+        dt=dt, sensors=cosim.Sensors(count=1, std=0.1), faults=[cosim.Bias(sensor=0, start=1.0, magnitude=1.0)]
+    )
+    every = {n.name: n.every for n in diagram.nodes}
+    assert every == {"reference": 1, "plant": 1, "sensors": 1, "bias_0": 1, "controller": 4}
+    result = run_both(diagram, 2)
+    held = result["controller.u"][:-1].reshape(100, 4)
+    assert (held == held[:, :1]).all()
+    np.testing.assert_array_equal(held[:, 0], 4.0 * (2.0 - result["bias_0.y"][:-1:4, 0]))
+    assert len(np.unique(result["sensors.y"])) == len(result.time)  # a sample at every base step
+    assert np.ptp(result["plant.speed"][:4]) > 0
+
+
+def test_a_plant_with_a_sample_time_of_its_own(run_both):
+    diagram = loop(plant=Sampled())
+    assert {n.name: n.every for n in diagram.nodes}["plant"] == 2
+    speed = run_both(diagram, 1)["plant.speed"][:-1].reshape(25, 2)
+    assert (speed[:, 0] == speed[:, 1]).all()
+    assert loop(dt=0.02).nodes[-1].every == 1
+
+
 @pytest.mark.parametrize(
     "reference", [2, 2.0, np.float32(2.0), np.int64(2), [2.0], (2,), np.array([2.0]), cosim.Constant(2.0)]
 )
@@ -158,7 +185,17 @@ def test_references(reference):
         (
             {"dt": 0.1},
             cosim.StepSizeError,
-            r"Block 'controller' must run every 0.02 s, but the diagram runs it every 0.1 s",
+            r"The controller must run every 0.02 s, which is no whole multiple of dt, 0.1 s; give closed_loop a dt that div",
+        ),
+        (
+            {"dt": 0.015},
+            cosim.StepSizeError,
+            r"The controller must run every 0.02 s, which is no whole multiple of dt, 0.015 s",
+        ),
+        (
+            {"plant": Sampled(), "controller": cosim.Gain(1.0), "dt": 0.03},
+            cosim.StepSizeError,
+            r"The plant must run every 0.04 s, which is no whole multiple of dt, 0.03 s",
         ),
     ],
 )
