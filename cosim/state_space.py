@@ -3,61 +3,33 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.linear_system import LinearSystem, as_rows, held, normalised, signal_names
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import rational_step, show
 
 logger = logging.getLogger("bayesftc.state_space")
 logger.addHandler(logging.NullHandler())  # else logging prints warnings where nobody has set it up
 
-Rows = tuple[tuple[float, ...], ...]
 NOISE = "process_noise"
 
-
-@dataclass(frozen=True)
-class LinearSystem:
-    """A linear system as plain numbers: ``dx/dt`` (or the next ``x``) is ``A x + B u``, and ``y = C x + D u``.
-
-    python-control's own objects hold functions and cannot be sent to another process; this can.
-
-    Attributes
-    ----------
-    A, B, C, D : tuple of tuple of float
-        Matrices of n x n, n x m, p x n and p x m numbers, for n states, m inputs and p outputs.
-    dt : float, True or None
-        0 for continuous time, a sample time in seconds, True for discrete time with any sample time, None where there are no
-        states and time does not matter.
-    input_names, output_names : tuple of str
-        Names of the signals.
-    """
-
-    A: Rows
-    B: Rows
-    C: Rows
-    D: Rows
-    dt: float | None
-    input_names: tuple[str, ...]
-    output_names: tuple[str, ...]
-
-    def matrices(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return A, B, C and D as arrays."""
-        n, m, p = len(self.A), len(self.input_names), len(self.output_names)
-        shapes = ((self.A, (n, n)), (self.B, (n, m)), (self.C, (p, n)), (self.D, (p, m)))
-        a, b, c, d = (np.array(rows, dtype=np.float64).reshape(shape) for rows, shape in shapes)
-        return a, b, c, d
+if TYPE_CHECKING:
+    Vector = ArrayLike
+    Matrix = ArrayLike
+else:  # at run time the form that a scenario file is checked against
+    Vector, Matrix = Sequence[float], Sequence[Sequence[float]]
 
 
-# Names that no one would give a signal: a port and a state of a block cannot share a name.
+# The names below begin with system_, as no one would name a signal: a port and a state of a block cannot share a name.
 
 
 def _output_state(outputs, system_x, system_c):
@@ -143,8 +115,8 @@ class StateSpace(Block):
     """
 
     system: Any
-    initial: Sequence[float] | None = field(default=None, kw_only=True)
-    process_noise: Sequence[Sequence[float]] | None = field(default=None, kw_only=True)
+    initial: Vector | None = field(default=None, kw_only=True)
+    process_noise: Matrix | None = field(default=None, kw_only=True)
     feedthrough: bool | Sequence[str] = field(default=True, kw_only=True)
     params: Mapping[str, Any] | None = field(default=None, kw_only=True, hash=False)
     method: str = field(default="RK45", kw_only=True)
@@ -156,7 +128,7 @@ class StateSpace(Block):
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         if not isinstance(self.system, LinearSystem):
-            set_(self, "system", _normalised(self.system))
+            set_(self, "system", normalised(self.system))
         if isinstance(self.system, LinearSystem) and (self.feedthrough is not True or self.params is not None):
             raise ModelError(
                 "StateSpace has feedthrough=... or params=... for a linear system, which has its feedthrough in D and no "
@@ -180,7 +152,7 @@ class StateSpace(Block):
         if self.process_noise is not None:
             covariance = np.asarray(self.process_noise, dtype=np.float64)
             _factor(covariance, n)
-            set_(self, "process_noise", _rows(covariance))
+            set_(self, "process_noise", as_rows(covariance))
         if not (self.rtol > 0 and self.atol > 0):
             raise ModelError(f"StateSpace has rtol={self.rtol!r}, atol={self.atol!r}; both must be positive.")
 
@@ -227,7 +199,7 @@ class StateSpace(Block):
     def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if isinstance(self.system, LinearSystem):
             return self.system.input_names, self.system.output_names
-        return _signal_names(self.system)
+        return signal_names(self.system)
 
     @property
     def _states(self) -> int:
@@ -238,7 +210,7 @@ class StateSpace(Block):
         if not len(a):
             return Definition(_output_inputs, parameters={"system_d": d})
         if system.dt == 0:
-            a, b = _held(a, b, h)
+            a, b = held(a, b, h)
         if noise is not None:
             b = np.hstack([b, noise])  # the noise is the last of the inputs
         parameters = {"system_a": a, "system_b": b, "system_c": c, "system_d": d}
@@ -282,69 +254,6 @@ class StateSpace(Block):
             return np.full(len(x), np.nan)
         end: Floats = solution.y[:, -1]
         return end
-
-
-def _normalised(system: Any) -> Any:
-    """Return a `LinearSystem` for a linear system, the system itself for a nonlinear one."""
-    import control
-
-    if isinstance(system, control.TransferFunction):
-        names, dt = _signal_names(system), system.dt
-        try:
-            converted = control.ss(system)
-        except Exception as error:  # noqa: BLE001 - python-control raises whatever its backend does
-            reason = str(error).strip().removesuffix(".")
-            raise ModelError(
-                f"The transfer function cannot be converted to a state space: {reason}. Make it proper, or give the state space."
-            ) from None
-    elif isinstance(system, control.StateSpace):
-        names, dt, converted = _signal_names(system), system.dt, system
-    elif isinstance(system, control.NonlinearIOSystem):
-        if system.dt is None:
-            raise ModelError("The system has dt=None; give it dt=0 (continuous time) or its sample time in seconds.")
-        if not system.noutputs:
-            raise ModelError(
-                "The nonlinear system does not say how many outputs it has; give it outputs=... (and inputs, states)."
-            )
-        return system
-    else:
-        raise ModelError(
-            f"StateSpace takes a StateSpace, TransferFunction or NonlinearIOSystem of python-control, "
-            f"not a {type(system).__name__}."
-        )
-    if dt is None and converted.nstates:
-        raise ModelError("The system has dt=None; give it dt=0 (continuous time) or its sample time in seconds.")
-    a, b, c, d = (np.asarray(m, dtype=np.float64) for m in (converted.A, converted.B, converted.C, converted.D))
-    if not all(np.isfinite(matrix).all() for matrix in (a, b, c, d)):
-        raise ModelError("The system has matrices with NaN or infinite elements; all must be finite.")
-    dt = dt if dt is None or dt is True else float(dt)
-    return LinearSystem(_rows(a), _rows(b), _rows(c), _rows(d), dt, *names)
-
-
-def _signal_names(system: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    return _named(system.input_labels, "u"), _named(system.output_labels, "y")
-
-
-def _named(labels: Sequence[str], letter: str) -> tuple[str, ...]:
-    """Return the labels, python-control's own ``u[0]`` as ``u`` or ``u0``: brackets mean elements here."""
-    if all(re.fullmatch(rf"{letter}\[\d+\]", label) for label in labels):
-        return (letter,) if len(labels) == 1 else tuple(f"{letter}{i}" for i in range(len(labels)))
-    return tuple(labels)
-
-
-def _rows(matrix: Floats) -> Rows:
-    return tuple(tuple(row) for row in matrix.tolist())
-
-
-def _held(a: Floats, b: Floats, h: float) -> tuple[Floats, Floats]:
-    """Return the matrices of a step of `h` seconds with the inputs held: one exponential gives both."""
-    from scipy.linalg import expm
-
-    n = len(a)
-    block = np.zeros((n + b.shape[1],) * 2)
-    block[:n, :n], block[:n, n:] = a, b
-    exponential: Floats = expm(block * h)
-    return exponential[:n, :n], exponential[:n, n:]
 
 
 def _factor(covariance: ArrayLike, n: int) -> Floats:
