@@ -23,6 +23,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
 
 if TYPE_CHECKING:
+    import control
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
@@ -127,6 +128,27 @@ class Result(Mapping[str, Floats]):
             variables[name] = (dimensions, self[name], attributes)
         attributes = {"metadata": json.dumps(self.metadata), "stopped": self.stopped or ""}
         return xr.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})}, attrs=attributes)
+
+    def to_control(self, outputs: Iterable[str] | None = None) -> control.TimeResponseData:
+        """Return the signals as a time response of python-control, one output for each scalar (``y[0]``, ``y[1]``, ...).
+
+        Parameters
+        ----------
+        outputs : iterable of str, optional
+            Names of the signals to take; all by default.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no signal of that name.
+        """
+        import control
+
+        names = list(self) if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
+        columns = [self[name].reshape(len(self._recording), -1) for name in names]
+        scalars = [label for name in names for label in labels(name, self._columns[name][1])]
+        values = np.hstack([np.empty((len(self._recording), 0)), *columns]).T
+        return control.TimeResponseData(self.time, values, output_labels=scalars, issiso=False, title="bayesftc")
 
     def plot(self, signals: Iterable[str] | None = None) -> Figure:
         """Return a figure with one panel for each unit and kind of signal.

@@ -75,6 +75,23 @@ def test_to_pandas(result):
     np.testing.assert_array_equal(table["block.b[1]"], result["block.b"][:, 1])
 
 
+def test_to_control(result, partial):
+    import control
+
+    response = result.to_control()
+    assert isinstance(response, control.TimeResponseData)
+    assert response.output_labels[:4] == ["block.a", "block.b[0]", "block.b[1]", "block.c[0,0]"]
+    np.testing.assert_array_equal(response.outputs, result.to_pandas().to_numpy().T)
+    np.testing.assert_array_equal(response.time, result.time)
+    chosen = result.to_control(["block.b", "block.a"])
+    assert chosen.output_labels == ["block.b[0]", "block.b[1]", "block.a"]
+    np.testing.assert_array_equal(chosen.outputs[2], result["block.a"])
+    assert result.to_control("block.a").outputs.shape == (1, len(result.time))
+    assert partial.to_control().outputs.shape[1] == len(partial.time)
+    with pytest.raises(cosim.UnknownNameError, match=r"did you mean 'block\.a'"):
+        result.to_control(["blok.a"])
+
+
 def test_to_xarray(result):
     data = result.to_xarray()
     assert set(data.data_vars) == set(result)
