@@ -167,8 +167,10 @@ class Diagram:
         Parameters
         ----------
         coupling : {"gauss-seidel", "jacobi"}
-            Whether an FMU that is fed directly by an FMU added before it sees that one's output after (by default) or before
-            its step.
+            Whether an FMU that is fed directly by an FMU of the same rate added before it sees that one's output after (by
+            default) or before its step. With a block between the two (a `Gain` that converts units, say), or where their
+            ``every`` differs, it sees the output before the step in both cases; ``diagram.schedule.describe()`` names the FMUs
+            that are seen after theirs.
         """
         from bayesftc.cosim.schedule import Schedule
 

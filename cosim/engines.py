@@ -13,6 +13,9 @@ from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key
 from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule, bind
 
+WRITES = frozenset({"output", "ahead"})
+"""The kinds of calls that write outputs."""
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -80,10 +83,11 @@ class CompiledEngine:
         for call in (*schedule.evaluate, *schedule.advance):
             node, slots = schedule.nodes[call.node], schedule.slots[call.node]
             start = slots.start
-            checked = node.block.checks_finite and call.kind == "output"
-            outputs = start["outputs"], start["outputs"] + sum(p.size for p in node.block.outputs)
+            checked = node.block.checks_finite and call.kind in WRITES
+            begin = schedule.outputs_start(call)
+            outputs = begin, begin + sum(p.size for p in node.block.outputs)
             rows.append(
-                [self._address(call), node.every, *(start[s] for s in ("state", "parameters", "inputs", "outputs")),
+                [self._address(call), node.every, *(start[s] for s in ("state", "parameters", "inputs")), begin,
                  len(gathers), len(gathers) + len(call.gathers), *(outputs if checked else (0, 0))]
             )  # fmt: skip
             gathers += call.gathers
@@ -98,7 +102,7 @@ class CompiledEngine:
             return 0
         if call.node in self._run.instances:
             instance = self._run.instances[call.node]
-            return instance.output_address if call.kind == "output" else instance.update_address
+            return instance.output_address if call.kind in WRITES else instance.update_address
         from bayesftc.cosim._compiler import compile_kernel
 
         kernel = schedule.kernel(call)
@@ -116,10 +120,9 @@ class CompiledEngine:
         )  # fmt: skip
         if failed[0] < 0:
             return int(last), None
-        calls = (*run.schedule.evaluate, *run.schedule.advance)
-        kind = calls[failed[0]].kind if failed[0] < len(run.schedule.evaluate) else "update"
-        at = int(last) + (kind == "output")
-        return int(last), Failure(at, calls[failed[0]].node, int(failed[1]))
+        call = (*run.schedule.evaluate, *run.schedule.advance)[failed[0]]
+        k = int(last) + (failed[0] < len(run.schedule.evaluate))
+        return int(last), Failure(_instant(run.schedule, call, k), call.node, int(failed[1]))
 
 
 @cache
@@ -149,10 +152,11 @@ class InterpretedEngine:
             return call, lambda t, k: 0
         if call.node in run.instances:
             instance = run.instances[call.node]
-            function = instance.output if call.kind == "output" else instance.update
+            function = instance.output if call.kind in WRITES else instance.update
             size_in, size_out = (sum(p.size for p in ports) for ports in (node.block.inputs, node.block.outputs))
             inputs = memory[slots.start["inputs"] : slots.start["inputs"] + size_in]
-            outputs = memory[slots.start["outputs"] : slots.start["outputs"] + size_out]
+            begin = schedule.outputs_start(call)
+            outputs = memory[begin : begin + size_out]
             return call, lambda t, k: function(inputs, outputs, t)
         kernel = schedule.kernel(call)
         assert kernel is not None
@@ -201,10 +205,15 @@ class InterpretedEngine:
                 memory[target] = memory[origin]
             status = function(t, k // node.every)
             if status:
-                return Failure(k, call.node, status)
-            if node.block.checks_finite and call.kind == "output":
-                start = schedule.slots[call.node].start["outputs"]
+                return Failure(_instant(schedule, call, k), call.node, status)
+            if node.block.checks_finite and call.kind in WRITES:
+                start = schedule.outputs_start(call)
                 for i in range(start, start + sum(p.size for p in node.block.outputs)):
                     if not np.isfinite(memory[i]):
-                        return Failure(k, call.node, NOT_FINITE + i)
+                        return Failure(_instant(schedule, call, k), call.node, NOT_FINITE + i)
         return None
+
+
+def _instant(schedule: Schedule, call: Call, k: int) -> int:
+    """Return the step to which what a call computes at step `k` belongs: outputs ahead of time to the one they are of."""
+    return k + schedule.nodes[call.node].every if call.kind == "ahead" else k

@@ -3,8 +3,9 @@
 A step has two phases. *Evaluate* computes all outputs at t_k in the order of direct feedthrough, then brings the inputs that
 do not feed through, which may come from any block. *Advance* takes every state
 to t_k+1: first the blocks that only know sampled time, in any order (no one's state can be seen before the next evaluation),
-then the FMUs in the order in which they were added; with Gauss-Seidel coupling an FMU's outputs are refreshed at once, so
-that an FMU it feeds directly sees them.
+then the FMUs in the order in which they were added. With Gauss-Seidel coupling, an FMU that feeds a later one of the same
+rate directly is read again at once, into a place of its own that only that later FMU's step sees: the outputs that everyone
+else sees, and that are recorded, stay those of t_k until t_k+1 is evaluated.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim._contract import RESERVED, checked
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
 from bayesftc.cosim.diagram import Diagram, Node, is_external
 from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, KernelError, ModelError, StepSizeError
@@ -38,19 +40,17 @@ TABLE = 32
 
 SECTIONS = ("state", "parameters", "inputs", "outputs")
 
-RESERVED = frozenset({"t", "k", "inputs", "outputs"})
-"""Argument names of step functions that are no ports: time, step count, and all inputs or outputs as one flat array."""
-
 
 @dataclass(frozen=True)
 class Call:
     """One call of a step function: whose, which one, and the copies (to, from) that bring its inputs.
 
-    The kind ``inputs`` calls no function: it only brings inputs, so that they are recorded as they are at t_k.
+    The kind ``inputs`` calls no function: it only brings inputs, so that they are recorded as they are at t_k. The kind
+    ``ahead`` calls the output function, but its results go to the place of outputs ahead of time.
     """
 
     node: int
-    kind: Literal["output", "update", "inputs"]
+    kind: Literal["output", "update", "inputs", "ahead"]
     gathers: tuple[tuple[int, int], ...]
 
 
@@ -89,6 +89,8 @@ class Schedule:
         What the engine's random streams fill.
     initial : ndarray
         Memory as it stands before the first step: states, parameters, input defaults.
+    ahead : dict of int to int
+        Where in memory the outputs at t_k+1 stand, while the others step, of the FMUs that a later FMU sees so.
     """
 
     def __init__(self, diagram: Diagram, coupling: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"):
@@ -105,7 +107,9 @@ class Schedule:
             else checked(node.block, node.block.define(self.step * node.every), repr(node.name))
             for node in self.nodes
         )
-        self.slots, self.initial = self._lay_out()
+        self.slots, values = self._lay_out()
+        self._seen_ahead = self._pairs_ahead(diagram)
+        self.ahead, self.initial = self._lay_out_ahead(values)
         self.draws = self._check_inputs(diagram)
         self._edges = self._feedthrough_edges(diagram)
         evaluate = [
@@ -131,10 +135,17 @@ class Schedule:
         return slice(start, start + port.size)
 
     def describe(self) -> str:
-        """Return the order of a step as text, a line a call."""
+        """Return the order of a step as text, a line a call; an FMU's line names the FMUs that it sees at t_k+1 already."""
         lines = [f"at t_k     {self.nodes[c.node].name}" for c in self.evaluate if c.kind == "output"]
-        lines += [f"to t_k+1   {self.nodes[c.node].name}" for c in self.advance if c.kind == "update"]
+        for call in self.advance:
+            if call.kind == "update":
+                seen = ", ".join(self.nodes[i].name for i in self._seen_ahead.get(call.node, ()))
+                lines.append(f"to t_k+1   {self.nodes[call.node].name}" + (f"  (sees {seen} at t_k+1)" if seen else ""))
         return "\n".join(lines)
+
+    def outputs_start(self, call: Call) -> int:
+        """Return where in memory the outputs that a call writes begin."""
+        return self.ahead[call.node] if call.kind == "ahead" else self.slots[call.node].start["outputs"]
 
     def _updates(self, i: int) -> bool:
         definition = self.definitions[i]
@@ -179,8 +190,13 @@ class Schedule:
                     )
         return tuple(draws)
 
-    def _gathers(self, diagram: Diagram, i: int, feedthrough: bool | None = None) -> tuple[tuple[int, int], ...]:
-        """Return the copies that bring a block's inputs: those that feed through, those that do not, or all of them."""
+    def _gathers(
+        self, diagram: Diagram, i: int, feedthrough: bool | None = None, *, ahead: tuple[int, ...] = ()
+    ) -> tuple[tuple[int, int], ...]:
+        """Return the copies that bring a block's inputs: those that feed through, those that do not, or all of them.
+
+        What comes from the nodes `ahead` is taken from their outputs ahead of time.
+        """
         node, slots, copies = self.nodes[i], self.slots[i], []
         for port in node.block.inputs:
             if feedthrough not in {None, port.feedthrough}:
@@ -189,7 +205,10 @@ class Schedule:
                 source = diagram.source_of(node, port, element)
                 if source is not None:
                     reference, taken = source
-                    origin = self.slots[self._place[reference.node]].offset(reference.port.name) + taken
+                    j = self._place[reference.node]
+                    origin = self.slots[j].offset(reference.port.name) + taken
+                    if j in ahead:
+                        origin += self.ahead[j] - self.slots[j].start["outputs"]
                     copies.append((slots.offset(port.name) + element, origin))
         return tuple(copies)
 
@@ -243,15 +262,42 @@ class Schedule:
             + "\nPut a UnitDelay into one of these connections, or declare the input feedthrough=False where that is true."
         )
 
+    def _plants(self) -> list[int]:
+        return [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self._updates(i)]
+
+    def _pairs_ahead(self, diagram: Diagram) -> dict[int, tuple[int, ...]]:
+        """Return, for each FMU, the earlier ones that it sees at the end of its step.
+
+        An FMU of another rate has no new value there, or not yet: it is seen at t_k, as by everyone else.
+        """
+        if self.coupling == "jacobi":
+            return {}
+        plants, pairs = self._plants(), {}
+        for position, j in enumerate(plants):
+            before = [i for i in plants[:position] if self.nodes[i].every == self.nodes[j].every]
+            seen = tuple(i for i in before if self._feeds(diagram, i, j))
+            if seen:
+                pairs[j] = seen
+        return pairs
+
+    def _lay_out_ahead(self, values: Floats) -> tuple[dict[int, int], Floats]:
+        places: dict[int, int] = {}
+        total = len(values)
+        for i in sorted({i for seen in self._seen_ahead.values() for i in seen}):
+            places[i] = total
+            total += sum(port.size for port in self.nodes[i].block.outputs)
+        return places, np.concatenate([values, np.full(total - len(values), np.nan)])
+
     def _advance(self, diagram: Diagram) -> tuple[Call, ...]:
         sampled = [i for i in range(len(self.nodes)) if not is_external(self.nodes[i]) and self._updates(i)]
         calls = [Call(i, "update", ()) for i in sampled]  # all inputs have come by the end of evaluate
-        plants = [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self._updates(i)]
-        for position, i in enumerate(plants):  # bring the inputs again: plants before may have made their step
-            calls.append(Call(i, "update", self._gathers(diagram, i)))
-            fed_later = any(self._feeds(diagram, i, j) for j in plants[position + 1 :])
-            if self.coupling == "gauss-seidel" and fed_later:
-                calls.append(Call(i, "output", ()))
+        for i in self._plants():
+            seen = self._seen_ahead.get(i, ())
+            calls.append(Call(i, "update", self._gathers(diagram, i, ahead=seen)))
+            if seen and self.nodes[i].every > 1:  # until it runs again, its inputs too are recorded as at t_k
+                calls.append(Call(i, "inputs", self._gathers(diagram, i)))
+            if i in self.ahead:
+                calls.append(Call(i, "ahead", ()))
         return tuple(calls)
 
     def _feeds(self, diagram: Diagram, i: int, j: int) -> bool:
@@ -335,40 +381,6 @@ def _check_signal_names(nodes: tuple[Node, ...]) -> None:
                     f"The blocks {owners[name].name!r} and {node.name!r} both have a signal {name!r}; give one of them "
                     "another name."
                 )
-
-
-def checked(block: Block, definition: Definition, title: str) -> Definition:
-    """Return the definition if its step functions ask only for what the block has and write all its outputs.
-
-    Raises
-    ------
-    KernelError
-        If they do not; `title` is what the sentence calls the block.
-    """
-    outputs = {p.name for p in block.outputs}
-    late = {p.name for p in block.inputs if not p.feedthrough}
-    known = {p.name for p in block.inputs} | outputs | set(definition.state) | set(definition.parameters) | RESERVED
-    for kernel in (definition.output, definition.update):
-        if kernel is None:
-            continue
-        for name in argument_names(kernel):
-            if name not in known:
-                raise KernelError(
-                    f"The step function {kernel.__name__!r} of block {title} asks for {name!r}, which is no port, state or "
-                    f"parameter of it (these are: {', '.join(sorted(known))})."
-                )
-            if kernel is definition.output and name in late:
-                raise KernelError(
-                    f"The step function {kernel.__name__!r} of block {title} reads {name!r} to write the outputs, but that input "
-                    "is declared feedthrough=False; leave that out, or read it in the update function."
-                )
-    written = set(argument_names(definition.output)) if definition.output else set()
-    forgotten = [p.name for p in block.outputs if p.name not in written and "outputs" not in written]
-    if forgotten:
-        raise KernelError(
-            f"Block {title} has the output {forgotten[0]!r}, but no output function with an argument of that name writes it."
-        )
-    return definition
 
 
 def _arrays(values: Mapping[str, object]) -> dict[str, Floats]:

@@ -73,6 +73,9 @@ def simulate(
     SimulationError
         If a plant's output is NaN or infinite, an FMU reports an error, or the time limit is reached; its ``result`` has the
         signals up to the last complete step.
+    KeyboardInterrupt
+        On Ctrl-C, within about a twentieth of a second (an FMU's single step is not cut short). The signals so far are
+        discarded; to keep those of a run that may take too long, give it a ``time_limit``.
     """
     schedule = diagram.schedule
     steps = whole_steps(duration, schedule.step, "The duration")
@@ -172,18 +175,20 @@ def _advance(
 def _explain(failure: Failure, run: Run) -> str:
     node = run.schedule.nodes[failure.node]
     t = float(failure.k * run.schedule.step)
-    place = f"at t = {t:g} s (step {failure.k})"
+    when = f"at t = {t:g} s (step {failure.k})"
     if failure.status >= NOT_FINITE:
-        offset = failure.status - NOT_FINITE
-        value = run.memory[offset]
-        name = _signal_at(node.block, offset - run.schedule.slots[failure.node].start["outputs"])
+        place = failure.status - NOT_FINITE
+        value = run.memory[place]
+        begin = run.schedule.slots[failure.node].start["outputs"]
+        ahead = run.schedule.ahead.get(failure.node)
+        name = _signal_at(node.block, place - (begin if ahead is None or place < ahead else ahead))
         h = show(run.schedule.step * node.every)
         return (
-            f"The run stopped {place}: {node.name}.{name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
+            f"The run stopped {when}: {node.name}.{name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
             f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
     detail = run.instances[failure.node].explain(failure.status) if failure.node in run.instances else ""
-    return f"The run stopped {place}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
+    return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
 
 
 def _signal_at(block: Block, offset: int) -> str:

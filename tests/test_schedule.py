@@ -182,6 +182,27 @@ def writes_x(x):
     x[0] = 1.0
 
 
+def shows_constant(y):
+    y[0] = 1.0
+
+
+def update_writes_output(u, y):
+    y[0] = u[0]
+
+
+def update_writes_side(u, outputs):
+    for i in range(outputs.shape[0]):
+        outputs[i] += u[i]
+
+
+def writes_input(u, held):
+    u[0], held[0] = held[0], u[0]
+
+
+def writes_inputs(held, inputs):
+    inputs[held.shape[0] - 1] = 2.0 * held[0]
+
+
 CASES = {
     "unknown argument": (
         {"output": asks},
@@ -200,6 +221,22 @@ CASES = {
         r"Block 'b' has the output 'y', but no output function",
     ),
     "no output function": ({"update": too_early}, r"Block 'b' has the output 'y', but no output function"),
+    "update writes an output": (
+        {"output": shows_constant, "update": update_writes_output},
+        r"The update function 'update_writes_output' of block 'b' writes the output 'y', which others would see before",
+    ),
+    "update writes a side": (
+        {"output": shows_constant, "update": update_writes_side},
+        r"'update_writes_side' of block 'b' writes the output 'outputs'",
+    ),
+    "writes an input": (
+        {"output": shows_constant, "update": writes_input, "state": {"held": 0.0}},
+        r"'writes_input' of block 'b' writes into its input 'u'; an input belongs to the block that feeds it",
+    ),
+    "writes a side of inputs": (
+        {"output": shows_constant, "update": writes_inputs, "state": {"held": 0.0}},
+        r"'writes_inputs' of block 'b' writes into its input 'inputs'",
+    ),
     "same name twice": ({"output": write_held, "state": {"held": 0.0, "u": 0.0}}, r"uses the name 'u' twice"),
     "reserved name": ({"output": write_held, "state": {"held": 0.0, "t": 0.0}}, r"uses the name 't' twice"),
 }
