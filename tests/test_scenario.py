@@ -290,3 +290,48 @@ def test_every_setting_of_every_kind_can_be_written_in_toml():
     assert set(tomllib.loads(CAR)) == {
         "simulation", "plant", "noise", "sensors", "faults", "reference", "model", "controller",
     }  # fmt: skip
+
+
+THREE_ON_TWO = """
+[simulation]
+duration = 5
+[plant]
+A = [[1, 0.1], [0, 0.9]]
+B = [[0], [0.1]]
+C = [[1, 0], [0, 1]]
+dt = 0.1
+control = "u"
+measured = ["y0", "y1"]
+[sensors]
+count = 3
+std = [0.1, 0.1, 0.2]
+matrix = [[1, 0], [0, 1], [1, 0]]
+[reference]
+kind = "Table"
+times = [0, 2.5, 5]
+values = [1, 2, 1]
+[model]
+A = [[1, 0.1], [0, 0.9]]
+B = [[0], [0.1]]
+C = [[1, 0], [0, 1], [1, 0]]
+process_covariance = 1e-4
+sensor_covariance = [0.01, 0.01, 0.04]
+dt = 0.1
+[controller]
+kind = "BayesianController"
+goal_on = [[1, 0]]
+control_covariance = 10.0
+goal_covariance = 0.1
+"""
+
+
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")
+def test_three_sensors_on_two_variables(write):
+    """The matrix that the error for an uneven share asks for is all that is needed."""
+    scenario = load_scenario(write(text=THREE_ON_TWO))
+    assert scenario.sensors.signals == 2
+    assert scenario.simulate(engine="interpreted")["sensors.y"].shape == (51, 3)
+    for matrix, error in (("", "share 2 signals evenly"), ("matrix = [[1], [0], [1]]", "row of 2 finite numbers")):
+        text = THREE_ON_TWO.replace("matrix = [[1, 0], [0, 1], [1, 0]]", matrix)
+        with pytest.raises(ModelError, match=error):
+            load_scenario(write(text=text))

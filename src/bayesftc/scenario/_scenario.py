@@ -142,7 +142,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
         wiring=wiring,
         controller=sections.controller(content["controller"], content["model"], root / "controller", root, simulation),
         reference=sections.reference(content["reference"], root / "reference"),
-        sensors=sections.sensors(content["sensors"], root / "sensors") if "sensors" in content else None,
+        sensors=sections.sensors(content["sensors"], root / "sensors", wiring) if "sensors" in content else None,
         faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],
         noise=sections.noise(content["noise"], root / "noise") if "noise" in content else {},
     )
