@@ -63,9 +63,11 @@ class QuantitySignals:
     truth : array or None
         What an ideal sensor would read: without noise, offset, rounding and fault.
     reference : array or None
-        The element of the goal for this very quantity; None if there is none.
+        The element of the goal for this very quantity; None if there is none, or if it was not recorded.
     belief : array or None
         The controller's estimate of it: ``C x_hat``.
+    has_goal : bool
+        Whether there is an element of the goal for it.
     """
 
     name: str
@@ -74,6 +76,7 @@ class QuantitySignals:
     truth: Floats | None
     reference: Floats | None
     belief: Floats | None
+    has_goal: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +240,7 @@ def _quantities(
             matches = [] if G is None else [g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, read)]
             goal = matches[0] if matches else goal
         reference = None if goal is None else reader.source(brain, "goal", goal)
-        found.append(QuantitySignals(name, unit, tuple(members), truth, reference, belief))
+        found.append(QuantitySignals(name, unit, tuple(members), truth, reference, belief, goal is not None))
     return tuple(found)
 
 

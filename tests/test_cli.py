@@ -250,6 +250,19 @@ def test_what_was_not_recorded_is_a_dash_and_not_a_zero(bayesftc_, tmp_path):
     assert (tmp_path / "out" / "figure.png").is_file()
 
 
+def test_a_goal_that_was_not_recorded_is_not_taken_for_none(bayesftc_, tmp_path):
+    (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v", "controller.x_hat"]'))
+    numbers = json.loads(bayesftc_("run", "car.toml", "--engine", "interpreted", "--json").output)
+    assert numbers["notes"][0].startswith("The signals of v were not all recorded")
+    assert not any("no element of the goal" in note for note in numbers["notes"])
+
+
+def test_decimation_does_not_shorten_the_run(bayesftc_, tmp_path):
+    (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", "decimation = 7"))
+    numbers = json.loads(bayesftc_("run", "car.toml", "--engine", "interpreted", "--json").output)
+    assert (numbers["duration"], numbers["steps"]) == (20.0, 1000)
+
+
 def test_a_run_that_stops_keeps_what_it_has(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("v0 = 20.0", "m = 1e-320, v0 = 20.0"))
     done = bayesftc_("run", "car.toml", "--out", "out", "--engine", "interpreted")

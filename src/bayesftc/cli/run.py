@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,12 +80,15 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
     from bayesftc import __version__
 
     signals = loop_signals(loop, result)
+    # With a decimation the last step may have no row of its own; where a run that stopped did so, only its rows tell.
+    recorded = max(len(result.time) - 1, 0) * result.decimation
+    steps = recorded if result.stopped else round(Fraction(result.metadata["duration"]) / result.step)
     numbers: dict[str, Any] = {
         "scenario": path,
         "bayesftc": __version__,
         **{name: result.metadata[name] for name in ("seed", "engine")},
-        "duration": float(result.time[-1]) if len(result.time) else 0.0,
-        "steps": max(len(result.time) - 1, 0) * result.decimation,
+        "duration": float(steps * result.step),
+        "steps": steps,
         "stopped": result.stopped,
         "units": {q.name: q.unit for q in signals.quantities},
         **figures(signals).to_dict(),
@@ -98,7 +102,7 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
     why = getattr(getattr(scenario.controller, "precision", None), "why_no_probability", None)
     notes = [f"There is no fault probability: {why}"] if why else []
     for quantity in signals.quantities:
-        if quantity.truth is None or quantity.belief is None:
+        if quantity.truth is None or quantity.belief is None or (quantity.has_goal and quantity.reference is None):
             notes.append(
                 f"The signals of {quantity.name} were not all recorded; take 'record' out of the scenario for all figures."
             )
