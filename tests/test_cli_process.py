@@ -60,7 +60,7 @@ def test_ctrl_c_leaves_nothing_half_written(tmp_path):
     default = (
         {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)} if os.name == "posix" else {}
     )
-    command = [*COMMAND, "run", "cruise_control", "--duration", "8000", "--engine", "interpreted", "--out", "out"]
+    command = [*COMMAND, "run", "cruise_control", "--duration", "40000", "--engine", "interpreted", "--out", "out"]
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, **default)
     time.sleep(4.0)  # until the run has surely begun
     process.send_signal(signal.SIGINT)
