@@ -8,12 +8,15 @@ from .errors import (
     BayesFTCError as BayesFTCError,
     ConnectionError as ConnectionError,
     FMUError as FMUError,
+    FMUPlatformError as FMUPlatformError,
+    FMUVersionError as FMUVersionError,
     KernelError as KernelError,
     ModelError as ModelError,
     ResultFileError as ResultFileError,
     ScenarioError as ScenarioError,
     SimulationError as SimulationError,
     StepSizeError as StepSizeError,
+    UnconnectedInputError as UnconnectedInputError,
     UnknownNameError as UnknownNameError,
 )
 from .faults import (

@@ -16,6 +16,9 @@ from bayesftc.cosim._cache import cache_directory
 from bayesftc.cosim.errors import FMUError
 
 DESCRIPTION = "modelDescription.xml"
+LARGEST, SUSPICIOUS, RATIO = 4_000_000_000, 100_000_000, 100
+"""Bytes that an FMU may unpack to; bytes from which on it may not be `RATIO` times its packed size."""
+
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError)
 """What zipfile raises for files that are damaged, encrypted or packed in a way it does not know."""
 
@@ -58,16 +61,18 @@ def open_archive(path: Path) -> Archive:
         raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check the path.") from None
     if path.is_dir():
         raise FMUError(f"{path} is a folder; give the .fmu file itself, or zip the folder's content into one.")
-    return _read(path, status.st_mtime_ns, status.st_size)
+    return _read(path, (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino))
 
 
 @lru_cache(maxsize=256)
-def _read(path: Path, changed: int, size: int) -> Archive:
+def _read(path: Path, stamp: tuple[int, ...]) -> Archive:
     try:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         with zipfile.ZipFile(path) as archive:
             names = tuple(archive.namelist())
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+            packed = max(path.stat().st_size, 1)
     except OSError as error:
         raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check its permissions.") from None
     except _DAMAGE:
@@ -80,6 +85,11 @@ def _read(path: Path, changed: int, size: int) -> Archive:
                 f"The FMU {path} has an entry called {name!r}, which could be unpacked outside of its folder; nothing was "
                 "unpacked. Do not use this file; ask its maker for one with plain relative names."
             )
+    if unpacked > LARGEST or (unpacked > SUSPICIOUS and unpacked > RATIO * packed):
+        raise FMUError(
+            f"The FMU {path} of {packed / 1e6:.3g} MB would unpack to {unpacked / 1e6:.3g} MB, which no honest FMU does; nothing "
+            "was unpacked. Ask its maker for one without such filling."
+        )
     if DESCRIPTION not in names:
         raise FMUError(f"{path} is no FMU: it is a zip file without {DESCRIPTION} at its top; export the model again.")
     return Archive(path, digest, names)
@@ -142,12 +152,19 @@ def extract(archive: Archive, wanted: str) -> Path:
 def _unpack(archive: Archive, folder: Path) -> None:
     import fmpy
 
-    # Beside its place, so that the move is one step and no one ever sees half of it.
+    # Beside its place, so that the move is one step and no one ever sees half of it; from a copy, so that what is unpacked is
+    # what the folder is named after, even if someone exports the file anew just now.
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{archive.digest[:16]}-"))
+    copy = temporary / "copy.fmu"
     try:
-        fmpy.extract(archive.path, temporary)
-        os.replace(temporary, folder)
-    except OSError:
+        shutil.copyfile(archive.path, copy)
+        with copy.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() != archive.digest:
+                _read.cache_clear()
+                raise FMUError(f"The FMU {archive.path} was changed while it was being read; read it again.")
+        fmpy.extract(copy, temporary / "content")
+        os.replace(temporary / "content", folder)
+    except (OSError, FMUError):
         raise
     except Exception:  # noqa: BLE001 - fmpy raises plain Exception, zipfile whatever the packer did wrong
         raise _damaged(archive) from None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.errors import FMUError, FMUVersionError
 
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription, ModelVariable
@@ -163,8 +163,8 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
             f"The {DESCRIPTION} of {archive.path} is damaged ({error}); get or export the FMU again."
         ) from None
     version = root.get("fmiVersion", "")
-    if not (version == "2.0" or version.startswith("3.")):
-        raise FMUError(
+    if version not in {"2.0", "3.0"}:
+        raise FMUVersionError(
             f"{archive.path} is an FMU of FMI {version or 'without a version'}; only FMI 2.0 and 3.0 can be used: export the "
             "model in one of these."
         )

@@ -12,7 +12,7 @@ from typing import Any
 from bayesftc.cosim._fmi_archive import Archive, extract
 from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value
 from bayesftc.cosim._fmi_messages import STATUS, Messages, callback3, callbacks2
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.errors import FMUError, FMUPlatformError
 
 _STATUS_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
@@ -249,7 +249,7 @@ def load_library(archive: Archive, description: FMUDescription) -> Library:
             platform, entry = binary_entry(description)
             if entry not in archive.names:
                 have = ", ".join(archive.platforms()) or "no binaries at all"
-                raise FMUError(
+                raise FMUPlatformError(
                     f"The FMU {archive.path} has no binary for this platform, {platform} (it has: {have}); export it for "
                     f"{platform}, or compile its sources, if it has any, with 'fmpy compile'."
                 )

@@ -75,7 +75,8 @@ OPTIONS = {"error_model": "numpy", "forceinline": True}
 """How every function called from a step function is compiled: 1/0 is infinite, and calls cost nothing."""
 
 extending.register_jitable(**OPTIONS)(_select)
+_IMPLEMENTATIONS = {name: value for name, value in globals().items() if name[1:] in ops.NAMES}
 for _name in ops.NAMES:
     extending.overload(getattr(ops, _name), jit_options=OPTIONS, strict=False)(
-        lambda *arguments, implementation=globals()[f"_{_name}"]: implementation
+        lambda *arguments, implementation=_IMPLEMENTATIONS[f"_{_name}"]: implementation
     )

@@ -23,9 +23,21 @@ class ScenarioError(BayesFTCError):
 
 
 class FMUError(BayesFTCError):
-    """An FMU that cannot be used: missing, corrupt, of the wrong version, kind or platform."""
+    """An FMU that cannot be used: missing, corrupt, or used against what it says of itself."""
 
     exit_code = 4
+
+
+class FMUPlatformError(FMUError):
+    """An FMU without a binary for this platform."""
+
+    exit_code = 13
+
+
+class FMUVersionError(FMUError):
+    """An FMU of a version or kind of FMI that cannot be used."""
+
+    exit_code = 14
 
 
 class UnknownNameError(BayesFTCError, KeyError):
@@ -38,9 +50,15 @@ class UnknownNameError(BayesFTCError, KeyError):
 
 
 class ConnectionError(BayesFTCError):
-    """A connection that cannot be made: sizes, units, or a missing or doubled source."""
+    """A connection that cannot be made: sizes, units, direction, or a doubled source."""
 
     exit_code = 6
+
+
+class UnconnectedInputError(ConnectionError):
+    """An input that has neither a source nor a start value."""
+
+    exit_code = 15
 
 
 class AlgebraicLoopError(BayesFTCError):

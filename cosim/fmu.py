@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal
 from bayesftc.cosim._fmi_archive import Archive, open_archive
 from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, read_description
 from bayesftc.cosim.block import External, ExternalBlock
-from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
 
 
@@ -183,7 +183,7 @@ def _check_kind(archive: Archive, description: FMUDescription) -> None:
     if "coSimulation" not in description.kinds:
         kinds = {"modelExchange": "model exchange", "scheduledExecution": "scheduled execution"}
         have = " and ".join(kinds[kind] for kind in description.kinds) or "nothing"
-        raise FMUError(
+        raise FMUVersionError(
             f"The FMU {archive.path} is for {have} only, and only co-simulation can be used: export it for co-simulation, "
             "with a solver inside."
         )

@@ -10,8 +10,7 @@ engine can only compute it so, and a negative zero becomes a positive one in eac
 
 import math
 
-from numpy import bool_, float64
-from numpy import floor as _floor
+from numpy import bool_, float64, floor as _floor
 
 _NAN = float64("nan")
 _INF = float64("inf")

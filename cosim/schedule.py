@@ -21,7 +21,7 @@ import numpy as np
 from bayesftc.cosim._contract import RESERVED, checked
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
 from bayesftc.cosim.diagram import Diagram, Node, is_external
-from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, KernelError, ModelError, StepSizeError
+from bayesftc.cosim.errors import AlgebraicLoopError, KernelError, ModelError, StepSizeError, UnconnectedInputError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import show
 
@@ -185,7 +185,7 @@ class Schedule:
                     ]
                 elif unfed and port.default is None:
                     element = f"[{unfed[0]}]" if len(unfed) < port.size else ""
-                    raise ConnectionError(
+                    raise UnconnectedInputError(
                         f"The input {node.name}.{port.name}{element} has no source and no start value; connect an output to it."
                     )
         return tuple(draws)

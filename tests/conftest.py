@@ -4,11 +4,15 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bayesftc.cosim import Block, Definition
+
+# The tests' compiled code stays out of the user's cache, but is kept from run to run.
+os.environ.setdefault("BAYESFTC_CACHE", str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "bayesftc"))
 
 
 def assert_bits(a, b, what=""):

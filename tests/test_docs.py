@@ -22,7 +22,9 @@ def snippets(page):
 
 @pytest.mark.parametrize("page", [p for p in PAGES if snippets(p)], ids=lambda p: p.name)
 def test_snippets_run(page, tmp_path):
-    done = subprocess.run([sys.executable, "-c", snippets(page)], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", snippets(page)], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     for expected in re.findall(r"^print\(.*\)  # (.*)$", snippets(page), re.M):
         assert expected in done.stdout.splitlines()
@@ -65,7 +67,9 @@ def test_every_public_name_is_described_with_all_its_arguments(name):
             continue
         for parameter in parameters:
             described = re.search(rf"\b{re.escape(parameter.name)}\b", text)
-            assert parameter.name in {"self", "args", "kwargs"} or described, f"{name} does not describe {parameter.name!r}"
+            assert parameter.name in {"self", "args", "kwargs"} or described, (
+                f"{name} does not describe {parameter.name!r}"
+            )
 
 
 def test_examples_folder_ships_with_the_package():
@@ -73,3 +77,15 @@ def test_examples_folder_ships_with_the_package():
 
     assert (Path(bayesftc.examples.__file__).parent / "cruise_control" / "cruise_control.toml").is_file()
     assert fmus.path("CruiseControl").is_file()
+
+
+def test_whatever_is_listed_is_public():
+    """A fault, learner, source or controller that is forgotten in the stub cannot be reached by name."""
+    from bayesftc.controllers import registry
+    from bayesftc.cosim import sources
+
+    listed = [(cosim, cls) for cls in cosim.FAULTS] + [(cosim, getattr(sources, name)) for name in sources.__all__]
+    for name in ("LEARNERS", "CONTROLLERS"):
+        listed += [(controllers, cls) for cls in getattr(registry, name)]
+    for home, cls in listed:
+        assert getattr(home, cls.__name__) is cls
