@@ -120,7 +120,7 @@ class BayesianController(Block):
         if self.belief not in {"filtered", "joint"}:
             raise ModelError(f"belief is {self.belief!r}; it must be 'filtered' or 'joint'.")
         n, p = self.model.states, self.model.controls
-        G = self._goal_matrix()
+        G = self.goal_matrix
         values = {
             "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, len(G)),
             "control_mean": as_vector("The control_mean", self.control_mean, p),
@@ -158,7 +158,14 @@ class BayesianController(Block):
             return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
         return mean
 
-    def _goal_matrix(self) -> Floats:
+    @property
+    def measurement_matrix(self) -> Floats:
+        """What each sensor reads of ``x_hat`` (m x n)."""
+        return self.model.matrix("C")
+
+    @property
+    def goal_matrix(self) -> Floats:
+        """What each element of the goal is of the state (g x n)."""
         n = self.model.states
         if isinstance(self.goal_on, str):
             if self.goal_on == "states":
@@ -173,7 +180,7 @@ class BayesianController(Block):
     @property
     def goals(self) -> int:
         """Number of values that the goal has."""
-        return len(self._goal_matrix())
+        return len(self.goal_matrix)
 
     @property
     def default_name(self) -> str:
@@ -199,7 +206,7 @@ class BayesianController(Block):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        model, learner, G = self.model, self.precision.learner(self.model), self._goal_matrix()
+        model, learner, G = self.model, self.precision.learner(self.model), self.goal_matrix
         n, p, m, g = model.states, model.controls, model.sensors, len(G)
         A, B, Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
         prior = self._prior_precision()
@@ -244,7 +251,7 @@ class BayesianController(Block):
         gain on the belief, and those of the filter. States of an estimated disturbance move on their own; of them only the
         estimates are counted.
         """
-        model, G = self.model, self._goal_matrix()
+        model, G = self.model, self.goal_matrix
         A, B, C = (model.matrix(name) for name in "ABC")
         n, plant = model.states, model.states - model.disturbances
         K, L, T = self._steady_gains(A, B, C, G)

@@ -154,9 +154,15 @@ def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:
     covariance = np.linalg.norm(P - reference.P, axis=(1, 2))
     size = np.linalg.norm(reference.P, axis=(1, 2))
     return KalmanCheck(
-        mean_difference=float(np.max(mean / scale)),
-        covariance_difference=float(np.max(covariance / size)),
+        mean_difference=_largest_ratio(mean, scale),
+        covariance_difference=_largest_ratio(covariance, size),
         mean_absolute=float(mean.max()),
         covariance_absolute=float(covariance.max()),
         steps=len(mean),
     )
+
+
+def _largest_ratio(difference: Floats, scale: Floats) -> float:
+    """Return the largest difference relative to its scale; equal zeros differ by nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.max(np.where(difference == 0, 0.0, difference / scale)))

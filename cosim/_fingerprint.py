@@ -28,6 +28,10 @@ _ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
 _FORBIDDEN = {
     "IMPORT_NAME": "imports inside; import from bayesftc.cosim.ops at the top of the file",
     "STORE_GLOBAL": "writes a global variable; declare a state instead",
+    **dict.fromkeys(
+        ("BUILD_LIST", "BUILD_SET", "BUILD_MAP", "LIST_APPEND", "SET_ADD", "MAP_ADD"),
+        "makes a list, set or dictionary, but must allocate nothing; declare a state, or a constant outside of it",
+    ),
     "STORE_DEREF": "writes a variable of the enclosing function; declare a state instead",
 }
 

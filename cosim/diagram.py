@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,6 +15,7 @@ from bayesftc.cosim.timebase import rational_step, whole_number
 if TYPE_CHECKING:
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.schedule import Schedule
+    from bayesftc.cosim.simulation import Progress
 
 
 Coupling = Literal["gauss-seidel", "jacobi"]
@@ -193,15 +194,35 @@ class Diagram:
         assert self._schedule is not None
         return self._schedule
 
-    def simulate(self, duration: float | str | Fraction, **options: Any) -> Result:
-        """Run the diagram from its initial state; see `bayesftc.cosim.simulation.simulate` for the options.
+    def simulate(
+        self,
+        duration: float | str | Fraction,
+        *,
+        seed: int = 0,
+        record: Iterable[str] | None = None,
+        decimation: int = 1,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+        progress: Progress | None = None,
+        time_limit: float | None = None,
+    ) -> Result:
+        """Run the diagram from its initial state; `bayesftc.cosim.simulation.simulate` describes every option.
 
         Parameters
         ----------
         duration : float, str or Fraction
             Length of the run in seconds, a whole number of base steps.
-        **options
-            ``seed``, ``record``, ``decimation``, ``engine``, ``progress``, ``time_limit``.
+        seed : int
+            Seed of all random streams.
+        record : iterable of str, optional
+            Names or patterns of the signals to keep; by default all outputs.
+        decimation : int
+            Keep every `decimation`-th step.
+        engine : {"auto", "compiled", "interpreted"}
+            Both give the same bits.
+        progress : callable, optional
+            Called as ``progress(step, steps)`` now and then.
+        time_limit : float, optional
+            Seconds of computing after which the run is stopped.
 
         Returns
         -------
@@ -210,7 +231,16 @@ class Diagram:
         """
         from bayesftc.cosim.simulation import simulate
 
-        return simulate(self, duration, **options)
+        return simulate(
+            self,
+            duration,
+            seed=seed,
+            record=record,
+            decimation=decimation,
+            engine=engine,
+            progress=progress,
+            time_limit=time_limit,
+        )
 
     def __repr__(self) -> str:
         blocks = ", ".join(self._nodes)

@@ -116,8 +116,8 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
     """
     reader = _Reader(diagram, result)
     seen, brain = _sensors(diagram), _controller(diagram)
-    parameters = brain.block.define(diagram.step * brain.every).parameters
-    C, G = (np.atleast_2d(np.asarray(parameters[name])) if name in parameters else None for name in ("C", "G"))
+    # A controller may say what its estimate and its goal are of the state; without that, there are no figures of them.
+    C, G = (getattr(brain.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
     y = brain.block.port("y")
     chains = [faults_before(diagram, brain, i) for i in range(y.size)]
     active = {name: reader.flags(f"{name}.active") for chain in chains for name in chain}

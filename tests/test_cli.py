@@ -218,11 +218,12 @@ def test_what_tracking_compares_is_said(bayesftc_):
     assert "aims at it with the next state" in " ".join(run_car(bayesftc_, "--duration", "1").output.split())
 
 
-def test_check_kalman_without_its_signals(bayesftc_, tmp_path):
-    (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v"]'))
-    done = bayesftc_("run", "car.toml", "--check-kalman", "--engine", "interpreted")
-    assert done.exit_code == 5
-    assert "--check-kalman" in done.output
+@pytest.mark.parametrize("record", ['["plant.v"]', '"reference.*"'])
+def test_check_kalman_records_what_it_needs(bayesftc_, tmp_path, record):
+    (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", f"record = {record}"))
+    done = bayesftc_("run", "car.toml", "--check-kalman", "--engine", "interpreted", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["kalman"]["agrees"] is True
 
 
 def test_no_probability_is_explained(bayesftc_, tmp_path):

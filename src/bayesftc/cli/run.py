@@ -53,6 +53,7 @@ def run_scenario(
     loop = scenario.loop()
     if check_kalman:
         _refuse_kalman(scenario)
+        options = {**options, "record": _with_kalmans(scenario, loop)}
     if out is not None:
         output.check_folder(out)
     try:
@@ -164,15 +165,29 @@ def _refuse_kalman(scenario: Scenario) -> None:
         )
 
 
+def _source_of_samples(loop: Diagram) -> str | None:
+    """Return the name of the signal that is connected to the controller's ``y``."""
+    brain = loop["controller"]
+    source = loop.source_of(brain, brain.block.port("y"), 0)
+    return None if source is None else f"{source[0].node.name}.{source[0].port.name}"
+
+
+def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
+    """Return what the scenario records and what the comparison needs besides; None, as there, for everything."""
+    record = scenario.simulation.record
+    if record is None:
+        return None
+    needed = [f"controller.{port}" for port in ("u", "x_hat", "P", "R")]
+    return [*([record] if isinstance(record, str) else record), *needed, _source_of_samples(loop) or "controller.y"]
+
+
 def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]:
     """Return the differences from filterpy's filter, whether that is agreement, and the verdict in words."""
     from bayesftc.controllers import BayesianController
     from bayesftc.controllers.validation import check_kalman
 
     assert isinstance(scenario.controller, BayesianController)
-    brain = loop["controller"]
-    source = loop.source_of(brain, brain.block.port("y"), 0)
-    name = None if source is None else f"{source[0].node.name}.{source[0].port.name}"
+    name = _source_of_samples(loop)
     try:
         with np.errstate(all="ignore"):  # a filter that diverges is told by the verdict
             check = asdict(check_kalman(result, scenario.controller, y=name))
@@ -183,7 +198,7 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]
     agrees, verdict = _verdict(check, scenario.controller.belief)
     if agrees is None:
         for what, signal in (("mean", "x_hat"), ("covariance", "P")):
-            if when := _first_not_finite(result[f"{brain.name}.{signal}"], result.time):
+            if when := _first_not_finite(result[f"controller.{signal}"], result.time):
                 verdict += f" The {what} of the belief is not finite {when}."
         if verdict.endswith(UNKNOWN):
             verdict += " The belief is finite, so it is filterpy's that has grown beyond what a number can be."
