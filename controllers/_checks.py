@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 
-Floats = NDArray[np.float64]
 if TYPE_CHECKING:
     Matrix = ArrayLike
 else:  # at run time the form that a scenario file is checked against

@@ -86,6 +86,16 @@ def measure(e, used, R, C, mean, covariance, L, D, whitened, v, gain, J, JP, x_h
                 P[i, j] = P[i, j] + gain[i] * gain[j]
 
 
+def control_information(prior_precision, GB, W, Lambda):
+    """``Lambda = prior_precision + GB' W``: what prior and goal together know of the control."""
+    for i in range(GB.shape[1]):
+        for j in range(GB.shape[1]):
+            total = prior_precision[i, j]
+            for s in range(GB.shape[0]):
+                total = total + GB[s, i] * W[s, j]
+            Lambda[i, j] = total
+
+
 def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u):
     """Infer the control: the mean of p(u_t | belief, goal) when x_t+1 = A x_t + B u_t + q is pulled to the goal.
 
@@ -112,12 +122,8 @@ def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA
         pull[i] = select(wanted[i] > 0.5, goal[i] - expected, 0.0)
     cholesky(SG, SG)
     solve_columns(SG, W)
+    control_information(prior_precision, GB, W, Lambda)
     for i in range(p):
-        for j in range(p):
-            total = prior_precision[i, j]
-            for s in range(g):
-                total = total + GB[s, i] * W[s, j]
-            Lambda[i, j] = total
         total = prior_pull[i]
         for s in range(g):
             total = total + W[s, i] * pull[s]
@@ -184,12 +190,8 @@ def fold_goal(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L,
     cholesky(N, N)
     solve_columns(N, V)
     solve_columns(N, W)
+    control_information(prior_precision, GB, W, Lambda)
     for i in range(p):
-        for j in range(p):
-            total = prior_precision[i, j]
-            for s in range(g):
-                total = total + GB[s, i] * W[s, j]
-            Lambda[i, j] = total
         for j in range(g):
             Wt[i, j] = W[j, i]
     cholesky(Lambda, Lambda)

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
-from bayesftc.controllers._checks import Floats, Matrix, as_covariance, as_matrix, as_vector, frozen
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector, frozen
 from bayesftc.controllers._filter import decide, innovate, limit, measure, predict
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
-from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from bayesftc.controllers._checks import Floats
 from bayesftc.controllers.bayesian import BayesianController, UnstableLoopWarning
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import Calibration, GammaPrecision
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.block import Block
+    from bayesftc.cosim.block import Block, Floats
     from bayesftc.cosim.diagram import Diagram
 
 TRAINING_SHARE = 0.8

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers._checks import Floats, Matrix, as_covariance, as_matrix
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix
+from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.timebase import rational_step
 

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Floats
+from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import either, exp, log, minimum, select
 
@@ -45,8 +45,6 @@ class Learner:
 @dataclass(frozen=True)
 class PrecisionLearner:
     """Base of all precision learners and baselines: the part of a controller that decides how far each sensor is trusted."""
-
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
     def learner(self, model: LinearModel) -> Learner:
         """Return the learner for a model.
@@ -100,8 +98,6 @@ class Calibration:
     slope: float
     intercept: float
     feature: Literal["log", "linear"] = "log"
-
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.slope) and np.isfinite(self.intercept)) or self.feature not in {"log", "linear"}:

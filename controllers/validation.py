@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bayesftc.controllers._checks import Floats, as_covariance
+from bayesftc.controllers._checks import as_covariance
 from bayesftc.controllers.model import LinearModel
+from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 
 if TYPE_CHECKING:

@@ -19,7 +19,6 @@ from types import CellType, FunctionType, ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.ccallback import CFunc
@@ -28,7 +27,8 @@ from numba.extending import intrinsic, overload
 
 from bayesftc.cosim import _numba_ops
 from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim._fingerprint import Kernel, fingerprint, functions_called, references, service_fingerprint, where
+from bayesftc.cosim._fingerprint import fingerprint, functions_called, references, service_fingerprint, where
+from bayesftc.cosim.block import Kernel
 from bayesftc.cosim.errors import BayesFTCError, KernelError
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
@@ -287,8 +287,3 @@ def _write_once(path: Path, text: str) -> None:
         raise BayesFTCError(
             f"The cache folder {path.parent} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be."
         ) from None
-
-
-def address_of(array: np.ndarray[Any, np.dtype[Any]]) -> int:
-    """Return the address of an array's first element."""
-    return int(array.ctypes.data)

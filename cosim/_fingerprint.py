@@ -20,8 +20,6 @@ from typing import Any
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
 
-Kernel = Callable[..., None]
-
 _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
 _BUILTINS = frozenset({range, len})
 _ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,7 +69,6 @@ class Block:
 
     #: Whether a NaN or infinity in the outputs stops the run (plants), or means a missing sample (sensors).
     checks_finite: ClassVar[bool] = False
-    __pydantic_config__: ClassVar[Any] = {"extra": "forbid"}
 
     @property
     def inputs(self) -> tuple[Port, ...]:
@@ -117,18 +116,11 @@ class Block:
         return Online(self, dt, compiled=compiled)
 
 
-class Lifetime(Protocol):
-    """Resources that a running block holds (an FMU instance), given back when the run ends."""
-
-    def close(self) -> None:
-        """Give the resources back."""
-
-
 class ExternalBlock(Block):
     """A block whose step functions are C functions already: an FMU.
 
-    Instead of ``define``, ``instantiate`` returns an object with ``addresses`` of the functions with the engine's signature,
-    the integers that they find at their parameters' address, and Python forms of both for the interpreted engine.
+    Instead of ``define``, ``instantiate`` returns an `External`: the addresses of two functions with the engine's signature,
+    the table of integers that they find at their parameters' address, and Python forms of both for the interpreted engine.
     """
 
     def instantiate(self, step: Fraction, name: str) -> External:

@@ -32,40 +32,31 @@ else:  # at run time the form that a scenario file is checked against
 # The names below begin with system_, as no one would name a signal: a port and a state of a block cannot share a name.
 
 
+def _plus_row(total, matrix, i, vector):
+    """Return `total` plus the product of row `i` of the matrix with the vector."""
+    for j in range(matrix.shape[1]):
+        total = total + matrix[i, j] * vector[j]
+    return total
+
+
 def _output_state(outputs, system_x, system_c):
     for i in range(system_c.shape[0]):
-        total = 0.0
-        for j in range(system_c.shape[1]):
-            total = total + system_c[i, j] * system_x[j]
-        outputs[i] = total
+        outputs[i] = _plus_row(0.0, system_c, i, system_x)
 
 
 def _output_both(inputs, outputs, system_x, system_c, system_d):
     for i in range(system_c.shape[0]):
-        total = 0.0
-        for j in range(system_c.shape[1]):
-            total = total + system_c[i, j] * system_x[j]
-        for j in range(system_d.shape[1]):
-            total = total + system_d[i, j] * inputs[j]
-        outputs[i] = total
+        outputs[i] = _plus_row(_plus_row(0.0, system_c, i, system_x), system_d, i, inputs)
 
 
 def _output_inputs(inputs, outputs, system_d):
     for i in range(system_d.shape[0]):
-        total = 0.0
-        for j in range(system_d.shape[1]):
-            total = total + system_d[i, j] * inputs[j]
-        outputs[i] = total
+        outputs[i] = _plus_row(0.0, system_d, i, inputs)
 
 
 def _update(inputs, system_x, system_next, system_a, system_b):
     for i in range(system_a.shape[0]):
-        total = 0.0
-        for j in range(system_a.shape[1]):
-            total = total + system_a[i, j] * system_x[j]
-        for j in range(system_b.shape[1]):
-            total = total + system_b[i, j] * inputs[j]
-        system_next[i] = total
+        system_next[i] = _plus_row(_plus_row(0.0, system_a, i, system_x), system_b, i, inputs)
     for i in range(system_a.shape[0]):
         system_x[i] = system_next[i]
 

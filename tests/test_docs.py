@@ -89,3 +89,13 @@ def test_whatever_is_listed_is_public():
         listed += [(controllers, cls) for cls in getattr(registry, name)]
     for home, cls in listed:
         assert getattr(home, cls.__name__) is cls
+
+
+def test_exit_codes_are_distinct_and_documented():
+    from bayesftc.cosim import errors
+
+    kinds = [e for e in vars(errors).values() if inspect.isclass(e) and issubclass(e, errors.BayesFTCError)]
+    text = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    assert len({kind.exit_code for kind in kinds}) == len(kinds)
+    for kind in kinds:
+        assert re.search(rf"^\| {kind.exit_code} \|.*`{kind.__name__}` \|$", text, re.M), kind.__name__

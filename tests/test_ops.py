@@ -119,14 +119,14 @@ def test_select_has_no_negative_zero():
 
 
 def test_one_compiled_call(plain):
-    from bayesftc.cosim._compiler import address_of, compile_kernel
+    from bayesftc.cosim._compiler import compile_kernel
 
     y = np.empty_like(plain)
     parameters = np.concatenate([A, B])
     sections = {"a": ("parameters", 0, A.shape), "b": ("parameters", len(A), B.shape), "y": ("outputs", 0, y.shape)}
     address = compile_kernel(all_operations, sections)
     call = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)(address)
-    assert call(0, address_of(parameters), 0, address_of(y), 0.0, 0) == 0
+    assert call(0, parameters.ctypes.data, 0, y.ctypes.data, 0.0, 0) == 0
     assert_same_bits(y, plain)
 
 
