@@ -13,9 +13,9 @@ To add a kind of fault you must:
 3. name in its ``draws`` the random numbers that it uses: ``"chance"`` (uniform in (0, 1)), ``"noise"`` (standard
    normal);
 4. override ``check`` where a setting can be wrong in other ways than not being finite;
-5. put it into `Kind` and `FAULTS`, and into the list of ``tests/test_faults.py`` with its formula in NumPy.
+5. put it into `FAULTS` and ``cosim/__init__.pyi``, and into the list of ``tests/test_faults.py`` with its formula in NumPy.
 
-Random, scheduled and mixed faults, both engines and the exported C code then have it.
+Random, scheduled and mixed faults, both engines and scenario files then have it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from fractions import Fraction
-from typing import TypeAlias
 
 import numpy as np
 
@@ -135,10 +134,6 @@ class NoiseIncrease(Fault):
             raise ModelError(f"NoiseIncrease has std={self.std!r}; it must not be negative.")
 
 
-Kind: TypeAlias = Freeze | Injection | Bias | Drift | GainFault | Dropout | Spikes | NoiseIncrease
-"""A fault of one kind."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class RandomFaults(Fault):
     """Faults of several kinds, one at a time: whenever the fault comes, its kind is drawn.
@@ -158,7 +153,7 @@ class RandomFaults(Fault):
         If a setting cannot be right, or a kind has a window, mean times or name of its own.
     """
 
-    kinds: Sequence[Kind] = (Freeze(), Injection(magnitude=3.0), Drift(slope=5.0))
+    kinds: Sequence[Fault] = (Freeze(), Injection(magnitude=3.0), Drift(slope=5.0))
     weights: Sequence[float] | None = None
     mean_time_to_fault: float | None = 2.8
     mean_time_to_recovery: float | None = 0.4
@@ -227,4 +222,4 @@ FAULTS: tuple[type[Fault], ...] = (
 )  # fmt: skip
 """All kinds; the last one mixes the others."""
 
-__all__ = ["FAULTS", "Fault", "Kind", *(fault.__name__ for fault in FAULTS)]
+__all__ = ["FAULTS", "Fault", *(fault.__name__ for fault in FAULTS)]

@@ -41,7 +41,7 @@ def add_units(root: ET.Element, model: Model) -> None:
     """Add the unit definitions, each with its exponents of the base units."""
     definitions = ET.SubElement(root, "UnitDefinitions")
     for unit in model.units:
-        exponents = {"kg": unit.kg, "m": unit.m, "s": unit.s, "rad": unit.rad}
+        exponents = {base: getattr(unit, base) for base in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
         element = ET.SubElement(definitions, "Unit", {"name": unit.name})
         ET.SubElement(element, "BaseUnit", {name: str(power) for name, power in exponents.items() if power})
 

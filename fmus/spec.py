@@ -27,7 +27,7 @@ class Unit:
     ----------
     name : str
         As it stands in the model description, for example ``"N.s/m"``.
-    kg, m, s, rad : int
+    kg, m, s, A, K, mol, cd, rad : int
         Exponents of the base units.
     """
 
@@ -35,6 +35,10 @@ class Unit:
     kg: int = 0
     m: int = 0
     s: int = 0
+    A: int = 0
+    K: int = 0
+    mol: int = 0
+    cd: int = 0
     rad: int = 0
 
 

@@ -61,7 +61,7 @@ def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = S
         return
     from rich.console import Console
 
-    console = Console()
+    console = Console() if sys.stdout.isatty() else Console(width=110)  # else rich takes 80 columns for granted
     machine = describe_machine()
     console.print(", ".join(f"{name} {value}" for name, value in machine.items()), highlight=False)
     for section in done:

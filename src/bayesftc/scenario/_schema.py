@@ -127,8 +127,11 @@ def registered(base: type[Any]) -> tuple[type[Any], ...]:
     """Return the classes that may stand where `base` is asked for, or none if it has no list of its own."""
     from bayesftc.controllers.precision import PrecisionLearner
     from bayesftc.controllers.registry import LEARNERS
+    from bayesftc.cosim.faults import FAULTS, Fault, RandomFaults
 
-    return LEARNERS if base is PrecisionLearner else ()
+    single = tuple(fault for fault in FAULTS if fault is not RandomFaults)  # a mixture cannot be a part of a mixture
+    lists: dict[type[Any], tuple[type[Any], ...]] = {PrecisionLearner: LEARNERS, Fault: single}
+    return lists.get(base, ())
 
 
 def _writable(hint: Any) -> Any:
