@@ -147,7 +147,8 @@ def test_outputs_that_would_lag_are_named_in_a_warning(fmi, through):
     text = str(caught[0].message)
     assert "such an output shows the inputs of the step before: give timing='sampled' if" in text
     assert text.count(". ") == 0
-    with pytest.warns(UserWarning, match=r"does not say on which inputs v depends at the same instant"):
+    with warnings.catch_warnings():  # most exporters declare nothing: a warning at every plant would be read by nobody
+        warnings.simplefilter("error")
         FMU(through(fmi, "silent"))
     for declared in ("declared", "silent"):
         assert describe(through(fmi, declared)).feedthrough == {"v": ("force",) if declared == "declared" else None}
