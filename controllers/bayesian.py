@@ -291,7 +291,7 @@ class BayesianController(Block):
 
     def _warn_if_unstable(self) -> None:
         poles = self.closed_loop_poles()
-        if np.abs(poles).max() >= 1.0:
+        if np.abs(poles).max() >= 1.0 - 1e-12:  # a pole on the circle may be computed just inside of it
             poles = poles[np.argsort(-np.abs(poles))]
             shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
             warnings.warn(

@@ -193,6 +193,13 @@ def test_the_poles_are_those_of_plant_and_belief_together(belief):
         np.testing.assert_allclose(np.sort(np.abs(controller.closed_loop_poles())), expected, atol=1e-6)
 
 
+def test_a_pole_on_the_circle_is_warned_about():
+    """Position alone, met exactly at each sample: the velocity flips its sign for ever (the sampled zero at -1)."""
+    servo = LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]], 1e-4, 1e-2, 0.1)
+    with pytest.warns(controllers.UnstableLoopWarning, match=r"poles are -1, "):
+        BayesianController(servo, goal_on="outputs")
+
+
 def test_an_unstable_mode_that_no_sensor_sees_is_warned_about():
     model = LinearModel([[1.1, 0.0], [0.0, 0.5]], np.eye(2), [[0.0, 1.0]], 0.1, 1.0, 0.1)
     with pytest.warns(controllers.UnstableLoopWarning, match="no sensor sees"):
