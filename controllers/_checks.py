@@ -79,8 +79,13 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
         raise ModelError(
             f"{name} is not symmetric; a covariance must be: use (M + M.T) / 2 if the difference is rounding."
         )
+    # Judged in units of each variance's own size: a pressure in pascals may stand beside a position in metres.
+    variances = np.diag(matrix)
+    units = np.sqrt(np.where(variances > 0, variances, 1.0))
+    correlation = float(np.linalg.eigvalsh(matrix / np.outer(units, units))[0])
     smallest = float(np.linalg.eigvalsh(matrix)[0])
-    if smallest < -1e-12 * scale or (not singular and smallest <= 1e-15 * scale):
+    if (variances < 0).any() or correlation < -1e-9 or (not singular and correlation <= 1e-14):
+        smallest = min(smallest, float(variances.min()))
         kind = "positive semi-definite (no negative eigenvalue)" if singular else "positive definite"
         raise ModelError(
             f"{name} is not {kind}: its smallest eigenvalue is {smallest:.3g}. A variance must be above zero."

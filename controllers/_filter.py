@@ -3,6 +3,7 @@
 from bayesftc.controllers._linalg import (
     apply,
     cholesky,
+    cholesky_determined,
     cholesky_semidefinite,
     congruence,
     multiply,
@@ -10,7 +11,7 @@ from bayesftc.controllers._linalg import (
     solve_columns,
     solve_vector,
 )
-from bayesftc.cosim.ops import both, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import both, maximum, minimum, select
 
 MEAN_CAP = 1e150
 """Largest magnitude of a predicted state; its square is still a double."""
@@ -96,6 +97,14 @@ def control_information(prior_precision, GB, W, Lambda):
             Lambda[i, j] = total
 
 
+def doubt(wanted):
+    """Return how small a pivot, relative to its diagonal, leaves a control undetermined: rounding alone, with a goal missing."""
+    missing = 0.0 * wanted[0]
+    for i in range(wanted.shape[0]):
+        missing = missing + 1.0 - wanted[i]
+    return select(missing > 0.5, 1e-12, 0.0)
+
+
 def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u):
     """Infer the control: the mean of p(u_t | belief, goal) when x_t+1 = A x_t + B u_t + q is pulled to the goal.
 
@@ -128,7 +137,7 @@ def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA
         for s in range(g):
             total = total + W[s, i] * pull[s]
         u[i] = total
-    cholesky(Lambda, Lambda)
+    cholesky_determined(Lambda, doubt(wanted), Lambda)
     solve_vector(Lambda, u)
 
 
@@ -162,11 +171,12 @@ def predict(x_hat, P, u, A, B, Q, largest, AP, mean, covariance):
         for j in range(n):
             covariance[i, j] = covariance[i, j] + Q[i, j]
     for i in range(n):
-        variance = covariance[i, i]
-        shrink = select(variance > largest[0], sqrt(largest[0] / variance), 1.0)
+        # A state beyond it is known to nobody: its correlations go too, or repeated steps would make them a false certainty.
+        lost = covariance[i, i] > largest[0]
         for j in range(n):
-            covariance[i, j] = covariance[i, j] * shrink
-            covariance[j, i] = covariance[j, i] * shrink
+            covariance[i, j] = select(lost, 0.0, covariance[i, j])
+            covariance[j, i] = covariance[i, j]
+        covariance[i, i] = select(lost, largest[0], covariance[i, i])
 
 
 def keep_belief(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P):
@@ -194,7 +204,7 @@ def fold_goal(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L,
     for i in range(p):
         for j in range(g):
             Wt[i, j] = W[j, i]
-    cholesky(Lambda, Lambda)
+    cholesky_determined(Lambda, doubt(wanted), Lambda)
     solve_columns(Lambda, Wt)
     for i in range(g):
         for j in range(g):

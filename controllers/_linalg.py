@@ -2,6 +2,8 @@
 
 from bayesftc.cosim.ops import maximum, select, sqrt
 
+NAN = float("nan")
+
 
 def multiply(a, b, out):
     """``out = a @ b``."""
@@ -51,6 +53,22 @@ def cholesky(a, lower):
         for k in range(j):
             d = d - lower[j, k] * lower[j, k]
         d = sqrt(d)
+        lower[j, j] = d
+        for i in range(j + 1, a.shape[0]):
+            t = a[i, j]
+            for k in range(j):
+                t = t - lower[i, k] * lower[j, k]
+            lower[i, j] = t / d
+
+
+def cholesky_determined(a, tolerance, lower):
+    """As `cholesky`, but NaN throughout where a pivot is no more than `tolerance` times its diagonal: `a` is singular."""
+    for j in range(a.shape[0]):
+        least = tolerance * a[j, j]
+        d = a[j, j]
+        for k in range(j):
+            d = d - lower[j, k] * lower[j, k]
+        d = sqrt(select(d > least, d, NAN))
         lower[j, j] = d
         for i in range(j + 1, a.shape[0]):
             t = a[i, j]

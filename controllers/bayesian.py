@@ -94,7 +94,8 @@ class BayesianController(Block):
     Warns
     -----
     UnstableLoopWarning
-        If plant and belief together (fixed precision, no limits) have a pole on or outside the unit circle.
+        If plant and belief together (fixed precision, no limits) have a pole on or outside the unit circle, constants that no
+        control moves (a sensor's bias as a state) left out.
     """
 
     model: LinearModel
@@ -290,15 +291,28 @@ class BayesianController(Block):
         )
 
     def _warn_if_unstable(self) -> None:
-        poles = self.closed_loop_poles()
-        if np.abs(poles).max() >= 1.0 - 1e-12:  # a pole on the circle may be computed just inside of it
+        poles = self._poles_to_judge()
+        size = float(np.abs(poles).max()) if len(poles) else 0.0
+        if size >= 1.0 - 1e-9:
             poles = poles[np.argsort(-np.abs(poles))]
             shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
+            state = "unstable" if size > 1.0 + 1e-9 else "on the edge of stability"
             warnings.warn(
-                f"The closed loop is unstable: its poles are {shown}, the largest of magnitude {np.abs(poles).max():.3g}. "
-                "Either the goal for the next step alone is short-sighted: weaken it (goal_covariance), tighten the control "
-                "prior (control_covariance), or set goals only for what the control reaches in one step; or no sensor sees an "
-                "unstable mode of the model: add one.",
+                f"The closed loop is {state}: its poles are {shown}, the largest of magnitude {size:.3g}. Either the goal for "
+                "the next step alone is short-sighted: weaken it (goal_covariance), tighten the control prior (control_covariance), "
+                "or set goals only for what the control reaches in one step; or the control hardly acts: loosen its prior; or no "
+                "sensor sees an unstable mode of the model: add one.",
                 UnstableLoopWarning,
                 stacklevel=4,
             )
+
+    def _poles_to_judge(self) -> NDArray[np.complex128]:
+        """Return the loop's poles without those that stand for a constant no control moves, such as a sensor's bias."""
+        plant = self.model.states - self.model.disturbances
+        A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
+        poles = self.closed_loop_poles()
+        for eigenvalue in np.linalg.eigvals(A):
+            reach = np.linalg.svd(np.hstack([eigenvalue * np.eye(plant) - A, B]), compute_uv=False)[-1]
+            if abs(abs(eigenvalue) - 1.0) <= 1e-9 and reach <= 1e-9 * np.abs(A).max():
+                poles = np.delete(poles, np.argmin(np.abs(poles - eigenvalue)))
+        return poles

@@ -22,12 +22,15 @@ import numpy as np
 
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import either, exp, log, minimum, select
+from bayesftc.cosim.ops import either, exp, log, maximum, minimum, select
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
 
 NAN = float("nan")
+
+RATE_FLOOR = 1e-12
+"""Least rate, in units of its prior: sensors that agree exactly for ever must not become infinitely precise."""
 
 ERROR_CAP = 1e12
 """Largest squared error, in units of the sensor's nominal variance, that is learned from."""
@@ -156,6 +159,7 @@ def _forgetting_learner(to_probability: Callable[..., float]) -> Callable[..., N
             a = rho * memory[i] + back * a0 + 0.5 * present[i]
             b = rho * memory[m + i] + back * b0
             b = b + select(sampled, 0.5 * _squared(i, e, spread, nominal, settings), 0.0)
+            b = maximum(b, RATE_FLOOR * b0)
             memory[i] = a
             memory[m + i] = b
             probability = to_probability(b / b0, settings)

@@ -200,6 +200,39 @@ def test_a_pole_on_the_circle_is_warned_about():
         BayesianController(servo, goal_on="outputs")
 
 
+def test_a_constant_that_no_control_moves_is_no_reason_to_warn():
+    biased = LinearModel(np.diag([0.9, 1.0]), [[0.1], [0.0]], [[1.0, 0.0], [1.0, 1.0]], 0.01, 1.0, 0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        BayesianController(biased, goal_on=[[1.0, 0.0]])
+
+
+def test_a_blackout_makes_no_false_certainty():
+    """Two unstable states, unseen for long: seeing one of them afterwards says nothing of the other."""
+    model = LinearModel([[1.2, 0.3], [0.0, 1.1]], np.eye(2), np.eye(2), 0.01, 1.0, 0.1)
+    step = BayesianController(model).online()
+    for _ in range(1000):
+        step(y=[None, None], goal=[0.0, 0.0])
+    out = step(y=[0.0, None], goal=[0.0, 0.0])
+    assert out.P[0, 0] < 1.1
+    assert out.P[1, 1] > 1e15
+    out = step(y=[0.0, 1000.0], goal=[0.0, 0.0])
+    assert abs(out.x_hat[1] - 1000.0) < 1.0
+
+
+def test_an_undetermined_control_is_held_whatever_the_rounding():
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        B = rng.normal(size=(2, 2))
+        model = LinearModel(0.5 * np.eye(2), B, np.eye(2), 0.1, 1.0, 0.1)
+        for belief in ("filtered", "joint"):
+            step = BayesianController(model, belief=belief).online(compiled=False)
+            before = step(y=[1.0, 2.0], goal=[2.0, 1.0])
+            out = step(y=[1.0, 2.0], goal=[2.0, np.nan])
+            np.testing.assert_array_equal(out.u, before.u)
+            assert np.isfinite(out.P).all()
+
+
 def test_an_unstable_mode_that_no_sensor_sees_is_warned_about():
     model = LinearModel([[1.1, 0.0], [0.0, 0.5]], np.eye(2), [[0.0, 1.0]], 0.1, 1.0, 0.1)
     with pytest.warns(controllers.UnstableLoopWarning, match="no sensor sees"):
@@ -268,6 +301,7 @@ MODEL = {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "process_covariance": 0.1, "s
         ({"sensor_covariance": 0.0}, r"not positive definite: its smallest eigenvalue is 0\."),
         ({"sensor_covariance": -1.0}, "smallest eigenvalue is -1"),
         ({"process_covariance": -0.1}, "positive semi-definite"),
+        ({"C": [[1.0], [1.0]], "sensor_covariance": [1e6, -1e-7]}, "smallest eigenvalue is -1e-07"),
         ({"C": [[1.0], [1.0]], "sensor_covariance": [[1.0, 0.5], [0.0, 1.0]]}, "not symmetric"),
         ({"C": [[1.0], [1.0]], "sensor_covariance": [[1.0, 2.0], [2.0, 1.0]]}, "smallest eigenvalue is -1"),
         ({"dt": 0}, "must be positive"),
@@ -297,6 +331,13 @@ def test_models_that_cannot_be_right(change, words):
 def test_controllers_that_cannot_be_right(settings, words):
     with pytest.raises(ModelError, match=words):
         BayesianController(LinearModel(**MODEL), **settings)
+
+
+def test_variances_of_very_different_sizes_are_fine():
+    model = LinearModel(**{**MODEL, "C": [[1.0], [1.0]], "sensor_covariance": [1e10, 1e-8]})
+    assert BayesianController(model).online(compiled=False)(y=[1e5, 1.0], goal=[0.0]).x_hat[0] == pytest.approx(
+        1.0, abs=1e-3
+    )
 
 
 def test_from_control():

@@ -93,6 +93,19 @@ def test_the_belief_is_filterpys_given_the_covariances_that_are_reported(precisi
         assert np.isinf(R[150, 0, 0])
 
 
+@pytest.mark.parametrize("precision", FORGETFUL, ids=repr)
+def test_sensors_that_agree_exactly_for_ever_stay_finite(precision):
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], 0.02)
+    step = controllers.BayesianController(model, precision=precision).online()
+    for _ in range(20_000):
+        out = step(y=[0.0, 0.0], goal=[0.0])
+    for _ in range(500):
+        out = step(y=[5.0, 5.0], goal=[5.0])
+    assert np.isfinite(out.P).all()
+    assert (out.R[[0, 1], [0, 1]] > 0).all()
+    assert abs(out.x_hat[0] - 5.0) < 0.5
+
+
 @pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
 def test_absurd_samples_are_survived(precision):
     y = samples(120)
