@@ -299,9 +299,9 @@ class BayesianController(Block):
             state = "unstable" if size > 1.0 + 1e-9 else "on the edge of stability"
             warnings.warn(
                 f"The closed loop is {state}: its poles are {shown}, the largest of magnitude {size:.3g}. Either the goal for "
-                "the next step alone is short-sighted: weaken it (goal_covariance), tighten the control prior (control_covariance), "
-                "or set goals only for what the control reaches in one step; or the control hardly acts: loosen its prior; or no "
-                "sensor sees an unstable mode of the model: add one.",
+                "the next step alone is short-sighted: weaken it (goal_covariance), tighten the control prior "
+                "(control_covariance), or set goals only for what the control reaches in one step; or the control hardly acts: "
+                "loosen its prior; or no sensor sees an unstable mode of the model: add one.",
                 UnstableLoopWarning,
                 stacklevel=4,
             )

@@ -341,7 +341,8 @@ def test_variances_of_very_different_sizes_are_fine():
 
 
 def test_from_control():
-    control = pytest.importorskip("control")
+    import control
+
     system = control.ss([[0.0, 1.0], [-2.0, -3.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0)
     model = LinearModel.from_control(system, process_covariance=1e-3, sensor_covariance=[1.0, 1.0], dt="1/50")
     exact = control.sample_system(system, 0.02, "zoh")
