@@ -22,7 +22,7 @@ from bayesftc.cosim.ports import Port
 
 
 class UnstableLoopWarning(UserWarning):
-    """The chosen goal and control priors make the closed loop unstable."""
+    """Plant and belief together do not settle: by the goal and control priors, or by a mode that no sensor sees."""
 
 
 def _make_step(learn: Callable[..., None], fold: Callable[..., None]) -> Callable[..., None]:

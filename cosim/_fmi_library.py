@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import threading
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ class CallError(Exception):
         return f"{self.function} returned {STATUS[self.status] if self.status in range(6) else self.status}"
 
 
-class Library:
+class Library(ABC):
     """The loaded binary of one FMU; the parts that FMI 2 and 3 have in common.
 
     Several instances may live at a time. fmpy's own ``freeInstance`` would unload the binary under the feet of the others,
@@ -68,21 +69,21 @@ class Library:
         )
         return get, set_, step
 
+    @abstractmethod
     def create(self, name: str, messages: Messages) -> tuple[int, Any]:
         """Return a new instance (None if refused) and what must be kept alive with it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
         """Set the start values, go through initialization mode, and leave it ready for the first step."""
-        raise NotImplementedError
 
+    @abstractmethod
     def terminate(self, component: int) -> None:
         """Tell a healthy instance that the run is over."""
-        raise NotImplementedError
 
+    @abstractmethod
     def free(self, component: int) -> None:
         """Free an instance."""
-        raise NotImplementedError
 
     def last_words(self, component: int) -> str:
         """Return what more a discarded step lets one ask, as a sentence or nothing."""
@@ -114,11 +115,11 @@ class Library:
             except CallError as error:
                 raise CallError(f"{error.function} of {variable.name!r}", error.status) from None
 
-    def _setter(self, kind: str) -> tuple[str, Any]:
-        raise NotImplementedError
+    @abstractmethod
+    def _setter(self, kind: str) -> tuple[str, Any]: ...
 
-    def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _set(self, function: str, component: int, reference: Any, array: Any) -> None: ...
 
     def _narrow_log(self, function: str, component: int) -> None:
         # The log is on while the instance is made, so that a refusal says why. Afterwards only problems are wanted:

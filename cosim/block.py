@@ -125,7 +125,7 @@ class ExternalBlock(Block):
 
     def instantiate(self, step: Fraction, name: str) -> External:
         """Return a new running instance that makes steps of `step` seconds."""
-        raise NotImplementedError
+        raise KernelError(f"{type(self).__name__} cannot be run: give it a method instantiate(step, name).")
 
 
 class External(Protocol):

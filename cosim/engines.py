@@ -76,7 +76,7 @@ class CompiledEngine:
     def __init__(self, run: Run):
         from bayesftc.cosim import _loop
 
-        self._run, self._loop = run, _loop
+        self._run = run
         schedule = run.schedule
         rows: list[list[int]] = []
         gathers: list[tuple[int, int]] = []
