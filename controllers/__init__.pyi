@@ -3,11 +3,10 @@
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
+from .gamma import Calibration as Calibration, GammaPrecision as GammaPrecision
 from .model import LinearModel as LinearModel
 from .precision import (
-    Calibration as Calibration,
     FixedPrecision as FixedPrecision,
-    GammaPrecision as GammaPrecision,
     Learner as Learner,
     PrecisionLearner as PrecisionLearner,
 )

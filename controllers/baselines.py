@@ -32,7 +32,7 @@ def _decide(i, ignored, nominal, nan, R, used, present, precision, beta, fault_p
     fault_probability[i] = select(present > 0.5, select(ignored, 1.0, 0.0), nan)
 
 
-def learn_effdi(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
+def learn_effdi(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
     """``memory``: for each sensor the last two samples, the last two r, and the steps for which it is still ignored."""
     for i in range(y.shape[0]):
         at = 5 * i
@@ -80,7 +80,7 @@ class EFFDI(PrecisionLearner):
         return Learner(learn_effdi, memory, np.array([self.threshold, steps, np.nan]))
 
 
-def learn_serfdi(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability):
+def learn_serfdi(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
     """Compare each innovation with its standard deviation."""
     for i in range(y.shape[0]):
         ignored = absolute(e[i]) > settings[0] * sqrt(spread[i, i] + nominal[i, i])

@@ -15,9 +15,10 @@ from bayesftc.controllers import _filter
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector, frozen
 from bayesftc.controllers._filter import decide, innovate, limit, measure, predict
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
+from bayesftc.controllers.precision import NAN, FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import select
 from bayesftc.cosim.ports import Port
 
 
@@ -25,18 +26,25 @@ class UnstableLoopWarning(UserWarning):
     """Plant and belief together do not settle: by the goal and control priors, or by a mode that no sensor sees."""
 
 
-def _make_step(learn: Callable[..., None], fold: Callable[..., None]) -> Callable[..., None]:
-    """Return the controller's step function for a precision learner and a way of carrying the belief."""
+def _make_step(learner: Learner, fold: Callable[..., None], first: int) -> Callable[..., None]:
+    """Return the controller's step function for a precision learner and a way of carrying the belief.
+
+    The learner's own outputs begin at the place `first` among all outputs.
+    """
+    learn, report = learner.step, learner.report
 
     def bayesian_controller(
-        y, goal, u, x_hat, P, R, precision, beta, fault_probability,
+        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work,
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h,
     ):  # fmt: skip
         innovate(y, mean, covariance, C, e, present, CP, spread)
-        learn(y, e, present, spread, nominal, memory, settings, R, used, precision, beta, fault_probability)
+        for i in range(e.shape[0]):
+            innovation[i] = select(present[i] > 0.5, e[i], NAN)
+        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        report(memory, settings, nominal, first, outputs)
         measure(e, used, R, C, mean, covariance, chol, D, whitened, v, gain, J, JP, x_hat, P)
         decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
         limit(u, applied, u_min, u_max, u_change)
@@ -58,8 +66,10 @@ class BayesianController(Block):
 
     Inputs ``y`` (m samples; NaN is a missing one) and ``goal`` (of x_t+1; NaN is no goal, under which a flat control prior holds
     the last control). Outputs ``u`` (p), ``x_hat`` (n), ``P`` (n x n),
-    ``R`` (m x m, the sensor covariance in use; infinite on the diagonal for a sensor that is left out), ``precision`` (m),
-    ``beta`` (m), ``fault_probability`` (m; NaN while a sensor delivers no sample: that is known, not inferred).
+    ``R`` (m x m, the sensor covariance in use; infinite on the diagonal for a sensor that is left out), ``innovation`` (m;
+    ``y - C x_t|t-1``, the state estimation residual; NaN for a missing sample), ``precision`` (m), ``beta`` (m),
+    ``fault_probability`` (m; NaN while a sensor delivers no sample: that is known, not inferred), and those of the precision
+    learner (moments of the precision).
 
     Parameters
     ----------
@@ -200,9 +210,21 @@ class BayesianController(Block):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, precision, beta, fault_probability``."""
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
+        return *self._own_outputs, *self.precision.learner(self.model).ports
+
+    @property
+    def _own_outputs(self) -> tuple[Port, ...]:
         n, p, m = self.model.states, self.model.controls, self.model.sensors
-        shapes = {"u": (p,), "x_hat": (n,), "P": (n, n), "R": (m, m), "precision": (m,), "beta": (m,)}
+        shapes = {
+            "u": (p,),
+            "x_hat": (n,),
+            "P": (n, n),
+            "R": (m, m),
+            "innovation": (m,),
+            "precision": (m,),
+            "beta": (m,),
+        }
         return (*(Port(name, shape) for name, shape in shapes.items()), Port("fault_probability", (m,)))
 
     def define(self, step: Fraction) -> Definition:
@@ -240,10 +262,11 @@ class BayesianController(Block):
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            **{name: np.zeros(shape) for name, shape in scratch.items()},
+            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
         }  # fmt: skip
         fold = _filter.fold_goal if joint else _filter.keep_belief
-        return Definition(_make_step(learner.step, fold), state=state, parameters=parameters)
+        first = sum(port.size for port in self._own_outputs)
+        return Definition(_make_step(learner, fold, first), state=state, parameters=parameters)
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of plant and belief together in steady state, at fixed precision and without limits.

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from bayesftc.controllers.bayesian import BayesianController, UnstableLoopWarning
+from bayesftc.controllers.gamma import Calibration, GammaPrecision
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import Calibration, GammaPrecision
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:

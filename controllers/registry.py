@@ -2,7 +2,8 @@
 
 from bayesftc.controllers.baselines import EFFDI, SERFDI
 from bayesftc.controllers.bayesian import BayesianController
-from bayesftc.controllers.precision import FixedPrecision, GammaPrecision, PrecisionLearner
+from bayesftc.controllers.gamma import GammaPrecision
+from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
 from bayesftc.cosim.block import Block
 
 CONTROLLERS: tuple[type[Block], ...] = (BayesianController,)
