@@ -3,6 +3,7 @@
 from . import errors as errors, ops as ops, random as random
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .diagram import Diagram as Diagram, Node as Node
+from .differentiation import jacobian as jacobian
 from .errors import (
     AlgebraicLoopError as AlgebraicLoopError,
     BayesFTCError as BayesFTCError,

@@ -1,0 +1,325 @@
+"""Jacobians of step functions, by forward-mode automatic differentiation with dual numbers.
+
+The function is run once on symbols that carry a value and its derivatives with respect to each input number (dual numbers), and
+what happens to them is written down as the text of a new step function. A step function never branches on data, so one run
+says all; and the Jacobian is a step function like any other: plain Python, compiled, or traced again.
+"""
+
+from __future__ import annotations
+
+import linecache
+import math
+from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim import ops
+from bayesftc.cosim._tracing import rebound
+from bayesftc.cosim.block import Kernel, argument_names
+from bayesftc.cosim.errors import KernelError
+
+Shape = int | tuple[int, ...]
+Input = tuple[str, int]
+"""Which input number a derivative is by: the name of the argument, the place in it."""
+
+
+def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Sequence[str]) -> Kernel:
+    """Return a step function that computes the derivatives of a step function's output.
+
+    Parameters
+    ----------
+    function : function
+        A step function of any arguments, such as ``f(x, u, x_next)``; it must write every element of `output` and nothing else.
+    shapes : mapping of str to int or tuple
+        The shape of each of its arguments.
+    output : str
+        The argument that it writes, a vector.
+    wrt : sequence of str
+        The arguments, vectors, with respect to which it is differentiated.
+
+    Returns
+    -------
+    function
+        Its arguments, in this order: those of `function` without `output`, then a matrix (outputs x inputs) for each name in
+        `wrt`, called ``<output>_<name>``. Every element is written.
+
+    Raises
+    ------
+    KernelError
+        If the function breaks the rules of step functions, does not write its output, or branches on data.
+
+    Notes
+    -----
+    Where the function has a kink (``absolute``, ``maximum``, ``select``) the derivative is that of the branch taken there; that
+    of ``floor`` is zero.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import jacobian, ops
+    >>> def polar(x, y):
+    ...     y[0] = x[0] * ops.sin(x[1])
+    >>> derivative, result = jacobian(polar, {"x": 2, "y": 1}, "y", ["x"]), np.empty((1, 2))
+    >>> derivative(np.array([2.0, 0.0]), result)
+    >>> result.tolist()
+    [[0.0, 2.0]]
+    """
+    names = argument_names(function)
+    _check(function, names, shapes, output, wrt)
+    tape = _Tape()
+    arrays: dict[str, Any] = {}
+    for name in names:
+        shape = _tuple(shapes[name])
+        array = np.empty(shape, dtype=object)
+        if name != output:
+            for index in np.ndindex(shape):
+                partials: dict[Input, Any] = {(name, index[0]): 1.0} if name in wrt else {}
+                array[index] = _Dual(tape, f"{name}[{', '.join(map(str, index))}]", partials)
+        arrays[name] = array
+    rebound(function, _operations(tape))(*arrays.values())
+    unwritten = [i for i, value in enumerate(arrays[output]) if value is None]
+    if unwritten:
+        raise KernelError(f"{function.__name__!r} does not write {output}[{unwritten[0]}]; write every element.")
+    lines = []
+    for name in wrt:
+        for i, value in enumerate(arrays[output]):
+            of_value = value.partials if isinstance(value, _Dual) else {}
+            for j in range(_tuple(shapes[name])[0]):
+                lines.append(f"{output}_{name}[{i}, {j}] = {_text(of_value.get((name, j), 0.0))}")
+    given = [name for name in names if name != output]
+    return _compiled(function, [*given, *(f"{output}_{name}" for name in wrt)], [*tape.lines, *lines])
+
+
+def _check(
+    function: Kernel, names: Sequence[str], shapes: Mapping[str, Shape], output: str, wrt: Sequence[str]
+) -> None:
+    title = f"The function {function.__name__!r}"
+    unknown = [name for name in (output, *wrt) if name not in names] or [n for n in names if n not in shapes]
+    if unknown:
+        raise KernelError(
+            f"{title} has the arguments {', '.join(names)}; {unknown[0]!r} is either none of them or has no shape given."
+        )
+    for name in (output, *wrt):
+        if len(_tuple(shapes[name])) != 1:
+            raise KernelError(f"{title} can be differentiated between vectors only, but {name!r} is an array.")
+
+
+def _tuple(shape: Shape) -> tuple[int, ...]:
+    return (shape,) if isinstance(shape, int) else tuple(shape)
+
+
+def _compiled(function: Kernel, arguments: Sequence[str], lines: Sequence[str]) -> Kernel:
+    name = f"jacobian_of_{function.__name__}"
+    text = f"def {name}({', '.join(arguments)}):\n" + "".join(f"    {line}\n" for line in lines)
+    file = f"<{name}>"
+    names: dict[str, Any] = {n: getattr(ops, n) for n in ops.NAMES} | {"inf": math.inf, "nan": math.nan}
+    names["__name__"] = function.__module__
+    exec(compile(text, file, "exec"), names)
+    linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)  # so that a debugger can show it
+    made = names[name]
+    assert isinstance(made, FunctionType)
+    return made
+
+
+def _text(value: Any) -> str:
+    return value.name if isinstance(value, _Dual | _Condition) else repr(float(value))
+
+
+class _Tape:
+    """The statements so far; an expression that was computed before is not computed again."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._known: dict[str, str] = {}
+
+    def name(self, expression: str) -> str:
+        """Return the variable that holds the expression."""
+        if expression not in self._known:
+            self._known[expression] = f"_{len(self.lines)}"
+            self.lines.append(f"{self._known[expression]} = {expression}")
+        return self._known[expression]
+
+
+class _Condition:
+    """The symbol of a condition."""
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def __bool__(self) -> bool:
+        raise KernelError(
+            "A function cannot be differentiated that branches on data: write ops.select(condition, a, b) instead of if, while, "
+            "and, or, not."
+        )
+
+
+class _Dual:
+    """The symbol of a number, with its derivatives by input: numbers, or symbols without derivatives of their own."""
+
+    __array_ufunc__ = None  # so that NumPy's numbers leave the operators to this class
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, tape: _Tape, name: str, partials: Mapping[Input, Any]):
+        self.tape, self.name, self.partials = tape, name, partials
+
+    def __add__(self, other: Any) -> Any:
+        return _result(self.tape, _add(self.tape, _value(self), _value(other)), [(self, 1.0), (other, 1.0)])
+
+    def __radd__(self, other: Any) -> Any:
+        return _result(self.tape, _add(self.tape, other, _value(self)), [(self, 1.0)])
+
+    def __sub__(self, other: Any) -> Any:
+        return _result(self.tape, _sub(self.tape, _value(self), _value(other)), [(self, 1.0), (other, -1.0)])
+
+    def __rsub__(self, other: Any) -> Any:
+        return _result(self.tape, _sub(self.tape, other, _value(self)), [(self, -1.0)])
+
+    def __mul__(self, other: Any) -> Any:
+        a, b = _value(self), _value(other)
+        return _result(self.tape, _plain(self.tape, "*", a, b), [(self, b), (other, a)])
+
+    def __rmul__(self, other: Any) -> Any:
+        return _result(self.tape, _plain(self.tape, "*", other, _value(self)), [(self, other)])
+
+    def __truediv__(self, other: Any) -> Any:
+        return _divided(self.tape, self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _divided(self.tape, other, self)
+
+    def __neg__(self) -> Any:
+        return _result(self.tape, _Dual(self.tape, self.tape.name(f"-{self.name}"), {}), [(self, -1.0)])
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __bool__(self) -> bool:
+        return bool(_Condition(self.name))
+
+    def __lt__(self, other: Any) -> Any:
+        return _compared(self.tape, "<", self, other)
+
+    def __le__(self, other: Any) -> Any:
+        return _compared(self.tape, "<=", self, other)
+
+    def __gt__(self, other: Any) -> Any:
+        return _compared(self.tape, ">", self, other)
+
+    def __ge__(self, other: Any) -> Any:
+        return _compared(self.tape, ">=", self, other)
+
+    def __eq__(self, other: object) -> Any:
+        return _compared(self.tape, "==", self, other)
+
+    def __ne__(self, other: object) -> Any:
+        return _compared(self.tape, "!=", self, other)
+
+
+def _value(x: Any) -> Any:
+    """Return the symbol without its derivatives."""
+    return _Dual(x.tape, x.name, {}) if isinstance(x, _Dual) else x
+
+
+def _compared(tape: _Tape, sign: str, a: Any, b: Any) -> _Condition:
+    return _Condition(tape.name(f"{_text(a)} {sign} {_text(b)}"))
+
+
+def _plain(tape: _Tape, sign: str, a: Any, b: Any) -> Any:
+    """Return ``a sign b`` of two values; what numbers alone decide is computed now."""
+    if isinstance(a, Real) and isinstance(b, Real):
+        with np.errstate(all="ignore"):
+            x, y = np.float64(a), np.float64(b)
+            return float(x * y if sign == "*" else x / y if sign == "/" else x + y if sign == "+" else x - y)
+    return _Dual(tape, tape.name(f"{_text(a)} {sign} {_text(b)}"), {})
+
+
+def _add(tape: _Tape, a: Any, b: Any) -> Any:
+    return _plain(tape, "+", a, b)
+
+
+def _sub(tape: _Tape, a: Any, b: Any) -> Any:
+    return _plain(tape, "-", a, b)
+
+
+def _times(tape: _Tape, a: Any, b: Any) -> Any:
+    """Return the product of a factor and a derivative, in which the exact zeros and ones of a Jacobian are not computed with."""
+    if isinstance(a, Real) and a == 1.0:
+        return b
+    if isinstance(b, Real) and b == 1.0:
+        return a
+    return _plain(tape, "*", a, b)
+
+
+def _result(tape: _Tape, value: Any, terms: Sequence[tuple[Any, Any]]) -> Any:
+    """Return `value` with the derivative ``sum of factor * d(operand)`` over the `terms` (operand, factor)."""
+    partials: dict[Input, Any] = {}
+    for operand, factor in terms:
+        for place, partial in operand.partials.items() if isinstance(operand, _Dual) else ():
+            term = _times(tape, factor, partial)
+            partials[place] = _add(tape, partials[place], term) if place in partials else term
+    return _Dual(tape, value.name, partials)
+
+
+def _divided(tape: _Tape, a: Any, b: Any) -> Any:
+    value = _plain(tape, "/", _value(a), _value(b))
+    over = _plain(tape, "/", 1.0, _value(b))
+    return _result(tape, value, [(a, over), (b, _plain(tape, "*", _plain(tape, "*", -1.0, value), over))])
+
+
+def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
+    """Return what stands for each operation while a function is run on symbols."""
+
+    def call(name: str, *arguments: Any) -> Any:
+        symbol = tape.name(f"{name}({', '.join(map(_text, arguments))})")
+        return _Condition(symbol) if name in {"both", "either", "negate", "isnan"} else _Dual(tape, symbol, {})
+
+    def unary(derivative: Callable[[Any, Any], Any]) -> Callable[[str, Any], Any]:
+        return lambda name, x: _result(
+            tape, value := call(name, x), [(x, derivative(_value(x), value))] if x.partials else []
+        )
+
+    def chosen(name: str, *arguments: Any) -> Any:
+        """Return ``select``, ``minimum`` or ``maximum``, whose derivative is that of the alternative that is chosen."""
+        *condition, a, b = arguments
+        value = call(name, *condition, _value(a), _value(b))
+        test = condition[0] if condition else _compared(tape, "<" if name == "minimum" else ">", a, b)
+        of_a, of_b = (x.partials if isinstance(x, _Dual) else {} for x in (a, b))
+        partials = {}
+        for place in sorted({*of_a, *of_b}):
+            left, right = of_a.get(place, 0.0), of_b.get(place, 0.0)
+            same = isinstance(left, Real) and isinstance(right, Real) and left == right
+            partials[place] = left if same else call("select", test, left, right)
+        return _Dual(tape, value.name, partials)
+
+    def square(name: str, x: Any) -> Any:
+        return _result(tape, call(name, x), [(x, _plain(tape, "*", 2.0, _value(x)))])
+
+    rules: dict[str, Callable[..., Any]] = {
+        "absolute": unary(lambda x, value: call("select", _compared(tape, "<", x, 0.0), -1.0, 1.0)),
+        "cos": unary(lambda x, value: -call("sin", x)),
+        "exp": unary(lambda x, value: value),
+        "floor": lambda name, x: call(name, x),
+        "log": unary(lambda x, value: 1.0 / x),
+        "maximum": chosen,
+        "minimum": chosen,
+        "select": chosen,
+        "sin": unary(lambda x, value: call("cos", x)),
+        "sqrt": unary(lambda x, value: 0.5 / value),
+        "square": square,
+    }
+
+    def operation(name: str) -> Callable[..., Any]:
+        def apply(*arguments: Any) -> Any:
+            if not any(isinstance(a, _Dual | _Condition) for a in arguments):
+                return getattr(ops, name)(*arguments)
+            return rules.get(name, call)(name, *arguments)
+
+        return apply
+
+    return {name: operation(name) for name in ops.NAMES}
+
+
+__all__ = ["jacobian"]

@@ -1,0 +1,121 @@
+"""Jacobians by dual numbers, against CasADi's symbolic derivatives, finite differences and pencil and paper."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from bayesftc.cosim import jacobian, ops
+from bayesftc.cosim._compiler import compile_kernel
+from bayesftc.cosim.errors import KernelError
+from bayesftc.cosim.ops import cos, maximum, select, sin
+
+SCALE = 0.1
+
+
+def product(a, b):
+    return a * b / (1.0 + ops.square(a))
+
+
+def mixture(x, u, z):
+    """Every operation, helper functions, closures' constants, loops, integers."""
+    for i in range(2):
+        z[i] = x[i] + SCALE * product(sin(x[1 - i]), u[0]) - select(x[0] > u[0], x[1] * x[1], 3.0)
+    z[2] = (
+        ops.sqrt(ops.exp(x[0]) * maximum(x[1], 0.25)) + 2 / ops.absolute(x[0]) + cos(u[0]) + ops.log(ops.square(x[1]))
+    )
+    z[3] = (
+        ops.minimum(x[0] * u[0], x[1]) - ops.floor(x[0] * 3) + (-x[1]) * select(ops.both(x[0] > 0, x[1] < 1), 2.0, u[0])
+    )
+    z[4] = 1.0 - x[0] - (u[0] - 1) * (1 / (3.0 + x[1])) / 2.0
+
+
+SHAPES = {"x": 2, "u": 1, "z": 5}
+
+
+def evaluated(kernel, x, u, *widths):
+    matrices = [np.full((5, width), np.nan) for width in widths]
+    kernel(np.asarray(x, float), np.asarray(u, float), *matrices)
+    return matrices
+
+
+def by_casadi(x, u):
+    import casadi as ca
+
+    from bayesftc.cosim._casadi_ops import OPERATIONS
+    from bayesftc.cosim._tracing import rebound
+
+    xs, us = ca.SX.sym("x", 2), ca.SX.sym("u", 1)
+    z = np.empty(5, dtype=object)
+    traced = rebound(mixture, OPERATIONS)
+    traced([xs[0], xs[1]], [us[0]], z)
+    out = ca.vertcat(*z)
+    function = ca.Function("jacobians", [xs, us], [ca.jacobian(out, xs), ca.jacobian(out, us)])
+    return [np.array(m) for m in function(x, u)]
+
+
+numbers = st.floats(-3.0, 3.0).filter(lambda v: abs(v) > 0.05)
+
+
+@settings(max_examples=60, deadline=None)
+@given(x=st.tuples(numbers, numbers), u=numbers)
+def test_the_jacobian_is_casadis(x, u):
+    of_u, of_x = evaluated(jacobian(mixture, SHAPES, "z", ["u", "x"]), x, [u], 1, 2)
+    for ours, theirs in zip((of_x, of_u), by_casadi(x, [u]), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+
+
+def test_the_jacobian_is_that_of_finite_differences():
+    x, u, h = np.array([0.7, 0.3]), np.array([0.5]), 1e-6
+    (ours,) = evaluated(jacobian(mixture, SHAPES, "z", ["x"]), x, u, 2)
+
+    def value(x):
+        z = np.empty(5)
+        mixture(x, u, z)
+        return z
+
+    theirs = np.column_stack([(value(x + h * e) - value(x - h * e)) / (2 * h) for e in np.eye(2)])
+    np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7)
+
+
+def test_a_jacobian_is_a_step_function_that_compiles_and_can_be_differentiated_again():
+    def cube(x, z):
+        z[0] = x[0] * x[0] * x[0]
+
+    first = jacobian(cube, {"x": 1, "z": 1}, "z", ["x"])
+    assert compile_kernel(first, {"x": ("inputs", 0, (1,)), "z_x": ("outputs", 0, (1, 1))})
+
+    def slope(x, z):
+        z[0] = 3.0 * x[0] * x[0]
+
+    second, expected = jacobian(slope, {"x": 1, "z": 1}, "z", ["x"]), np.empty((1, 1))
+    second(np.array([2.0]), expected)
+    assert expected[0, 0] == 12.0
+
+
+def test_the_same_function_gives_the_same_text():
+    a, b = (jacobian(mixture, SHAPES, "z", ["x"]) for _ in range(2))
+    assert a.__code__.co_code == b.__code__.co_code
+    assert a.__code__.co_consts == b.__code__.co_consts
+
+
+def branches(x, z):
+    z[0] = x[0] if x[0] > 0 else -x[0]
+
+
+def half_written(x, z):
+    z[0] = x[0]
+
+
+@pytest.mark.parametrize(
+    ("function", "shapes", "wrt", "message"),
+    [
+        (branches, {"x": 1, "z": 1}, ["x"], "branches on data"),
+        (half_written, {"x": 1, "z": 2}, ["x"], r"does not write z\[1\]"),
+        (half_written, {"x": 1, "z": 1}, ["w"], "'w'"),
+        (half_written, {"z": 1}, ["z"], "'x'"),
+        (half_written, {"x": (1, 1), "z": 1}, ["x"], "vectors only"),
+    ],
+)
+def test_what_cannot_be_differentiated_is_said(function, shapes, wrt, message):
+    with pytest.raises(KernelError, match=message):
+        jacobian(function, shapes, "z", wrt)
