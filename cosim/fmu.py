@@ -107,6 +107,38 @@ class FMU(ExternalBlock):
         """What the FMU says of itself."""
         return self._read()[1]
 
+    def start_value(self, name: str) -> Value | None:
+        """Return the value of a variable before initialization: what `parameters` gives it, else what the FMU says.
+
+        Parameters
+        ----------
+        name : str
+            Name of the variable.
+
+        Returns
+        -------
+        float, int, bool or str, or None
+            In the variable's own unit; None where the FMU computes it.
+
+        Raises
+        ------
+        UnknownNameError
+            If the FMU has no variable of that name.
+
+        Examples
+        --------
+        >>> from bayesftc import cosim, fmus
+        >>> arm = cosim.FMU(fmus.path("TwoLinkArm"), parameters={"L2": 0.8})
+        >>> arm.start_value("L1"), arm.start_value("L2")
+        (1.0446, 0.8)
+        """
+        starts = {v.name: v.start for v in self.description.variables} | dict(self.parameters or {})
+        if name not in starts:
+            raise UnknownNameError(
+                f"The FMU {Path(self.path).name} has no variable {name!r}; {did_you_mean(name, starts)}"
+            )
+        return starts[name]
+
     def instantiate(self, step: Fraction, name: str) -> External:
         """Return a new initialized instance that makes steps of `step` seconds; close it in the end.
 

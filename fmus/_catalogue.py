@@ -32,7 +32,7 @@ def names() -> tuple[str, ...]:
     --------
     >>> from bayesftc import fmus
     >>> fmus.names()
-    ('CruiseControl',)
+    ('CruiseControl', 'TwoLinkArm')
     """
     from bayesftc.fmus.plants import PLANTS
 

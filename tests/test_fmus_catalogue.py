@@ -39,7 +39,7 @@ def test_names_are_the_files():
 
 def test_an_unknown_name_names_the_near_ones():
     with pytest.raises(
-        ValueError, match=r"'cruisecontroll'.*did you mean 'CruiseControl'\?.*Shipped are: CruiseControl\."
+        ValueError, match=r"'cruisecontroll'.*did you mean 'CruiseControl'\?.*Shipped are: CruiseControl, TwoLinkArm\."
     ):
         fmus.path("cruisecontroll")
     with pytest.raises(ValueError, match="Shipped are") as caught:
@@ -119,6 +119,25 @@ def test_description_of_the_car(fmi):
     ) * 3
     assert not can.canBeInstantiatedOnlyOncePerProcess
     assert description.generationDateAndTime.endswith("Z")
+
+
+@pytest.mark.parametrize("fmi", FMI_VERSIONS)
+def test_description_of_the_arm(fmi):
+    description = read_model_description(fmus.path("TwoLinkArm", fmi=fmi))
+    variables = {v.name: v for v in description.modelVariables}
+    units = {"q1": "rad", "dq2": "rad/s", "torque1": "N.m", "x": "m", "I1": "kg.m2", "D2": "N.m.s/rad", "g": "m/s2"}
+    assert {name: variables[name].unit for name in units} == units
+    base = {u.name: tuple(getattr(u.baseUnit, n) for n in ("kg", "m", "s", "rad")) for u in description.unitDefinitions}
+    assert base["N.m"] == (1, 2, -2, 0)
+    assert base["N.m.s/rad"] == (1, 2, -1, -1)
+    assert base["rad/s"] == (0, 0, -1, 1)
+    assert {o.variable.name: o.dependencies for o in description.outputs} == {
+        name: [] for name in ("q1", "q2", "dq1", "dq2", "x", "y")
+    }
+    assert {u.variable.name: {v.name for v in u.dependencies} for u in description.initialUnknowns} == {
+        **{name: {f"{name}_0"} for name in ("q1", "q2", "dq1", "dq2")},
+        **{name: {"L1", "L2", "q1_0", "q2_0"} for name in ("x", "y")},
+    }
 
 
 def test_command_line_lists_and_refuses(capsys, tmp_path):
