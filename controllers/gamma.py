@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -41,17 +42,25 @@ class Calibration:
 _FORGETTING, _SHAPE0, _TO_PRIOR, _BELIEF, _MODE, _SLOPE, _INTERCEPT = range(7)
 
 
-def _no_probability(ratio, settings):
+def _no_probability(ratio, slope, intercept):
     """Without a calibration: NaN, which stands where the slope would."""
-    return settings[_SLOPE]
+    return slope
 
 
-def _logistic(x, settings):
-    return 1.0 / (1.0 + exp(-(settings[_SLOPE] * x + settings[_INTERCEPT])))
+def _logistic(x, slope, intercept):
+    return 1.0 / (1.0 + exp(-(slope * x + intercept)))
 
 
-def _logistic_of_log(ratio, settings):
-    return _logistic(log(ratio), settings)
+def _logistic_of_log(ratio, slope, intercept):
+    return _logistic(log(ratio), slope, intercept)
+
+
+def probability_map(calibration: Calibration | None) -> tuple[Callable[..., float], float, float]:
+    """Return the function of ``(beta / b0, slope, intercept)`` that a learner calls, and its slope and intercept."""
+    if calibration is None:
+        return _no_probability, NAN, NAN
+    function = _logistic_of_log if calibration.feature == "log" else _logistic
+    return function, calibration.slope, calibration.intercept
 
 
 def _squared(i, e, spread, nominal, settings):
@@ -95,6 +104,7 @@ def report_gamma(memory, settings, nominal, first, outputs):
         outputs[first + 4 * m + i] = mean / b
 
 
+@cache
 def _forgetting_learner(to_probability: Callable[..., float]) -> Callable[..., None]:
     def learn_gamma(
         y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
@@ -117,12 +127,13 @@ def _forgetting_learner(to_probability: Callable[..., float]) -> Callable[..., N
             b = maximum(b, RATE_FLOOR * b0)
             memory[i] = a
             memory[m + i] = b
-            probability = to_probability(b / b0, settings)
+            probability = to_probability(b / b0, settings[_SLOPE], settings[_INTERCEPT])
             _report(i, a, b, settings, present[i], probability, R, used, precision, beta, fault_probability)
 
     return learn_gamma
 
 
+@cache
 def _window_learner(to_probability: Callable[..., float]) -> Callable[..., None]:
     def learn_gamma_window(
         y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
@@ -148,7 +159,7 @@ def _window_learner(to_probability: Callable[..., float]) -> Callable[..., None]
                 b = b + 0.5 * memory[errors + s]
             memory[2 * m * length + i] = a
             memory[2 * m * length + m + i] = b
-            probability = to_probability(b / b0, settings)
+            probability = to_probability(b / b0, settings[_SLOPE], settings[_INTERCEPT])
             _report(i, a, b, settings, present[i], probability, R, used, precision, beta, fault_probability)
 
     return learn_gamma_window
@@ -218,15 +229,13 @@ class GammaPrecision(PrecisionLearner):
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        c = self.calibration
         settings = np.zeros(7)
         settings[_FORGETTING] = 1.0 if self.forgetting is None else self.forgetting
         settings[_SHAPE0] = self.prior_shape
         settings[_TO_PRIOR] = self.forget_to == "prior"
         settings[_BELIEF] = self.belief_uncertainty
         settings[_MODE] = self.estimate == "mode"
-        settings[_SLOPE], settings[_INTERCEPT] = (c.slope, c.intercept) if c else (NAN, NAN)
-        to_probability = _no_probability if c is None else _logistic_of_log if c.feature == "log" else _logistic
+        to_probability, settings[_SLOPE], settings[_INTERCEPT] = probability_map(self.calibration)
         rates = self.prior_shape * np.diag(model.matrix("sensor_covariance"))
         prior = np.concatenate([np.full(model.sensors, self.prior_shape), rates])
         ports = moment_ports(model.sensors)

@@ -1,0 +1,282 @@
+"""A Wishart distribution over the precision matrix of all sensors together (paper, section 3.2), for correlated sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from bayesftc.controllers._linalg import cholesky, cholesky_semidefinite
+from bayesftc.controllers.gamma import RATE_FLOOR, Calibration, probability_map
+from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import either, maximum, minimum, select, sqrt
+from bayesftc.cosim.ports import Port
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+
+# Settings of the learner. Degrees of freedom n decay towards TOWARDS; the expected covariance is V^-1 / (n - LESS).
+FORGETTING, DEGREES0, TOWARDS, TO_PRIOR, LESS, BELIEF, SLOPE, INTERCEPT = range(8)
+
+LOOSENING = 1e-12
+"""By how much each step shrinks the correlations: far above a step's rounding, far below what could be noticed.
+
+It keeps ``V^-1 - LOOSENING * diag(V^-1)`` positive definite from step to step, so that rounding cannot make V^-1 indefinite, even
+where one sample was 1e6 standard deviations off or sensors agree exactly (Demmel, LAPACK working note 14, 1989).
+"""
+
+WORK = 3
+"""How many m x m matrices `complete` needs."""
+
+
+def any_of(present):
+    """Return 1 if any sensor delivered a sample, else 0."""
+    seen = present[0]
+    for i in range(1, present.shape[0]):
+        seen = maximum(seen, present[i])
+    return seen
+
+
+def forget(seen, memory, settings, nominal):
+    """Let degrees of freedom and inverse scale decay. ``memory``: n, V^-1, V.
+
+    Without any sample a distribution that decays towards zero waits instead.
+    """
+    m = nominal.shape[0]
+    rho = select(either(seen > 0.5, settings[TO_PRIOR] > 0.5), settings[FORGETTING], 1.0)
+    memory[0] = rho * memory[0] + (1.0 - rho) * settings[TOWARDS]
+    back = settings[TO_PRIOR] * (1.0 - rho) * settings[DEGREES0]
+    for i in range(m):
+        for j in range(m):
+            at = 1 + i * m + j
+            memory[at] = rho * memory[at] + back * nominal[i, j]
+
+
+def complete(present, memory, settings, nominal, work):
+    """Turn the squared errors ``work[0]`` of the sensors that delivered a sample into those expected of all sensors.
+
+    The missing ones are regressed on the present ones by the covariance expected so far: with G = S_mp S_pp^-1 and T the
+    squared errors of the present ones, ``[T, T G'; G T, G T G' + S_mm - G S_pm]``. That is the variational Bayes update for
+    missing data. It leaves the expected covariance of the missing sensors given the present ones as it was, and gives the
+    present ones what they would have got alone. All is done by factors, so the result cannot become indefinite.
+    """
+    m = nominal.shape[0]
+    T, Z, S = work[0], work[1], work[2]
+    for i in range(m):
+        for j in range(m):
+            T[i, j] = select(present[i] * present[j] > 0.5, T[i, j], 0.0)
+            S[i, j] = memory[1 + i * m + j] / (memory[0] - settings[LESS])
+    cholesky_semidefinite(T, Z)
+    for i in range(m):
+        most = ERROR_CAP * nominal[i, i]
+        shorten = sqrt(most / maximum(T[i, i], most))
+        for c in range(m):
+            Z[i, c] = shorten * Z[i, c]
+            T[i, c] = Z[i, c]  # what sensors eliminated so far leave unexplained
+    for k in range(m):
+        for i in range(m):
+            if i != k:
+                g = select(present[k] > 0.5, S[i, k] / S[k, k], 0.0)
+                for j in range(m):
+                    S[i, j] = S[i, j] - g * S[k, j]
+                    T[i, j] = T[i, j] - g * T[k, j]
+        for j in range(m):
+            S[k, j] = select(present[k] > 0.5, 0.0, S[k, j])
+            S[j, k] = select(present[k] > 0.5, 0.0, S[j, k])
+    for i in range(m):
+        for c in range(m):
+            Z[i, c] = select(present[i] > 0.5, Z[i, c], -T[i, c])
+    for i in range(m):
+        for j in range(i + 1):
+            total = S[i, j]
+            for c in range(m):
+                total = total + Z[i, c] * Z[j, c]
+            T[i, j] = total
+            T[j, i] = total
+
+
+def learn_errors(seen, T, memory, settings, nominal):
+    """Add the squared errors `T` to the inverse scale, and keep it positive definite: see `LOOSENING`."""
+    m = nominal.shape[0]
+    memory[0] = memory[0] + seen
+    for i in range(m):
+        for j in range(m):
+            at = 1 + i * m + j
+            total = memory[at] + select(seen > 0.5, T[i, j], 0.0)
+            least = RATE_FLOOR * settings[DEGREES0] * nominal[i, i]
+            memory[at] = maximum(total, least) if i == j else (1.0 - LOOSENING) * total
+
+
+def expected_covariance(present, memory, settings, R, used, precision, beta):
+    """Write the sensor covariance in use, V^-1 / (n - LESS), and the rate of each sensor's own marginal, half its V^-1."""
+    m = R.shape[0]
+    for i in range(m):
+        for j in range(m):
+            R[i, j] = memory[1 + i * m + j] / (memory[0] - settings[LESS])
+        used[i] = present[i]
+        precision[i] = 1.0 / R[i, i]
+        beta[i] = 0.5 * memory[1 + i * m + i]
+
+
+def invert(memory, work):
+    """Write the scale V behind its inverse, as the product of a triangular matrix with its transpose."""
+    m = work.shape[1]
+    lower, inverse = work[0], work[1]
+    for i in range(m):
+        for j in range(m):
+            lower[i, j] = memory[1 + i * m + j]
+    cholesky(lower, lower)
+    for c in range(m):
+        for i in range(m):
+            total = 1.0 if i == c else 0.0
+            for k in range(c, i):
+                total = total - lower[i, k] * inverse[k, c]
+            inverse[i, c] = total / lower[i, i] if i >= c else 0.0 * lower[i, i]
+    for i in range(m):
+        for j in range(m):
+            total = inverse[m - 1, i] * inverse[m - 1, j]
+            for k in range(m - 1):
+                total = total + inverse[k, i] * inverse[k, j]
+            memory[1 + m * m + i * m + j] = total
+
+
+def report_wishart(memory, settings, nominal, first, outputs):
+    """Write degrees of freedom n, scale V, mean n V, mode (n - m - 1) V and variance n (V_ij^2 + V_ii V_jj)."""
+    m = nominal.shape[0]
+    n, size, last = memory[0], m * m, memory.shape[0]
+    outputs[first] = n
+    for i in range(m):
+        for j in range(m):
+            at = first + 1 + i * m + j
+            v = memory[last - size + i * m + j]
+            outputs[at] = v
+            outputs[at + size] = n * v
+            outputs[at + 2 * size] = maximum(n - m - 1.0, 0.0) * v
+            outputs[at + 3 * size] = n * (v * v + memory[last - size + i * m + i] * memory[last - size + j * m + j])
+
+
+def wishart_ports(sensors: int) -> tuple[Port, ...]:
+    """Return the ports for the moments of the distribution."""
+    names = ("scale", "mean", "mode", "variance")
+    return (Port("precision_degrees_of_freedom"), *(Port(f"precision_{name}", (sensors, sensors)) for name in names))
+
+
+def prior_memory(degrees: float, nominal: Floats) -> Floats:
+    """Return the memory before the first sample: a distribution that expects the nominal precision."""
+    V = np.linalg.inv(degrees * nominal)
+    return np.concatenate([[degrees], (degrees * nominal).ravel(), ((V + V.T) / 2).ravel()])
+
+
+def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
+    def learn_wishart(
+        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
+    ):
+        """Forget, then learn from this sample: n + 1, V^-1 + e e' (paper, section 3.2)."""
+        m = y.shape[0]
+        seen = any_of(present)
+        forget(seen, memory, settings, nominal)
+        T = work[0]
+        for i in range(m):
+            for j in range(m):
+                a, b = sqrt(ERROR_CAP * nominal[i, i]), sqrt(ERROR_CAP * nominal[j, j])
+                both = maximum(minimum(e[i], a), -a) * maximum(minimum(e[j], b), -b)
+                T[i, j] = both + settings[BELIEF] * spread[i, j]
+        complete(present, memory, settings, nominal, work)
+        learn_errors(seen, T, memory, settings, nominal)
+        invert(memory, work)
+        expected_covariance(present, memory, settings, R, used, precision, beta)
+        for i in range(m):
+            ratio = beta[i] / (0.5 * settings[DEGREES0] * nominal[i, i])
+            probability = to_probability(ratio, settings[SLOPE], settings[INTERCEPT])
+            fault_probability[i] = select(present[i] > 0.5, probability, NAN)
+
+    return learn_wishart
+
+
+@dataclass(frozen=True)
+class WishartPrecision(PrecisionLearner):
+    """A Wishart distribution over the precision matrix of all sensors, learned from their innovations (paper, section 3.2).
+
+    Each sample adds 1 to the degrees of freedom n and e e' to the inverse scale V^-1; the new expected precision n V weights
+    the same sample. The prior expects the model's sensor covariance, correlations included. ``beta`` is half the diagonal of
+    V^-1: the rate of the gamma distribution that 1 / R_ii has, and with one sensor exactly `GammaPrecision`'s.
+
+    Where some sensors deliver no sample, the errors expected of them (given the others, by the covariance learned so far) stand
+    in: the present ones learn what they would have learned alone, the missing ones keep their covariance given the others.
+    Where all are silent, the distribution only forgets.
+
+    Innovations share the error of the prediction, and the learner takes what they share for correlated noise.
+
+    It adds the outputs ``precision_degrees_of_freedom`` and, as m x m matrices, ``precision_scale``, ``precision_mean``,
+    ``precision_mode`` and ``precision_variance`` to its controller.
+
+    Parameters
+    ----------
+    forgetting : float or None
+        Forgetting factor in (0, 1] per step; None never forgets.
+    degrees_of_freedom : float or None
+        Those of the prior, n0, above m - 1 for m sensors; it counts as n0 samples. By default m + 3, at which each 1 / R_ii has
+        the shape 2 of `GammaPrecision`'s default prior, however many sensors there are.
+    forget_to : {"prior", "zero"}
+        Whether n and V^-1 decay towards their prior (n <- rho n + (1 - rho) n0, likewise V^-1), or V^-1 towards zero and
+        n - m - 1 likewise (Sarkka and Hartikainen, arXiv 1302.0681, 2013).
+    belief_uncertainty : bool
+        Whether the belief's own covariance H P H' is added to e e'; the paper leaves it out.
+    estimate : {"mean", "mode"}
+        Which precision is used: n V or (n - m - 1) V; the inverse of the latter is the expected covariance.
+    calibration : Calibration or None
+        Logistic map from beta to the fault probability; without one the probability is NaN.
+    """
+
+    forgetting: float | None = 0.95
+    degrees_of_freedom: float | None = None
+    forget_to: Literal["prior", "zero"] = "prior"
+    belief_uncertainty: bool = False
+    estimate: Literal["mean", "mode"] = "mean"
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        if self.forgetting is not None and not 0.0 < self.forgetting <= 1.0:
+            raise ModelError(
+                f"WishartPrecision has forgetting={self.forgetting!r}; it must lie in (0, 1], or be None for none."
+            )
+        if self.estimate not in {"mean", "mode"} or self.forget_to not in {"prior", "zero"}:
+            raise ModelError("WishartPrecision takes estimate 'mean' or 'mode' and forget_to 'prior' or 'zero'.")
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        m, nominal = model.sensors, model.matrix("sensor_covariance")
+        least = m + 1 if self.estimate == "mode" else m - 1
+        degrees = prior_degrees(type(self).__name__, self.degrees_of_freedom, m, least)
+        to_probability, slope, intercept = probability_map(self.calibration)
+        settings = np.zeros(8)
+        settings[FORGETTING] = 1.0 if self.forgetting is None else self.forgetting
+        settings[DEGREES0] = degrees
+        settings[TOWARDS] = degrees if self.forget_to == "prior" else m + 1
+        settings[TO_PRIOR] = self.forget_to == "prior"
+        settings[LESS] = m + 1 if self.estimate == "mode" else 0
+        settings[BELIEF] = self.belief_uncertainty
+        settings[SLOPE], settings[INTERCEPT] = slope, intercept
+        memory = prior_memory(degrees, nominal)
+        return Learner(_learner(to_probability), memory, settings, WORK, wishart_ports(m), report_wishart)
+
+    @property
+    def why_no_probability(self) -> str | None:
+        """See `PrecisionLearner.why_no_probability`."""
+        if self.calibration is not None:
+            return None
+        return "WishartPrecision has no calibration: fit a logistic map of beta and pass it as calibration=Calibration(...)."
+
+
+def prior_degrees(learner: str, given: float | None, sensors: int, least: float) -> float:
+    """Return the prior's degrees of freedom, by default m + 3, if they are enough for so many sensors."""
+    degrees = sensors + 3.0 if given is None else given
+    if not (np.isfinite(degrees) and degrees > least):
+        raise ModelError(
+            f"{learner} has degrees_of_freedom={given!r}; with {sensors} sensors it must be above {least:g}."
+        )
+    return float(degrees)
