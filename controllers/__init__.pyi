@@ -3,12 +3,21 @@
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
+from .explicit import ExplicitDetection as ExplicitDetection
 from .gamma import Calibration as Calibration, GammaPrecision as GammaPrecision
 from .model import LinearModel as LinearModel
+from .point_mass import PointMassPrecision as PointMassPrecision
 from .precision import (
     FixedPrecision as FixedPrecision,
     Learner as Learner,
     PrecisionLearner as PrecisionLearner,
 )
 from .registry import LEARNERS as LEARNERS
+from .residuals import (
+    beta_residual as beta_residual,
+    residual_features as residual_features,
+    state_estimation_residual as state_estimation_residual,
+)
+from .threshold import ChebyshevThreshold as ChebyshevThreshold, FittedThreshold as FittedThreshold
 from .validation import KalmanCheck as KalmanCheck, check_kalman as check_kalman, ser_reference as ser_reference
+from .wishart import WishartPrecision as WishartPrecision

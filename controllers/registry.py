@@ -2,12 +2,23 @@
 
 from bayesftc.controllers.baselines import EFFDI, SERFDI
 from bayesftc.controllers.bayesian import BayesianController
+from bayesftc.controllers.explicit import ExplicitDetection
 from bayesftc.controllers.gamma import GammaPrecision
+from bayesftc.controllers.point_mass import PointMassPrecision
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
+from bayesftc.controllers.wishart import WishartPrecision
 from bayesftc.cosim.block import Block
 
 CONTROLLERS: tuple[type[Block], ...] = (BayesianController,)
 """What can stand between sensors and plant: a block with the inputs ``y`` and ``goal`` and the output ``u``."""
 
-LEARNERS: tuple[type[PrecisionLearner], ...] = (FixedPrecision, GammaPrecision, EFFDI, SERFDI)
+LEARNERS: tuple[type[PrecisionLearner], ...] = (
+    FixedPrecision,
+    PointMassPrecision,
+    GammaPrecision,
+    WishartPrecision,
+    EFFDI,
+    SERFDI,
+    ExplicitDetection,
+)
 """To add a learner, write it by the rules of `bayesftc.controllers.precision` and name it here."""

@@ -8,7 +8,17 @@ from hypothesis import given, settings, strategies as st
 from scipy import integrate, stats
 
 from bayesftc import controllers
-from bayesftc.controllers import EFFDI, SERFDI, Calibration, FixedPrecision, GammaPrecision
+from bayesftc.controllers import (
+    EFFDI,
+    SERFDI,
+    Calibration,
+    ExplicitDetection,
+    FittedThreshold,
+    FixedPrecision,
+    GammaPrecision,
+    PointMassPrecision,
+    WishartPrecision,
+)
 from bayesftc.controllers.validation import compare, ser_reference
 from bayesftc.cosim.errors import BayesFTCError
 
@@ -21,8 +31,17 @@ EXAMPLES = [
     GammaPrecision(forgetting=0.8, forget_to="zero", belief_uncertainty=True),
     GammaPrecision(window=5, estimate="mode", calibration=Calibration(2.0, -3.0)),
     GammaPrecision(calibration=Calibration(0.5, -3.0, "linear")),
+    PointMassPrecision(),
+    PointMassPrecision(rate=0.5, lower_bound=0.01, variance_bound=0.25, parameterization="direct"),
+    WishartPrecision(),
+    WishartPrecision(forgetting=None, degrees_of_freedom=3.5, belief_uncertainty=True),
+    WishartPrecision(forgetting=0.8, forget_to="zero", estimate="mode", calibration=Calibration(2.0, -3.0)),
     EFFDI(),
     SERFDI(),
+    ExplicitDetection(GammaPrecision(calibration=Calibration(2.0, -3.0)), threshold=3.0),
+    ExplicitDetection(
+        GammaPrecision(window=5), threshold=FittedThreshold([0.0, 0.0], [1.0, 4.0], 4.0), groups=[[0, 1]]
+    ),
 ]
 
 

@@ -120,7 +120,7 @@ def _dataclasses(hint: Any) -> list[type[Any]]:
     """Return the dataclasses that a type speaks of; of a base class with subclasses, those that are registered."""
     if is_dataclass(hint) and isinstance(hint, type):
         return list(registered(hint)) or [hint]
-    return [cls for part in get_args(hint) for cls in _dataclasses(part)]
+    return list(dict.fromkeys(cls for part in get_args(hint) for cls in _dataclasses(part)))
 
 
 def registered(base: type[Any]) -> tuple[type[Any], ...]:

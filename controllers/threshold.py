@@ -1,0 +1,217 @@
+"""Thresholds that hold for any distribution of the residual: Chebyshev's inequality with moments learned on healthy data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.controllers._checks import as_covariance, as_vector
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.block import Floats
+
+CHANCE = 1e-6
+"""Runs of equal samples that are expected less often than this are not taken for chance."""
+
+MAD_TO_SD = 1.4826
+"""Standard deviation of a normal distribution, in units of its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class FittedThreshold:
+    """A threshold on the Mahalanobis distance ``d_M = sqrt((r - mean)' covariance^-1 (r - mean))`` of a residual r.
+
+    Made by `ChebyshevThreshold.fit`; a value of plain numbers, which can be compared, pickled and written into a scenario file.
+
+    Parameters
+    ----------
+    mean : sequence of n numbers
+        Mean of the healthy residual.
+    covariance : n rows of n numbers
+        Its covariance.
+    bound : float
+        The distance from which on a residual is called faulty.
+
+    Raises
+    ------
+    ModelError
+        If the sizes differ, the covariance is not positive definite, or the bound is not positive.
+    """
+
+    mean: Sequence[float]
+    covariance: Sequence[Sequence[float]]
+    bound: float
+
+    def __post_init__(self) -> None:
+        mean = np.atleast_1d(np.asarray(self.mean, dtype=np.float64))
+        mean = as_vector("The threshold's mean", mean, mean.size)
+        covariance = as_covariance("The threshold's covariance", self.covariance, mean.size)
+        if not self.bound > 0:
+            raise ModelError(f"The threshold has bound={self.bound!r}; it must be positive.")
+        object.__setattr__(self, "mean", tuple(mean.tolist()))
+        object.__setattr__(self, "covariance", tuple(map(tuple, covariance.tolist())))
+        object.__setattr__(self, "bound", float(self.bound))
+
+    @property
+    def size(self) -> int:
+        """Number n of the residual's elements."""
+        return len(self.mean)
+
+    def distance(self, residual: ArrayLike) -> Floats:
+        """Return the Mahalanobis distance of residuals; NaN where an element is missing.
+
+        Parameters
+        ----------
+        residual : array, shape (..., n)
+            For n = 1 also of any shape without the last axis.
+        """
+        r = np.asarray(residual, dtype=np.float64)
+        if self.size == 1 and (r.ndim < 2 or r.shape[-1] != 1):
+            r = r[..., None]
+        if r.ndim == 0 or r.shape[-1] != self.size:
+            raise ModelError(
+                f"The residual has the shape {r.shape}, but the threshold was learned for {self.size} elements; they must stand "
+                "along the last axis."
+            )
+        centred = (r - np.asarray(self.mean)).reshape(-1, self.size).T
+        whitened = np.linalg.solve(np.linalg.cholesky(np.asarray(self.covariance)), centred)
+        return np.asarray(np.sqrt(np.sum(whitened**2, axis=0)).reshape(r.shape[:-1]))
+
+    def exceeds(self, residual: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Return whether the distance is at least the bound; False where an element is missing.
+
+        Parameters
+        ----------
+        residual : array, shape (..., n)
+            As for `distance`.
+        """
+        return self.distance(residual) >= self.bound
+
+
+@dataclass(frozen=True)
+class ChebyshevThreshold:
+    """Learns a threshold that a healthy residual exceeds with at most the probability `alpha`, whatever its distribution.
+
+    By the multivariate Chebyshev inequality ``Pr[d_M^2 >= n / alpha] <= alpha`` for every distribution of n elements with this
+    mean and covariance. The moments are those of the samples, so the promise holds as far as these are known.
+
+    Parameters
+    ----------
+    alpha : float
+        Bound on the false-alarm rate, in (0, 1).
+    form : {"robust", "printed"}
+        ``"robust"`` puts the threshold on d_M at sqrt(n / alpha). ``"printed"`` puts it at n / alpha, as the paper's predecessor
+        prints it, which is far looser.
+    """
+
+    alpha: float = 0.01
+    form: Literal["robust", "printed"] = "robust"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.alpha < 1.0:
+            raise ModelError(
+                f"ChebyshevThreshold has alpha={self.alpha!r}; it is a probability and must lie between 0 and 1."
+            )
+        if self.form not in {"robust", "printed"}:
+            raise ModelError(f"ChebyshevThreshold has form={self.form!r}; it must be 'robust' or 'printed'.")
+
+    def fit(self, residuals: ArrayLike, faulty: ArrayLike | None = None) -> FittedThreshold:
+        """Return the threshold learned from healthy residuals.
+
+        Parameters
+        ----------
+        residuals : array, shape (N, n) or (N,)
+            In the order in which they came. More than n / alpha are needed: of fewer, a new sample is the most extreme of all
+            more often than `alpha`, so that no threshold learned from them can promise it (Stellato et al., The American
+            Statistician 71, 2017).
+        faulty : array of bool, shape (N,), optional
+            Whether a fault was present, where that is known; all must be False.
+
+        Raises
+        ------
+        ModelError
+            If there are too few samples, some are not finite, their covariance is singular, or they are evidently faulty: so
+            labelled; with a run of equal values that is no chance (a frozen signal); or with a share above `alpha` of them
+            further from the median than twice the threshold that the bulk of the samples gives (median, and median absolute
+            deviation). The last is a convention: a distribution with a finite variance may have such tails, but those of
+            normal, Laplace, exponential, log-normal and Student-t noise (3 degrees of freedom) have them far more rarely.
+        """
+        samples = np.asarray(residuals, dtype=np.float64)
+        samples = samples[:, None] if samples.ndim == 1 else samples
+        if samples.ndim != 2 or not samples.shape[1]:
+            raise ModelError(f"The residuals have the shape {samples.shape}; give a row for each sample.")
+        count, n = samples.shape
+        needed = int(n / self.alpha) + 1
+        if count < needed:
+            raise ModelError(
+                f"A threshold for {n} residual(s) at alpha={self.alpha:g} needs at least {needed} healthy samples, but there are "
+                f"{count}; record a longer run, or allow a larger alpha."
+            )
+        _refuse_unusable(samples)
+        _refuse_faulty(samples, faulty, self.alpha)
+        covariance = np.atleast_2d(np.cov(samples, rowvar=False))
+        _refuse_singular(covariance)
+        bound = np.sqrt(n / self.alpha) if self.form == "robust" else n / self.alpha
+        return FittedThreshold(samples.mean(axis=0), covariance, float(bound))  # type: ignore[arg-type]
+
+
+def _refuse_unusable(samples: Floats) -> None:
+    bad = np.flatnonzero(~np.isfinite(samples).all(axis=1))
+    if len(bad):
+        raise ModelError(
+            f"The residuals have {len(bad)} samples that are NaN or infinite, the first at index {bad[0]}; leave missing samples "
+            "out: residuals[np.isfinite(residuals).all(axis=1)]."
+        )
+
+
+def _refuse_singular(covariance: Floats) -> None:
+    variances = np.diag(covariance)
+    units = np.sqrt(np.where(variances > 0, variances, 1.0))
+    if (variances <= 0).any() or np.linalg.eigvalsh(covariance / np.outer(units, units))[0] <= 1e-12:
+        raise ModelError(
+            "The covariance of the residuals is singular: one of them is constant, or a combination of the others; leave it out."
+        )
+
+
+def _refuse_faulty(samples: Floats, faulty: ArrayLike | None, alpha: float) -> None:
+    count, n = samples.shape
+    if faulty is not None:
+        labels = np.asarray(faulty)
+        if labels.shape != (count,):
+            raise ModelError(
+                f"faulty has the shape {labels.shape}; it must have one label for each of {count} samples."
+            )
+        if np.count_nonzero(labels):
+            raise ModelError(
+                f"{np.count_nonzero(labels)} of the {count} samples are labelled faulty, but a threshold is learned from healthy "
+                "ones; leave them out: residuals[~faulty]."
+            )
+    for column, values in enumerate(samples.T):
+        run, at = _longest_run(values)
+        commonest = np.unique(values, return_counts=True)[1].max() / count
+        if count * commonest ** (run - 1) < CHANCE:
+            raise ModelError(
+                f"Residual {column} has the same value {run} times in a row from sample {at} on, which is no chance: a signal "
+                "was frozen there; leave the faulty samples out."
+            )
+        middle = np.median(values)
+        deviation = MAD_TO_SD * np.median(np.abs(values - middle))
+        far = np.abs(values - middle) > 2.0 * np.sqrt(n / alpha) * deviation
+        if deviation > 0 and far.mean() > alpha:
+            raise ModelError(
+                f"{np.count_nonzero(far)} of {count} samples of residual {column}, from sample {np.argmax(far)} on, lie further "
+                "out than any threshold for the others would allow: a fault was present there; leave the faulty samples out."
+            )
+
+
+def _longest_run(values: Floats) -> tuple[int, int]:
+    """Return the length of the longest run of equal values, and where it begins."""
+    begins = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0]))
+    lengths = np.diff(np.concatenate([begins, [len(values)]]))
+    longest = int(np.argmax(lengths))
+    return int(lengths[longest]), int(begins[longest])

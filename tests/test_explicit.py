@@ -1,0 +1,220 @@
+"""Explicit detection: the trigger and its release step by step, the wrapped learner started afresh, thresholds of both kinds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesftc import controllers
+from bayesftc.controllers import (
+    BayesianController,
+    Calibration,
+    ChebyshevThreshold,
+    ExplicitDetection,
+    FittedThreshold,
+    FixedPrecision,
+    GammaPrecision,
+)
+from bayesftc.cosim.errors import ModelError
+from bayesftc.examples.cruise_control.cruise_control import FREEZE, cruise_control
+
+R = np.array([1.0, 4.0])
+MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, R, 0.02)
+HOLD = 10  # steps
+
+
+def samples(steps=400):
+    """Two sensors around 20: the first jumps by 8 twice, both drop out at times."""
+    rng = np.random.default_rng(4)
+    y = 20.0 + rng.normal(size=(steps, 2)) * np.sqrt(R)
+    y[100:180, 0] += 8.0
+    y[260:300, 0] -= 8.0
+    y[rng.random((steps, 2)) < 0.05] = np.nan
+    return y
+
+
+def run(precision, y=None, **options):
+    step = BayesianController(MODEL, precision=precision, initial_mean=20.0, **options).online()
+    return [step(y=row, goal=[20.0]) for row in (samples() if y is None else y)]
+
+
+def stacked(outs, name):
+    return np.array([out[name] for out in outs])
+
+
+def predicted_variance(outs):
+    return np.concatenate([[1.0], 0.999**2 * stacked(outs, "P")[:-1, 0, 0] + 0.001])
+
+
+def triggered(distance, bound, hold=HOLD):
+    """The trigger of one group as a list of states, from its distances (NaN: a sample is missing)."""
+    states, active, quiet = [], False, 0
+    for d in distance:
+        if d >= bound:
+            active, quiet = True, 0
+        elif d < bound:
+            quiet += 1
+            active = active and quiet < hold
+        states.append(active)
+    return np.array(states)
+
+
+def gamma(e, learning, rho=0.9, a0=2.0):
+    """Shape and rate of a gamma learner that begins anew while it is not learning; what it says at each sample."""
+    a, b, before, said = np.full(2, a0), a0 * R, False, []
+    for row, now in zip(e, learning, strict=True):
+        if not before:
+            a, b = np.full(2, a0), a0 * R
+        present = np.isfinite(row)
+        a = rho * a + (1 - rho) * a0 + 0.5 * present
+        b = rho * b + (1 - rho) * a0 * R + np.where(present, 0.5 * row**2, 0.0)
+        said.append((a, b))
+        before = now
+    return (np.array(v) for v in zip(*said, strict=True))
+
+
+def test_triggered_by_each_sensors_innovation_and_released_after_the_hold():
+    outs = run(ExplicitDetection(GammaPrecision(forgetting=0.9), threshold=3.5, hold=HOLD * 0.02))
+    e = stacked(outs, "innovation")
+    distance = np.abs(e) / np.sqrt(predicted_variance(outs)[:, None] + R)
+    expected = np.column_stack([triggered(d, 3.5) for d in distance.T])
+    np.testing.assert_array_equal(stacked(outs, "detected"), expected)
+    assert expected[100:180, 0].mean() > 0.9
+    assert not expected[:90].any()
+    assert not expected[225:255].any()
+    learning = expected.any(axis=1)
+    a, b = gamma(e, learning)
+    used = np.where(learning[:, None], b / a, R)
+    np.testing.assert_allclose(np.diagonal(stacked(outs, "R"), axis1=1, axis2=2), used, rtol=1e-9)
+    np.testing.assert_allclose(stacked(outs, "precision"), 1 / used, rtol=1e-9)
+    np.testing.assert_allclose(stacked(outs, "beta"), b, rtol=1e-9)
+    np.testing.assert_allclose(stacked(outs, "precision_rate"), b, rtol=1e-9)
+    np.testing.assert_allclose(stacked(outs, "precision_shape"), a, rtol=1e-9)
+
+
+def test_the_second_fault_finds_the_learner_as_the_first_did():
+    """The same jump twice: after the release nothing of the first fault is left in the learner."""
+    y = np.full((300, 2), 20.0)
+    y[50:80, 0] += 9.0
+    y[200:230, 0] += 9.0
+    outs = run(ExplicitDetection(GammaPrecision(forgetting=None), threshold=4.0, hold=HOLD * 0.02), y)
+    alone = run(GammaPrecision(forgetting=None), y)
+    beta, detected = stacked(outs, "beta"), stacked(outs, "detected")
+    np.testing.assert_array_equal(
+        np.flatnonzero(detected[:, 0]), [*range(50, 80 + HOLD - 1), *range(200, 230 + HOLD - 1)]
+    )
+    np.testing.assert_allclose(beta[200:235], beta[50:85], rtol=1e-2)
+    assert stacked(alone, "beta")[200, 0] > 1.9 * stacked(alone, "beta")[50, 0]
+
+
+def test_a_threshold_that_nothing_reaches_leaves_a_kalman_filter():
+    outs, plain = run(ExplicitDetection(GammaPrecision(), threshold=1e9)), run(FixedPrecision())
+    for name in ("u", "x_hat", "P", "R", "precision"):
+        np.testing.assert_array_equal(stacked(outs, name), stacked(plain, name))
+    assert not stacked(outs, "detected").any()
+
+
+def test_a_threshold_that_all_reach_is_implicit_detection():
+    y = samples()
+    y[np.isnan(y)] = 20.1
+    outs, plain = run(ExplicitDetection(GammaPrecision(), threshold=1e-9), y), run(GammaPrecision(), y)
+    for name in plain[0]:
+        np.testing.assert_array_equal(stacked(outs, name), stacked(plain, name))
+    assert stacked(outs, "detected").all()
+
+
+def test_a_missing_sample_holds_the_state():
+    y = np.full((60, 2), 20.0)
+    y[10, 0] += 30.0
+    y[11:40, 0] = np.nan
+    detected = stacked(run(ExplicitDetection(threshold=5.0, hold=HOLD * 0.02), y), "detected")
+    assert np.flatnonzero(detected[:, 0]).tolist() == list(range(10, 40 + HOLD - 1))
+    assert not detected[:, 1].any()
+
+
+def test_groups_and_learned_moments():
+    """Two sensors judged together, by a mean and a correlated covariance that are not the model's."""
+    threshold = FittedThreshold([0.5, -0.5], [[2.0, 1.2], [1.2, 5.0]], 3.0)
+    outs = run(ExplicitDetection(GammaPrecision(), threshold, groups=[(1, 0)], hold=HOLD * 0.02))
+    e = stacked(outs, "innovation")
+    swapped = FittedThreshold([-0.5, 0.5], [[5.0, 1.2], [1.2, 2.0]], 3.0)
+    expected = triggered(threshold.distance(e[:, ::-1]), 3.0)
+    assert 0 < expected.sum() < 300
+    assert not np.array_equal(expected, triggered(swapped.distance(e[:, ::-1]), 3.0))
+    np.testing.assert_array_equal(stacked(outs, "detected"), np.column_stack([expected, expected]))
+
+
+def test_a_number_for_a_group_is_a_bound_by_the_innovations_covariance():
+    outs = run(ExplicitDetection(GammaPrecision(), 4.0, groups=[(0, 1)], hold=HOLD * 0.02))
+    e, variance = stacked(outs, "innovation"), predicted_variance(outs)
+    S = variance[:, None, None] + np.diag(R)
+    distance = np.sqrt(np.einsum("ti,tij,tj->t", e, np.linalg.inv(S), e))
+    expected = triggered(distance, 4.0)
+    assert 0 < expected.sum() < 300
+    np.testing.assert_array_equal(stacked(outs, "detected")[:, 0], expected)
+
+
+def test_each_group_has_its_own_threshold():
+    outs = run(ExplicitDetection(threshold=[FittedThreshold(0.0, 1.0, 3.0), 1e9], hold=HOLD * 0.02))
+    np.testing.assert_array_equal(
+        stacked(outs, "detected"),
+        np.column_stack([triggered(np.abs(stacked(outs, "innovation")[:, 0]), 3.0), np.zeros(400)]),
+    )
+
+
+def test_absurd_errors_are_detected():
+    y = np.full((30, 2), 20.0)
+    y[10] = [1e300, -1e300]
+    y[20] = [1e200, 20.0]
+    for groups in (None, [(0, 1)]):
+        outs = run(ExplicitDetection(threshold=5.0, groups=groups, hold=0.02), y)
+        detected = stacked(outs, "detected")
+        assert not detected[:10].any()
+        assert detected[10].all()
+        assert detected[20, 0]
+        assert not detected[29].any()
+        assert np.isfinite(stacked(outs, "P")).all()
+
+
+def test_learned_on_a_healthy_run_of_the_shipped_car(run_both):
+    """The whole way: a healthy run, a threshold for each sensor, a faulty run that is seen and survived; both engines agree."""
+    healthy = cruise_control(FixedPrecision(), fault=replace(FREEZE, start=1000.0, stop=1001.0)).simulate(40.0, seed=7)
+    thresholds = [ChebyshevThreshold(0.05).fit(healthy["controller.innovation"][:, i]) for i in range(2)]
+    errors = {}
+    for precision in (
+        FixedPrecision(),
+        ExplicitDetection(GammaPrecision(calibration=Calibration(2.0, -3.0)), thresholds),
+    ):
+        result = run_both(cruise_control(precision), 20.0, seed=3)
+        errors[type(precision)] = np.sqrt(np.mean((result["plant.v"] - result["reference.y"])[300:700] ** 2))
+    detected = result["controller.detected"] > 0.5
+    assert not detected[:300].any()
+    assert detected[300:700, 0].mean() > 0.5
+    assert not detected[850:].any()
+    assert errors[ExplicitDetection] < 0.5 * errors[FixedPrecision]
+    assert (result["controller.R"][~detected.any(axis=1)] == np.eye(2)).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: ExplicitDetection(GammaPrecision), "triggers a precision learner"),
+        (lambda: ExplicitDetection(ExplicitDetection()), "triggers a precision learner"),
+        (lambda: ExplicitDetection(threshold=0.0), "must be above zero"),
+        (lambda: ExplicitDetection(threshold=[3.0, float("nan")]), "must be above zero"),
+        (lambda: ExplicitDetection(hold=0.0), "positive number of seconds"),
+        (lambda: ExplicitDetection(hold=0.03).learner(MODEL), "no whole number of steps"),
+        (lambda: ExplicitDetection(threshold=[3.0]).learner(MODEL), "1 thresholds for 2 groups"),
+        (lambda: ExplicitDetection(groups=[(0, 2)]).learner(MODEL), r"group \(0, 2\)"),
+        (lambda: ExplicitDetection(groups=[(0, 0)]).learner(MODEL), "each once"),
+        (lambda: ExplicitDetection(groups=[()]).learner(MODEL), "must name some"),
+        (
+            lambda: ExplicitDetection(threshold=FittedThreshold([0, 0], 1.0, 3.0)).learner(MODEL),
+            "cannot judge the group",
+        ),
+    ],
+)
+def test_bad_settings(make, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        make()
+    assert isinstance(caught.value, ModelError) or "steps" in words
