@@ -135,6 +135,12 @@ def _engine_rate(diagram: Diagram, steps: int) -> float:
     return steps / (time.perf_counter() - started)
 
 
+def user_rate(steps: int) -> float:
+    """Return the steps per second of the user's loop."""
+    with unpacked_car() as car:
+        return _user_rate(car, steps)
+
+
 def _user_rate(car: Unpacked, steps: int) -> float:
     started = time.perf_counter()
     user_loop(car, steps, _noise(steps, 1), SETTING)

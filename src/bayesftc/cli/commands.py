@@ -126,6 +126,31 @@ def calibrate(
 
 
 @app.command()
+def reproduce(
+    experiment: Annotated[str, typer.Argument(help="tracking, detection, or all.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write a JSON file and figures for each experiment there."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of all noise and faults.")] = 0,
+    jobs: Annotated[int | None, typer.Option(help="Number of threads; by default one for each core.")] = None,
+    runs: Annotated[
+        int | None, typer.Option(help="Runs of each case, for a quick look; by default as many as the paper has.")
+    ] = None,
+    grid: Annotated[bool, typer.Option(help="Whether faults of other sizes are run as well.")] = True,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Run the paper's experiments and print our numbers beside its own."""
+    with guarded(debug):
+        from bayesftc.cli.reproduce import reproduce_experiments
+
+        options = {"seed": seed, "jobs": jobs, "runs": runs, "grid": grid}
+        reproduce_experiments(experiment, out, options, json=json, quiet=quiet)
+
+
+@app.command()
 def bench(
     quick: Annotated[
         bool, typer.Option("--quick", help="Few and short repetitions: shows that all works, not how fast.")

@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,10 +43,17 @@ MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
 PHASES = (("overall", "whole run"), ("before", "before faults"), ("during", "during"), ("after", "after"))
 
 
-def check_folder(folder: Path) -> None:
+def check_folder(folder: Path, names: Iterable[str] = (RESULT, FIGURE, NUMBERS)) -> None:
     """Check, before the run rather than after it, that files can be written to a folder that may not be there yet.
 
     Nothing is made: whatever way the run ends, an empty folder does not stay behind.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where to.
+    names : iterable of str
+        The files that are to be written; by default those of a run.
 
     Raises
     ------
@@ -62,7 +69,7 @@ def check_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=there):
             pass
         folder.exists()  # says if the name is one that cannot be
-        taken = [name for name in (RESULT, FIGURE, NUMBERS) if (folder / name).is_dir()]
+        taken = [name for name in names if (folder / name).is_dir()]
     except OSError as error:
         raise _unwritable(folder, error) from None
     if taken:
@@ -85,14 +92,14 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
     title = f"{Path(numbers['scenario']).stem}, seed {numbers['seed']}" + (" (stopped early)" if result.stopped else "")
     picture = io.BytesIO()
     plot_run(signals, title).savefig(picture, dpi=DOTS_PER_INCH, format="png")
-    with _staged(folder) as stage:
+    with staged(folder) as stage:
         result.save(stage / RESULT)
         (stage / NUMBERS).write_text(text, encoding="utf-8")
         (stage / FIGURE).write_bytes(picture.getbuffer())
 
 
 @contextmanager
-def _staged(folder: Path) -> Iterator[Path]:
+def staged(folder: Path) -> Iterator[Path]:
     """Give an empty folder inside `folder`; what is in it at the end moves into `folder`, and a failure leaves nothing."""
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     stage = None

@@ -1,0 +1,21 @@
+"""The paper's experiments, our numbers beside its own: ``bayesftc reproduce``, or from Python.
+
+``reproduce.tracking(seed=0, jobs=2)`` runs experiment 2 and returns what ``tracking.json`` holds as plain data;
+``reproduce.detection`` does the same for experiment 3. Settings and their reasons stand in `bayesftc.reproduce.settings`, the
+paper's own numbers in `bayesftc.reproduce.paper`.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bayesftc.reproduce._tracking import run as tracking
+
+__all__ = ["tracking"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        from bayesftc.reproduce.experiments import EXPERIMENTS
+
+        return EXPERIMENTS[name].run
+    raise AttributeError(f"module 'bayesftc.reproduce' has no attribute {name!r}")

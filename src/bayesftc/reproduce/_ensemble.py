@@ -1,0 +1,88 @@
+"""Many runs on all cores: seeds that never meet, and results whose bits do not depend on how many jobs computed them."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram import Diagram
+
+R = TypeVar("R")
+Progress = Callable[[str, int, int], None]
+"""Called as ``progress(what, done, of)``."""
+
+
+def seeds(seed: int, purpose: str, count: int) -> list[int]:
+    """Return `count` seeds for one purpose of an experiment.
+
+    They are hashed from the experiment's seed and the purpose, so that runs for one purpose (a scenario, finding a setting)
+    never share noise with those for another.
+    """
+    sequence = np.random.SeedSequence((seed, zlib.crc32(purpose.encode())))
+    return [int(s) for s in sequence.generate_state(count, np.uint64) >> np.uint64(1)]
+
+
+def check_jobs(jobs: int) -> int:
+    """Return the number of threads; raise a ModelError if it cannot be one."""
+    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
+        raise ModelError(f"jobs is {jobs!r}; it must be a whole number of threads, at least 1.")
+    return jobs
+
+
+def prepare(loops: Sequence[Diagram], progress: Progress | None = None) -> None:
+    """Make one step with each loop, so that all is compiled before threads would wait for each other's compiling."""
+    for i, loop in enumerate(loops):
+        if progress:
+            progress("Preparing", i, len(loops))
+        loop.simulate(loop.step, record=[])
+
+
+def in_parallel(
+    tasks: Sequence[Callable[[], R]], jobs: int, progress: Progress | None = None, what: str = "Simulating"
+) -> list[R]:
+    """Run all tasks on `jobs` threads and return their results in the order of the tasks.
+
+    The compiled loop frees the interpreter, so threads use all cores. No task knows which others run, so the results are the
+    same bits for any number of jobs. Ctrl-C and errors wait for the tasks that have begun, of which each should be short, and
+    drop the rest.
+
+    Parameters
+    ----------
+    tasks : sequence of callables without arguments
+        What to do.
+    jobs : int
+        Number of threads, at least 1.
+    progress : callable, optional
+        Called as ``progress(what, done, of)`` after each task.
+    what : str
+        Name of the work, for the progress.
+    """
+    results: dict[int, R] = {}
+
+    def report() -> None:
+        if progress:
+            progress(what, len(results), len(tasks))
+
+    report()
+    with ThreadPoolExecutor(check_jobs(jobs)) as pool:
+        futures: dict[Future[R], int] = {pool.submit(task): i for i, task in enumerate(tasks)}
+        try:
+            for future in as_completed(futures):
+                results[futures[future]] = future.result()
+                report()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    return [results[i] for i in range(len(tasks))]
+
+
+def chunks(items: Sequence[int], size: int) -> list[Sequence[int]]:
+    """Return the items in groups of `size`, the last one smaller."""
+    return [items[i : i + size] for i in range(0, len(items), size)]

@@ -1,0 +1,94 @@
+"""What ``bayesftc reproduce tracking`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.reproduce._tables import sentence_list, table
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+
+COLUMNS = 3
+"""Techniques beside each other: class names are long."""
+
+
+def show(report: dict[str, Any]) -> Iterator[RenderableType]:
+    """Yield the merit table beside the paper's, the errors, where precision learning loses, and the speed."""
+    settings, scenarios, oracle = report["settings"], report["scenarios"], report["oracle"]
+    yield _merit(report)
+    names = list(next(iter(scenarios.values())))
+    papers, extra = [n for n in names if n in report["merit"]], [n for n in names if n not in report["merit"]]
+    cells = {kind: {**scenarios[kind], "oracle": oracle[kind]} for kind in scenarios}
+    title = f"Root-mean-square tracking error (m/s), mean over {settings['runs']} runs"
+    yield _errors(f"{title}; the oracle knows which sensor is faulty", cells, [*papers, "oracle"])
+    for first in range(0, len(extra), COLUMNS):
+        yield _errors(f"{title}: techniques that are not in the paper's table", cells, extra[first : first + COLUMNS])
+    if extra:
+        merit = report["total_merit_of_all"]
+        yield (
+            f"With {sentence_list(extra)} in the comparison as well, total merits are "
+            f"{sentence_list([f'{n} {merit[n]}' for n in sorted(merit, key=merit.__getitem__, reverse=True)])}."
+        )
+    yield from _where_it_loses(report)
+    speed = report["speed"]
+    yield (
+        f"Speed: {speed['steps_per_second'] / 1e6:.2f} million closed-loop steps per second with {speed['jobs']} jobs "
+        f"({speed['steps']:,} steps in {speed['seconds']:.2f} s), a loop with fmpy and filterpy "
+        f"{speed['user_loop_steps_per_second'] / 1e6:.3f} million: {speed['ratio']:.0f} times as fast."
+    )
+
+
+def _merit(report: dict[str, Any]) -> RenderableType:
+    ours, papers = report["merit"], report["paper"]["merit"]
+    rows = {row: [f"{ours[row][column]:d} ({papers[row][column]:d})" for column in ours] for row in ours}
+    totals = [f"{report['total_merit'][c]:d} ({report['paper']['total_merit'][c]:d})" for c in ours]
+    title = (
+        "Merit, in brackets the paper's: scenarios in which the column's technique tracks significantly better than the row's, "
+        "minus those in which it tracks worse"
+    )
+    return table(title, list(ours), {**rows, "total merit": totals})
+
+
+def _errors(title: str, cells: dict[str, Any], names: list[str]) -> RenderableType:
+    rows = {kind: [f"{techniques[n]['rmse_mean']:.3f}" for n in names] for kind, techniques in cells.items()}
+    return table(title, names, rows, corner="fault/reference")
+
+
+def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
+    lost = [f"on {kind} to {sentence_list(names)}" for kind, names in report["lost"].items()]
+    if lost:
+        yield f"Precision learning (PL) tracks significantly worse {'; '.join(lost)}."
+    else:
+        yield "Precision learning (PL) tracks significantly worse than no other technique in any scenario."
+    if report["grid"] is None:
+        return
+    settings = report["settings"]
+    tables = [t for t in report["grid"]["tables"] if t["effdi_duration"] == settings["effdi_duration"]]
+    totals = {(t["injection"], t["drift"]): t["total_merit"] for t in tables}
+    injections, drifts = (sorted({pair[i] for pair in totals}) for i in (0, 1))
+
+    def cell(pair: tuple[float, float]) -> str:
+        merit = totals[pair]
+        best = max(merit, key=merit.__getitem__)
+        return f"{merit['PL']:d} : {merit['SER FT']:d}" + ("" if best == "PL" else f" {best} leads")
+
+    yield table(
+        "Faults of other sizes: total merit of PL : SER FT",
+        [f"drift {d:g}" for d in drifts],
+        {f"injection {i:g}": [cell((i, d)) for d in drifts] for i in injections},
+    )
+    every = report["grid"]["tables"]
+    lost_to = [t for t in every if t["total_merit"]["PL"] < max(t["total_merit"].values())]
+    if not lost_to:
+        yield f"PL has the highest total merit in all {len(every)} tables of the grid."
+        return
+    smallest = min(lost_to, key=lambda t: (t["drift"], t["injection"]))
+    yield (
+        f"The order reverses for large faults: in {len(lost_to)} of the {len(every)} tables of the grid (with all durations of "
+        f"EF-FDI) PL does not have the highest total merit, the mildest being an injection of {smallest['injection']:g} m/s "
+        f"with a drift of {smallest['drift']:g} m/s per second. A threshold, once set, sees a large fault at once, while "
+        "learning takes some samples to distrust a sensor, and some more to trust it again."
+    )

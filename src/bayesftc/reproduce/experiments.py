@@ -1,0 +1,43 @@
+"""The list of the experiments.
+
+To add one you must:
+
+1. put its settings, each with its reason, into ``settings.py``, and what the paper prints into ``paper.py``;
+2. write ``run(*, seed, jobs, runs, grid, progress)``, which returns a dictionary of plain data with the keys ``settings`` and
+   ``paper`` among others: what the JSON file holds. ``runs`` makes the experiment smaller, for a quick look (None: the
+   settings' size); ``grid=False`` leaves out what is not in the paper's tables. The same seed must give the same bits for
+   any number of jobs: `_ensemble` has what that takes;
+3. write ``show(report)``, which yields what is printed (strings and tables), and ``figures(report)``, which returns
+   matplotlib figures by name; both know the report alone;
+4. name it in `EXPERIMENTS`, and in ``__all__`` of the package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.reproduce import _tracking, _tracking_figures, _tracking_tables
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
+
+Report = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An experiment of the paper: what it computes, prints and draws."""
+
+    name: str
+    run: Callable[..., Report]
+    show: Callable[[Report], Iterable[RenderableType]]
+    figures: Callable[[Report], Mapping[str, Figure]]
+
+
+EXPERIMENTS = {
+    e.name: e for e in (Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.figures),)
+}
+"""All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""

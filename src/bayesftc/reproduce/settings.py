@@ -1,0 +1,90 @@
+"""Every setting of the experiments, beside the reason for it: what the paper prints, and what it leaves open.
+
+A setting is written once, here; the ``settings`` of the JSON files, with the reasons under ``why``, are made from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from bayesftc.controllers.baselines import EFFDI_QUANTILE_999
+from bayesftc.cosim.errors import ModelError
+
+PAPER = "the paper's"
+
+
+def chosen(value: Any, why: str) -> Any:
+    """Return a dataclass field with a default and the reason for it."""
+    return field(default=value, metadata={"why": why})
+
+
+def check_size(name: str, value: object, least: int, why: str) -> None:
+    """Raise a ModelError unless a value is a whole number and at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ModelError(f"{name} is {value!r}; it must be a whole number, at least {least}, {why}.")
+
+
+class Settings:
+    """Base of the settings of an experiment."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all settings by name, and under ``why`` the reason for each."""
+        own: Any = self
+        why = {f.name: f.metadata["why"] for f in fields(own)}
+        return {**{name: _plain(value) for name, value in asdict(own).items()}, "why": why}
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(v) for v in value] if isinstance(value, tuple) else value
+
+
+@dataclass(frozen=True)
+class Car(Settings):
+    """The car of experiments 2 and 3, its two sensors, and what the controller believes of them."""
+
+    drag: float = chosen(5.0, f"{PAPER} table of parameters, N s/m")
+    mass: float = chosen(100.0, f"{PAPER} table, kg")
+    step: float = chosen(0.02, f"{PAPER} table, s")
+    process_variance: float = chosen(0.001, f"{PAPER} table, (m/s)^2 a step")
+    sensor_variance: float = chosen(1.0, f"{PAPER} table, (m/s)^2 a sample")
+    sensors: int = chosen(2, f"{PAPER} text: two identical sensors")
+    initial_variance: float = chosen(
+        1.0, "the belief starts at the true speed with the variance of one sample, so that no transient is counted"
+    )
+
+
+@dataclass(frozen=True)
+class Tracking(Settings):
+    """Experiment 2: how well each technique tracks while a sensor fails."""
+
+    runs: int = chosen(100, f"{PAPER} text: 100 experiments for each of 9 scenarios, so 900 for each technique")
+    duration: float = chosen(20.0, "not published, s: long enough for the belief to settle before and after the fault")
+    fault_start: float = chosen(6.0, "not published, s")
+    fault_stop: float = chosen(14.0, "not published, s: one period of the sine")
+    faulty_sensor: int = chosen(0, "the sensors are alike")
+    injection: float = chosen(3.0, "not published, m/s: three standard deviations of a sample, moderate")
+    drift: float = chosen(2.0, "not published, m/s per second: 16 m/s at the end of the fault")
+    constant: float = chosen(20.0, "not published, m/s")
+    ramp: float = chosen(1.0, "not published, m/s^2, from standstill: the car reaches the others' 20 m/s at the end")
+    sine_amplitude: float = chosen(5.0, "not published, m/s")
+    sine_period: float = chosen(8.0, "not published, s")
+    forgetting: float = chosen(
+        0.95,
+        "not published: a memory of 20 samples; without forgetting a recovered sensor is not trusted again in time",
+    )
+    prior_shape: float = chosen(2.0, "not published: the prior counts as four samples")
+    ser_threshold: float = chosen(3.0, "not published, standard deviations of the innovation: the usual three sigma")
+    effdi_threshold: float = chosen(
+        EFFDI_QUANTILE_999,
+        "not published, standard deviations of a sample: the 99.9 % quantile of the statistic without fault",
+    )
+    effdi_duration: float = chosen(0.4, "s: the mean time to recovery of the paper's third experiment")
+    significance: float = chosen(0.05, "not published: two-sided, Welch's t-test as in the paper (unequal variances)")
+    # The grid: all pairs of these and the headline's sizes, with each duration of EF-FDI.
+    injections: tuple[float, ...] = chosen((2.0, 5.0, 7.0, 10.0), "m/s: where the order of the techniques reverses")
+    drifts: tuple[float, ...] = chosen((0.5, 1.0, 5.0), "m/s per second")
+    effdi_durations: tuple[float, ...] = chosen((2.0, 8.0), "s: the last is the fault's true length")
+
+    def __post_init__(self) -> None:
+        check_size("runs", self.runs, 2, "so that errors can be compared")
