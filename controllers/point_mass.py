@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -30,6 +31,7 @@ def descend(w, squared, rate):
     return w - 0.5 * rate * (squared - 1.0 / w)
 
 
+@cache
 def _learner(step_down: Callable[..., float]) -> Callable[..., None]:
     def learn_point_mass(
         y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -19,8 +20,9 @@ from bayesftc.cosim.ports import Port
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
 
-# Settings of the learner. Degrees of freedom n decay towards TOWARDS; the expected covariance is V^-1 / (n - LESS).
-FORGETTING, DEGREES0, TOWARDS, TO_PRIOR, LESS, BELIEF, SLOPE, INTERCEPT = range(8)
+# Settings of the learner. The prior's V^-1 is PRIOR times the nominal covariance; n decays towards TOWARDS; the expected
+# covariance is V^-1 / (n - LESS).
+FORGETTING, PRIOR, TOWARDS, TO_PRIOR, LESS, BELIEF, SLOPE, INTERCEPT = range(8)
 
 LOOSENING = 1e-12
 """By how much each step shrinks the correlations: far above a step's rounding, far below what could be noticed.
@@ -28,9 +30,6 @@ LOOSENING = 1e-12
 It keeps ``V^-1 - LOOSENING * diag(V^-1)`` positive definite from step to step, so that rounding cannot make V^-1 indefinite, even
 where one sample was 1e6 standard deviations off or sensors agree exactly (Demmel, LAPACK working note 14, 1989).
 """
-
-WORK = 3
-"""How many m x m matrices `complete` needs."""
 
 
 def any_of(present):
@@ -49,23 +48,23 @@ def forget(seen, memory, settings, nominal):
     m = nominal.shape[0]
     rho = select(either(seen > 0.5, settings[TO_PRIOR] > 0.5), settings[FORGETTING], 1.0)
     memory[0] = rho * memory[0] + (1.0 - rho) * settings[TOWARDS]
-    back = settings[TO_PRIOR] * (1.0 - rho) * settings[DEGREES0]
+    back = settings[TO_PRIOR] * (1.0 - rho) * settings[PRIOR]
     for i in range(m):
         for j in range(m):
             at = 1 + i * m + j
             memory[at] = rho * memory[at] + back * nominal[i, j]
 
 
-def complete(present, memory, settings, nominal, work):
-    """Turn the squared errors ``work[0]`` of the sensors that delivered a sample into those expected of all sensors.
+def complete(present, memory, settings, nominal, T, Z, S):
+    """Turn the squared errors `T` of the sensors that delivered a sample into those expected of all sensors.
 
     The missing ones are regressed on the present ones by the covariance expected so far: with G = S_mp S_pp^-1 and T the
     squared errors of the present ones, ``[T, T G'; G T, G T G' + S_mm - G S_pm]``. That is the variational Bayes update for
     missing data. It leaves the expected covariance of the missing sensors given the present ones as it was, and gives the
-    present ones what they would have got alone. All is done by factors, so the result cannot become indefinite.
+    present ones what they would have got alone. All is done by factors, so the result cannot become indefinite. `Z` and `S`
+    are scratch space.
     """
     m = nominal.shape[0]
-    T, Z, S = work[0], work[1], work[2]
     for i in range(m):
         for j in range(m):
             T[i, j] = select(present[i] * present[j] > 0.5, T[i, j], 0.0)
@@ -107,7 +106,7 @@ def learn_errors(seen, T, memory, settings, nominal):
         for j in range(m):
             at = 1 + i * m + j
             total = memory[at] + select(seen > 0.5, T[i, j], 0.0)
-            least = RATE_FLOOR * settings[DEGREES0] * nominal[i, i]
+            least = RATE_FLOOR * settings[PRIOR] * nominal[i, i]
             memory[at] = maximum(total, least) if i == j else (1.0 - LOOSENING) * total
 
 
@@ -122,10 +121,9 @@ def expected_covariance(present, memory, settings, R, used, precision, beta):
         beta[i] = 0.5 * memory[1 + i * m + i]
 
 
-def invert(memory, work):
+def invert(memory, lower, inverse):
     """Write the scale V behind its inverse, as the product of a triangular matrix with its transpose."""
-    m = work.shape[1]
-    lower, inverse = work[0], work[1]
+    m = lower.shape[0]
     for i in range(m):
         for j in range(m):
             lower[i, j] = memory[1 + i * m + j]
@@ -165,12 +163,13 @@ def wishart_ports(sensors: int) -> tuple[Port, ...]:
     return (Port("precision_degrees_of_freedom"), *(Port(f"precision_{name}", (sensors, sensors)) for name in names))
 
 
-def prior_memory(degrees: float, nominal: Floats) -> Floats:
-    """Return the memory before the first sample: a distribution that expects the nominal precision."""
-    V = np.linalg.inv(degrees * nominal)
-    return np.concatenate([[degrees], (degrees * nominal).ravel(), ((V + V.T) / 2).ravel()])
+def prior_memory(degrees: float, inverse_scale: Floats) -> Floats:
+    """Return the memory before the first sample."""
+    V = np.linalg.inv(inverse_scale)
+    return np.concatenate([[degrees], inverse_scale.ravel(), ((V + V.T) / 2).ravel()])
 
 
+@cache
 def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
     def learn_wishart(
         y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
@@ -185,12 +184,12 @@ def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
                 a, b = sqrt(ERROR_CAP * nominal[i, i]), sqrt(ERROR_CAP * nominal[j, j])
                 both = maximum(minimum(e[i], a), -a) * maximum(minimum(e[j], b), -b)
                 T[i, j] = both + settings[BELIEF] * spread[i, j]
-        complete(present, memory, settings, nominal, work)
+        complete(present, memory, settings, nominal, T, work[1], work[2])
         learn_errors(seen, T, memory, settings, nominal)
-        invert(memory, work)
+        invert(memory, work[0], work[1])
         expected_covariance(present, memory, settings, R, used, precision, beta)
         for i in range(m):
-            ratio = beta[i] / (0.5 * settings[DEGREES0] * nominal[i, i])
+            ratio = beta[i] / (0.5 * settings[PRIOR] * nominal[i, i])
             probability = to_probability(ratio, settings[SLOPE], settings[INTERCEPT])
             fault_probability[i] = select(present[i] > 0.5, probability, NAN)
 
@@ -251,18 +250,23 @@ class WishartPrecision(PrecisionLearner):
         """See `PrecisionLearner.learner`."""
         m, nominal = model.sensors, model.matrix("sensor_covariance")
         least = m + 1 if self.estimate == "mode" else m - 1
-        degrees = prior_degrees(type(self).__name__, self.degrees_of_freedom, m, least)
+        degrees = m + 3.0 if self.degrees_of_freedom is None else float(self.degrees_of_freedom)
+        if not (np.isfinite(degrees) and degrees > least):
+            raise ModelError(
+                f"WishartPrecision has degrees_of_freedom={self.degrees_of_freedom!r}; for {m} sensors and the "
+                f"{self.estimate} it must be above {least}."
+            )
         to_probability, slope, intercept = probability_map(self.calibration)
         settings = np.zeros(8)
         settings[FORGETTING] = 1.0 if self.forgetting is None else self.forgetting
-        settings[DEGREES0] = degrees
+        settings[PRIOR] = degrees
         settings[TOWARDS] = degrees if self.forget_to == "prior" else m + 1
         settings[TO_PRIOR] = self.forget_to == "prior"
         settings[LESS] = m + 1 if self.estimate == "mode" else 0
         settings[BELIEF] = self.belief_uncertainty
         settings[SLOPE], settings[INTERCEPT] = slope, intercept
-        memory = prior_memory(degrees, nominal)
-        return Learner(_learner(to_probability), memory, settings, WORK, wishart_ports(m), report_wishart)
+        memory = prior_memory(degrees, degrees * nominal)
+        return Learner(_learner(to_probability), memory, settings, 3, wishart_ports(m), report_wishart)
 
     @property
     def why_no_probability(self) -> str | None:
@@ -270,13 +274,3 @@ class WishartPrecision(PrecisionLearner):
         if self.calibration is not None:
             return None
         return "WishartPrecision has no calibration: fit a logistic map of beta and pass it as calibration=Calibration(...)."
-
-
-def prior_degrees(learner: str, given: float | None, sensors: int, least: float) -> float:
-    """Return the prior's degrees of freedom, by default m + 3, if they are enough for so many sensors."""
-    degrees = sensors + 3.0 if given is None else given
-    if not (np.isfinite(degrees) and degrees > least):
-        raise ModelError(
-            f"{learner} has degrees_of_freedom={given!r}; with {sensors} sensors it must be above {least:g}."
-        )
-    return float(degrees)
