@@ -1,11 +1,16 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
+from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
+from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .explicit import ExplicitDetection as ExplicitDetection
 from .gamma import Calibration as Calibration, GammaPrecision as GammaPrecision
+from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative
+from .modality import Modality as Modality
 from .model import LinearModel as LinearModel
+from .monitor import FaultMonitor as FaultMonitor, LogisticMap as LogisticMap
 from .point_mass import PointMassPrecision as PointMassPrecision
 from .precision import (
     FixedPrecision as FixedPrecision,
@@ -18,6 +23,8 @@ from .residuals import (
     residual_features as residual_features,
     state_estimation_residual as state_estimation_residual,
 )
+from .robust import StudentTUpdate as StudentTUpdate, WeightedLikelihood as WeightedLikelihood
 from .threshold import ChebyshevThreshold as ChebyshevThreshold, FittedThreshold as FittedThreshold
 from .validation import KalmanCheck as KalmanCheck, check_kalman as check_kalman, ser_reference as ser_reference
+from .variational import VariationalBayesKF as VariationalBayesKF
 from .wishart import WishartPrecision as WishartPrecision

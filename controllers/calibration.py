@@ -109,6 +109,8 @@ def calibrate(
     """
     from sklearn.linear_model import LogisticRegression
 
+    from bayesftc.controllers.classifier import FaultClassifier
+
     learner = replace(precision or GammaPrecision(), calibration=None)
     if steps < 5_000:
         raise ModelError(f"calibrate got steps={steps}; it needs at least 5000 to see enough faults.")
@@ -117,9 +119,8 @@ def calibrate(
     train, test = (x[:cut].ravel(), faulty[:cut].ravel()), (x[cut:].ravel(), faulty[cut:].ravel())
     if not 0 < train[1].mean() < 1 or not 0 < test[1].mean() < 1:
         raise ModelError("The simulated run has no faults, or nothing but faults; take more steps or other hazards.")
-    fit = LogisticRegression(C=np.inf, max_iter=1000).fit(train[0].reshape(-1, 1), train[1])
-    calibration = Calibration(float(fit.coef_[0, 0]), float(fit.intercept_[0]), feature)
-    return judge(calibration, *test)
+    classifier = FaultClassifier(LogisticRegression(C=np.inf, max_iter=1000)).fit(train[0].reshape(-1, 1), train[1])
+    return judge(replace(classifier.calibration(), feature=feature), *test)
 
 
 def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]) -> CalibrationReport:

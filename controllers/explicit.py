@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,9 +71,14 @@ def _exceeds(at, e, spread, nominal, settings, L, v):
     return squared >= _read(settings, _OWN_SETTINGS, at + _BOUND)
 
 
-def _make_steps(wrapped: Learner, groups: int) -> tuple[Callable[..., None], Callable[..., None]]:
-    learn, report, scratch = wrapped.step, wrapped.report, wrapped.work
-    first_own = sum(port.size for port in wrapped.ports)
+@cache
+def _make_steps(
+    learn: Callable[..., None], report: Callable[..., None], scratch: int, first_own: int, groups: int
+) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Return the learning and the reporting step function around those of a learner.
+
+    Its work matrices end before `scratch`, its own reports before `first_own`.
+    """
 
     def learn_while_detected(
         y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
@@ -183,7 +189,8 @@ class ExplicitDetection(PrecisionLearner):
         ]
         for group, threshold in zip(groups, self._thresholds(len(groups)), strict=True):
             own += self._group_settings(group, threshold, m)
-        step, report = _make_steps(wrapped, len(groups))
+        reported = sum(port.size for port in wrapped.ports)
+        step, report = _make_steps(wrapped.step, wrapped.report, wrapped.work, reported, len(groups))
         return Learner(
             step,
             _table([wrapped.memory, wrapped.memory], np.zeros(2 * len(groups) + m)),

@@ -89,7 +89,8 @@ class Diagram:
         self._refuse_if_built("add a block")
         if not isinstance(block, Block):
             raise ModelError(
-                f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace."
+                f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace, "
+                "make a trained classifier one by its method block()."
             )
         name = block.default_name if name is None else name
         if not isinstance(name, str) or not name or any(c.isspace() for c in name):

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram, Node
-from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError
+from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.faults import Fault
 from bayesftc.cosim.sensors import Sensors
 from bayesftc.cosim.sources import Constant
@@ -31,13 +31,15 @@ def closed_loop(
     sensors: Sensors | None = None,
     faults: Sequence[Fault] = (),
     noise: Mapping[str, Block] | None = None,
+    monitors: Mapping[str, Block] | None = None,
     dt: float | str | Fraction | None = None,
 ) -> Diagram:
     """Return the diagram of a plant under a controller that sees it through faulty sensors.
 
     ``reference -> controller.goal``; ``plant -> sensors -> faults -> controller.y``; ``controller.u -> plant``; ``noise`` into
     further inputs of the plant. The blocks are named ``plant``, ``controller``, ``sensors``, ``reference`` (``reference_0``,
-    ... where there are several), ``freeze_0`` and the like for faults, and ``<input>_noise``.
+    ... where there are several), ``freeze_0`` and the like for faults, and ``<input>_noise``; monitors have the
+    names given.
 
     Parameters
     ----------
@@ -57,6 +59,9 @@ def closed_loop(
         Applied to the samples one after the other.
     noise : mapping of plant input to Block, optional
         Sources for further inputs of the plant.
+    monitors : mapping of name to Block, optional
+        Blocks that watch the controller: each input is fed by the controller's output of that name, or by what feeds its ``y``
+        or ``goal``. An input with a start value may find nothing there.
     dt : float, str or Fraction, optional
         Base step in seconds; by default the controller's own sample time. With a smaller one, of which the controller's (or
         a discrete plant's) sample time is a whole multiple, these run at every n-th step; sensors, faults and sources run at
@@ -108,9 +113,26 @@ def closed_loop(
         )
     for i, name in enumerate(inputs):
         diagram.connect(brain["u"][i], node[name])
+    seen_by = {"y": last["y"], "goal": [g["y"] for g in goals]}
+    for name, monitor in (monitors or {}).items():
+        _watch(diagram, brain, diagram.add(monitor, name, brain.every), seen_by)
     for name, source in (noise or {}).items():
         diagram.connect(diagram.add(source, f"{name}_noise")["y"], node[name])
     return diagram.build()
+
+
+def _watch(diagram: Diagram, brain: Node, monitor: Node, seen_by: Mapping[str, Any]) -> None:
+    """Connect a monitor's inputs to the controller's outputs of the same names, or to what feeds the controller."""
+    outputs = {port.name for port in brain.block.outputs}
+    for port in monitor.block.inputs:
+        if port.name not in outputs | seen_by.keys():
+            if port.default is not None or port.draw is not None:
+                continue
+            raise UnknownNameError(
+                f"The monitor {monitor.name!r} watches {port.name!r}, which is no output of the controller; "
+                f"{did_you_mean(port.name, outputs | seen_by.keys())}"
+            )
+        diagram.connect(brain[port.name] if port.name in outputs else seen_by[port.name], monitor[port.name])
 
 
 def _every(block: Block, name: str, step: Fraction) -> int:

@@ -218,3 +218,52 @@ def test_bad_settings(make, words):
     with pytest.raises(ValueError, match=words) as caught:
         make()
     assert isinstance(caught.value, ModelError) or "steps" in words
+
+
+def test_in_a_scenario_file(tmp_path):
+    """A number, or the fitted values as tables; the wrapped learner as a table of its own."""
+    from bayesftc.scenario import load_scenario
+
+    text = """
+[simulation]
+duration = 1
+[plant]
+fmu = "CruiseControl"
+control = "force"
+measured = "v"
+[sensors]
+count = 2
+[reference]
+kind = "Constant"
+value = 20
+[model]
+A = [[0.999]]
+B = [[2e-4]]
+C = [[1.0], [1.0]]
+process_covariance = 0.001
+sensor_covariance = 1.0
+dt = 0.02
+[controller]
+kind = "BayesianController"
+[controller.precision]
+kind = "ExplicitDetection"
+learning = { kind = "GammaPrecision", forgetting = 0.8 }
+"""
+    said = {
+        "threshold = 4": 4.0,
+        "threshold = [4, 5.5]": (4.0, 5.5),
+        "threshold = { mean = [0.1], covariance = [[2.0]], bound = 5 }": FittedThreshold([0.1], [[2.0]], 5.0),
+        "threshold = [{ mean = [0], covariance = [[2]], bound = 5 }, { mean = [1], covariance = [[3]], bound = 6 }]": (
+            FittedThreshold([0.0], [[2.0]], 5.0),
+            FittedThreshold([1.0], [[3.0]], 6.0),
+        ),
+        "threshold = 4\ngroups = [[0, 1]]\nhold = 0.2": 4.0,
+    }
+    for line, threshold in said.items():
+        file = tmp_path / "car.toml"
+        file.write_text(text + line)
+        scenario = load_scenario(file)
+        assert scenario.controller.precision.threshold == threshold
+        assert scenario.controller.precision.learning == GammaPrecision(forgetting=0.8)
+        assert "controller.detected" in scenario.simulate()
+    assert scenario.controller.precision.groups == ((0, 1),)
