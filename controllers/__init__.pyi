@@ -11,6 +11,8 @@ from .laws import PID as PID, Proportional as Proportional, ProportionalDerivati
 from .modality import Modality as Modality
 from .model import LinearModel as LinearModel
 from .monitor import FaultMonitor as FaultMonitor, LogisticMap as LogisticMap
+from .nonlinear import NonlinearBayesianController as NonlinearBayesianController
+from .nonlinear_model import NonlinearModel as NonlinearModel
 from .point_mass import PointMassPrecision as PointMassPrecision
 from .precision import (
     FixedPrecision as FixedPrecision,

@@ -10,31 +10,34 @@ from bayesftc.controllers._linalg import (
     multiply_transposed,
     solve_columns,
     solve_vector,
+    whiten,
 )
 from bayesftc.cosim.ops import both, maximum, minimum, select
 
 MEAN_CAP = 1e150
 """Largest magnitude of a predicted state; its square is still a double."""
 
-VARIANCE_CAP = 1e20
-"""Largest predicted variance, in units of the largest variance among initial belief, process noise and sensors."""
 
-
-def innovate(y, mean, covariance, C, e, present, CP, spread):
-    """Compute the innovation ``e = y - C mean``, which samples there are, and its covariance ``spread = C P C'``.
+def innovate(y, expected, covariance, C, e, present, CP, spread):
+    """Compute the innovation ``e = y - expected``, which samples there are, and its covariance ``spread = C P C'``.
 
     A sample that is not finite counts as none; its innovation is 0.
     """
     multiply(C, covariance, CP)
     multiply_transposed(CP, C, spread)
     for i in range(y.shape[0]):
-        expected = C[i, 0] * mean[0]
-        for j in range(1, C.shape[1]):
-            expected = expected + C[i, j] * mean[j]
-        d = y[i] - expected
+        d = y[i] - expected[i]
         finite = d - d == 0.0
         present[i] = select(finite, 1.0, 0.0)
         e[i] = select(finite, d, 0.0)
+
+
+def keep_only(kept, R):
+    """Leave of the covariance what belongs to those that are ``kept`` (1 or 0); the others become independent, of variance 1."""
+    for i in range(R.shape[0]):
+        for j in range(R.shape[0]):
+            alone = 1.0 if i == j else 0.0
+            R[i, j] = select(both(kept[i] > 0.5, kept[j] > 0.5), R[i, j], alone)
 
 
 def measure(e, used, R, C, mean, covariance, L, D, whitened, v, gain, J, JP, x_hat, P):
@@ -46,21 +49,13 @@ def measure(e, used, R, C, mean, covariance, L, D, whitened, v, gain, J, JP, x_h
     m, n = C.shape[0], C.shape[1]
     for i in range(m):
         for j in range(m):
-            together = both(used[i] > 0.5, used[j] > 0.5)
-            alone = 1.0 if i == j else 0.0
-            L[i, j] = select(together, R[i, j], alone)
+            L[i, j] = R[i, j]
         whitened[i] = select(used[i] > 0.5, e[i], 0.0)
         for j in range(n):
             D[i, j] = select(used[i] > 0.5, C[i, j], 0.0)
+    keep_only(used, L)
     cholesky(L, L)
-    for i in range(m):
-        for k in range(i):
-            whitened[i] = whitened[i] - L[i, k] * whitened[k]
-            for j in range(n):
-                D[i, j] = D[i, j] - L[i, k] * D[k, j]
-        whitened[i] = whitened[i] / L[i, i]
-        for j in range(n):
-            D[i, j] = D[i, j] / L[i, i]
+    whiten(L, D, whitened)
     for i in range(n):
         x_hat[i] = mean[i]
         for j in range(n):
@@ -170,6 +165,12 @@ def predict(x_hat, P, u, A, B, Q, largest, AP, mean, covariance):
     for i in range(n):
         for j in range(n):
             covariance[i, j] = covariance[i, j] + Q[i, j]
+    hold_variances(covariance, largest)
+
+
+def hold_variances(covariance, largest):
+    """Hold variances beyond ``largest`` there."""
+    n = covariance.shape[0]
     for i in range(n):
         # A state beyond it is known to nobody: its correlations go too, or repeated steps would make them a false certainty.
         lost = covariance[i, i] > largest[0]

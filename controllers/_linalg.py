@@ -98,6 +98,18 @@ def cholesky_semidefinite(a, lower):
                 lower[i, j] = select(positive, t / d, 0.0)
 
 
+def whiten(lower, rows, values):
+    """Replace the equations ``rows @ x = values``, whose noise has the factor `lower`, by some with independent unit noise."""
+    for i in range(lower.shape[0]):
+        for k in range(i):
+            values[i] = values[i] - lower[i, k] * values[k]
+            for j in range(rows.shape[1]):
+                rows[i, j] = rows[i, j] - lower[i, k] * rows[k, j]
+        values[i] = values[i] / lower[i, i]
+        for j in range(rows.shape[1]):
+            rows[i, j] = rows[i, j] / lower[i, i]
+
+
 def solve_columns(lower, b):
     """Replace `b` (rows x columns) by the solution of ``lower @ lower.T @ x = b``."""
     n = lower.shape[0]

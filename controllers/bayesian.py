@@ -4,43 +4,47 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
-from typing import Literal
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector, frozen
+from bayesftc.controllers._bayesian_block import VARIANCE_CAP, BayesianBlock
 from bayesftc.controllers._filter import decide, innovate, limit, measure, predict
+from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import NAN, FixedPrecision, Learner, PrecisionLearner
-from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.controllers.precision import NAN
+from bayesftc.cosim.block import Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import select
-from bayesftc.cosim.ports import Port
 
 
 class UnstableLoopWarning(UserWarning):
     """Plant and belief together do not settle: by the goal and control priors, or by a mode that no sensor sees."""
 
 
-def _make_step(learner: Learner, fold: Callable[..., None], first: int) -> Callable[..., None]:
-    """Return the controller's step function for a precision learner and a way of carrying the belief.
+@cache
+def _make_step(
+    learn: Callable[..., None], report: Callable[..., None], fold: Callable[..., None], first: int
+) -> Callable[..., None]:
+    """Return the controller's step function for a precision learner's two and a way of carrying the belief.
 
-    The learner's own outputs begin at the place `first` among all outputs.
+    The learner's own outputs begin at the place `first` among all outputs. The same functions give the same one, so that it
+    is looked through and compiled once for however many controllers.
     """
-    learn, report = learner.step, learner.report
 
     def bayesian_controller(
         y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work,
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
-        e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
+        expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h,
     ):  # fmt: skip
-        innovate(y, mean, covariance, C, e, present, CP, spread)
+        apply(C, mean, expected)
+        innovate(y, expected, covariance, C, e, present, CP, spread)
         for i in range(e.shape[0]):
             innovation[i] = select(present[i] > 0.5, e[i], NAN)
         learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
@@ -57,7 +61,7 @@ def _make_step(learner: Learner, fold: Callable[..., None], first: int) -> Calla
 
 
 @dataclass(frozen=True, eq=False)
-class BayesianController(Block):
+class BayesianController(BayesianBlock):
     """Infers the state and the control that brings the next state to the goal, from redundant and possibly faulty sensors.
 
     At every sample the joint posterior of the state x_t, the control u_t and the next state x_t+1 is computed in closed form:
@@ -109,143 +113,35 @@ class BayesianController(Block):
     """
 
     model: LinearModel
-    precision: PrecisionLearner = field(default_factory=FixedPrecision)
-    goal_on: Literal["states", "outputs"] | Matrix = "states"
-    goal_covariance: Matrix = 1.0
-    control_covariance: Matrix | None = None
-    control_mean: float | tuple[float, ...] = 0.0
-    belief: Literal["filtered", "joint"] = "filtered"
-    u_min: float | tuple[float, ...] = float("-inf")
-    u_max: float | tuple[float, ...] = float("inf")
-    u_rate: float | tuple[float, ...] = float("inf")
-    initial_mean: float | tuple[float, ...] = 0.0
-    initial_covariance: Matrix = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
             raise ModelError(
                 f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control."
             )
-        if not isinstance(self.precision, PrecisionLearner):
-            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
-        if self.belief not in {"filtered", "joint"}:
-            raise ModelError(f"belief is {self.belief!r}; it must be 'filtered' or 'joint'.")
-        n, p = self.model.states, self.model.controls
-        G = self.goal_matrix
-        values = {
-            "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, len(G)),
-            "control_mean": as_vector("The control_mean", self.control_mean, p),
-            "u_min": as_vector("u_min", self.u_min, p, finite=False),
-            "u_max": as_vector("u_max", self.u_max, p, finite=False),
-            "u_rate": as_vector("u_rate", self.u_rate, p, finite=False),
-            "initial_mean": as_vector("The initial_mean", self._extended(self.initial_mean), n),
-            "initial_covariance": as_covariance("The initial_covariance", self.initial_covariance, n, singular=True),
-        }
-        if self.control_covariance is not None:
-            values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-        if (values["u_min"] > values["u_max"]).any():
-            raise ModelError(
-                f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them."
-            )
-        if (values["u_rate"] <= 0).any():
-            raise ModelError(
-                f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."
-            )
-        if self.control_covariance is None and np.linalg.matrix_rank(G @ self.model.matrix("B")) < p:
-            raise ModelError(
-                f"With a flat control prior the goal must determine each of the {p} controls, but the goal reaches only "
-                f"{np.linalg.matrix_rank(G @ self.model.matrix('B'))} of them in one step; give a control_covariance."
-            )
-        self.precision.learner(self.model)  # settings that do not fit the model fail here, not in the loop
+        self._check_settings()
+        self._check_reach(self.model.matrix("B"))
+        self._learner()  # settings that do not fit the model fail here, not in the loop
         self._warn_if_unstable()
-
-    def _extended(self, mean: object) -> object:
-        # A mean for the plant's states alone is meant with disturbances of zero.
-        values = np.atleast_1d(np.asarray(mean, dtype=np.float64))
-        plant = self.model.states - self.model.disturbances
-        if self.model.disturbances and values.shape in {(plant,), (1,)}:
-            return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
-        return mean
 
     @property
     def measurement_matrix(self) -> Floats:
         """What each sensor reads of ``x_hat`` (m x n)."""
         return self.model.matrix("C")
 
-    @property
-    def goal_matrix(self) -> Floats:
-        """What each element of the goal is of the state (g x n)."""
-        n = self.model.states
-        if isinstance(self.goal_on, str):
-            if self.goal_on == "states":
-                return frozen(np.eye(n)[: n - self.model.disturbances])
-            if self.goal_on == "outputs":
-                C = self.model.matrix("C")
-                first = sorted(np.unique(C, axis=0, return_index=True)[1])
-                return frozen(C[first])
-            raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
-        return as_matrix("The matrix goal_on", np.atleast_2d(np.asarray(self.goal_on, float)), columns=n)
-
-    @property
-    def goals(self) -> int:
-        """Number of values that the goal has."""
-        return len(self.goal_matrix)
-
-    @property
-    def default_name(self) -> str:
-        """See `Block.default_name`."""
-        return "controller"
-
-    @property
-    def sample_time(self) -> Fraction:
-        """The model's sample time in seconds, at which the controller must run."""
-        return self.model.step
-
-    @property
-    def inputs(self) -> tuple[Port, ...]:
-        """Inputs ``y`` and ``goal``."""
-        return Port("y", (self.model.sensors,)), Port("goal", (self.goals,))
-
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
-        return *self._own_outputs, *self.precision.learner(self.model).ports
-
-    @property
-    def _own_outputs(self) -> tuple[Port, ...]:
-        n, p, m = self.model.states, self.model.controls, self.model.sensors
-        shapes = {
-            "u": (p,),
-            "x_hat": (n,),
-            "P": (n, n),
-            "R": (m, m),
-            "innovation": (m,),
-            "precision": (m,),
-            "beta": (m,),
-        }
-        return (*(Port(name, shape) for name, shape in shapes.items()), Port("fault_probability", (m,)))
-
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        model, learner, G = self.model, self.precision.learner(self.model), self.goal_matrix
+        model, learner, G = self.model, self._learner(), self.goal_matrix
         n, p, m, g = model.states, model.controls, model.sensors, len(G)
-        A, B, Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
-        prior = self._prior_precision()
-        pull = prior @ np.asarray(self.control_mean)
-        initial = np.asarray(self.initial_covariance)
-        parameters = {
-            "A": A, "B": B, "C": model.matrix("C"), "Q": Q, "nominal": model.matrix("sensor_covariance"),
-            "G": G, "GB": G @ B, "GQ": G @ Q @ G.T + np.asarray(self.goal_covariance, float),
-            "prior_precision": prior, "prior_pull": pull, "goal_shift": G @ B @ self.control_mean, "settings": learner.settings,
-            "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
-            "largest": _filter.VARIANCE_CAP * max(M.diagonal().max() for M in (initial, Q, model.matrix("sensor_covariance"))),
+        B, prior = model.matrix("B"), self._prior_precision()
+        parameters = self._shared_parameters(step) | {
+            "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "goal_shift": G @ B @ self.control_mean,
+            "prior_precision": prior, "prior_pull": prior @ np.asarray(self.control_mean),
         }  # fmt: skip
         scratch = {
-            "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m), "D": (m, n),
-            "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n), "GAP": (g, n),
-            "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
+            "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
+            "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n),
+            "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
         }  # fmt: skip
         joint = self.belief == "joint"
         folding = {
@@ -266,7 +162,7 @@ class BayesianController(Block):
         }  # fmt: skip
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
-        return Definition(_make_step(learner, fold, first), state=state, parameters=parameters)
+        return Definition(_make_step(learner.step, learner.report, fold, first), state=state, parameters=parameters)
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of plant and belief together in steady state, at fixed precision and without limits.
@@ -293,7 +189,7 @@ class BayesianController(Block):
         weight = np.linalg.solve(N, GB)
         V = np.linalg.inv(N) - weight @ np.linalg.solve(prior + GB.T @ weight, weight.T)
         predicted = np.asarray(self.initial_covariance) + Q + 1e-9 * np.trace(R) * one
-        largest = _filter.VARIANCE_CAP * np.trace(predicted)
+        largest = VARIANCE_CAP * np.trace(predicted)
         for _ in range(2000):  # the covariances' own recursion, which an undetectable model makes grow without end
             K = np.linalg.solve(C @ predicted @ C.T + R, C @ predicted).T
             P = (one - K @ C) @ predicted @ (one - K @ C).T + K @ R @ K.T
@@ -306,12 +202,6 @@ class BayesianController(Block):
         weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
         L = np.linalg.solve(prior + GB.T @ weight, weight.T @ GA)
         return np.asarray(K, float), np.asarray(L, float), np.asarray(T, float)
-
-    def _prior_precision(self) -> Floats:
-        p = self.model.controls
-        return (
-            np.zeros((p, p)) if self.control_covariance is None else np.linalg.inv(np.asarray(self.control_covariance))
-        )
 
     def _warn_if_unstable(self) -> None:
         poles = self._poles_to_judge()

@@ -1,0 +1,163 @@
+"""What the Bayesian controllers for linear and for nonlinear models share: settings, their checks, and ports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector, frozen
+from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
+from bayesftc.cosim.block import Block, Floats
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ports import Port
+
+VARIANCE_CAP = 1e20
+"""Largest predicted variance, in units of the largest variance among initial belief, process noise and sensors."""
+
+
+@dataclass(frozen=True, eq=False)
+class BayesianBlock(Block):
+    """A controller with a model, a precision learner, a goal prior and a control prior.
+
+    The settings ``model, precision, goal_on, goal_covariance, control_covariance, control_mean, belief, u_min, u_max, u_rate,
+    initial_mean, initial_covariance`` are described by the controllers.
+    """
+
+    model: Any
+    precision: PrecisionLearner = field(default_factory=FixedPrecision)
+    goal_on: Literal["states", "outputs"] | Matrix = "states"
+    goal_covariance: Matrix = 1.0
+    control_covariance: Matrix | None = None
+    control_mean: float | tuple[float, ...] = 0.0
+    belief: Literal["filtered", "joint"] = "filtered"
+    u_min: float | tuple[float, ...] = float("-inf")
+    u_max: float | tuple[float, ...] = float("inf")
+    u_rate: float | tuple[float, ...] = float("inf")
+    initial_mean: float | tuple[float, ...] = 0.0
+    initial_covariance: Matrix = 1.0
+
+    def _check_settings(self) -> None:
+        """Check all settings but the model, and turn numbers into arrays of their sizes."""
+        if not isinstance(self.precision, PrecisionLearner):
+            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
+        if self.belief not in {"filtered", "joint"}:
+            raise ModelError(f"belief is {self.belief!r}; it must be 'filtered' or 'joint'.")
+        n, p = self.model.states, self.model.controls
+        values = {
+            "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, self.goals),
+            "control_mean": as_vector("The control_mean", self.control_mean, p),
+            "u_min": as_vector("u_min", self.u_min, p, finite=False),
+            "u_max": as_vector("u_max", self.u_max, p, finite=False),
+            "u_rate": as_vector("u_rate", self.u_rate, p, finite=False),
+            "initial_mean": as_vector("The initial_mean", self._extended(self.initial_mean), n),
+            "initial_covariance": as_covariance("The initial_covariance", self.initial_covariance, n, singular=True),
+        }
+        if self.control_covariance is not None:
+            values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        if (values["u_min"] > values["u_max"]).any():
+            raise ModelError(
+                f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them."
+            )
+        if (values["u_rate"] <= 0).any():
+            raise ModelError(
+                f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."
+            )
+
+    def _check_reach(self, effect: Floats) -> None:
+        """Refuse a flat control prior under which the goal does not determine each control; ``effect`` is d x_t+1 / d u_t."""
+        p = self.model.controls
+        if self.control_covariance is None and (rank := np.linalg.matrix_rank(self.goal_matrix @ effect)) < p:
+            raise ModelError(
+                f"With a flat control prior the goal must determine each of the {p} controls, but the goal reaches only "
+                f"{rank} of them in one step; give a control_covariance."
+            )
+
+    def _extended(self, mean: object) -> object:
+        # A mean for the plant's states alone is meant with disturbances of zero.
+        values = np.atleast_1d(np.asarray(mean, dtype=np.float64))
+        plant = self.model.states - self.model.disturbances
+        if self.model.disturbances and values.shape in {(plant,), (1,)}:
+            return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
+        return mean
+
+    @property
+    def goal_matrix(self) -> Floats:
+        """What each element of the goal is of the state (g x n)."""
+        n = self.model.states
+        if isinstance(self.goal_on, str):
+            if self.goal_on == "states":
+                return frozen(np.eye(n)[: n - self.model.disturbances])
+            if self.goal_on == "outputs":
+                return frozen(self._distinct_outputs())
+            raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
+        return as_matrix("The matrix goal_on", np.atleast_2d(np.asarray(self.goal_on, float)), columns=n)
+
+    def _distinct_outputs(self) -> Floats:
+        """Return what the sensors read of the state, each distinct quantity once."""
+        C = np.asarray(self.model.matrix("C"))
+        return np.asarray(C[sorted(np.unique(C, axis=0, return_index=True)[1])])
+
+    @property
+    def goals(self) -> int:
+        """Number of values that the goal has."""
+        return len(self.goal_matrix)
+
+    @property
+    def default_name(self) -> str:
+        """See `Block.default_name`."""
+        return "controller"
+
+    @property
+    def sample_time(self) -> Fraction:
+        """The model's sample time in seconds, at which the controller must run."""
+        step: Fraction = self.model.step
+        return step
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Inputs ``y`` and ``goal``."""
+        return Port("y", (self.model.sensors,)), Port("goal", (self.goals,))
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
+        return *self._own_outputs, *self._learner().ports
+
+    @property
+    def _own_outputs(self) -> tuple[Port, ...]:
+        n, p, m = self.model.states, self.model.controls, self.model.sensors
+        shapes = {
+            "u": (p,),
+            "x_hat": (n,),
+            "P": (n, n),
+            "R": (m, m),
+            "innovation": (m,),
+            "precision": (m,),
+            "beta": (m,),
+        }
+        return (*(Port(name, shape) for name, shape in shapes.items()), Port("fault_probability", (m,)))
+
+    def _learner(self) -> Learner:
+        return self.precision.learner(self.model)
+
+    def _prior_precision(self) -> Floats:
+        p = self.model.controls
+        return (
+            np.zeros((p, p)) if self.control_covariance is None else np.linalg.inv(np.asarray(self.control_covariance))
+        )
+
+    def _shared_parameters(self, step: Fraction) -> dict[str, Any]:
+        """Return the parameters that the step functions of both controllers have."""
+        Q, nominal = self.model.matrix("process_covariance"), self.model.matrix("sensor_covariance")
+        initial, G = np.asarray(self.initial_covariance), self.goal_matrix
+        return {
+            "Q": Q, "nominal": nominal, "G": G, "GQ": G @ Q @ G.T + np.asarray(self.goal_covariance, float),
+            "settings": self._learner().settings,
+            "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
+            "largest": VARIANCE_CAP * max(M.diagonal().max() for M in (initial, Q, nominal)),
+        }  # fmt: skip

@@ -1,0 +1,183 @@
+"""Step functions of the nonlinear Bayesian controller: the joint likelihood as equations, and its minimisation.
+
+The unknowns are ``z = [u, v]``: the control, and the state in units of the prediction's own spread, ``x = mean + root v`` with
+``root root'`` its covariance (which may therefore be singular). Sensors measure x_t. The goal measures x_t+1, in which it is
+linear; so x_t+1 is minimised out exactly when the process's covariance is added to the goal's, ``G Q G' + Sigma_goal``.
+"""
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers._filter import doubt, keep_only
+from bayesftc.controllers._least_squares import absorb, damp, is_finite, solve_triangle, squared_length
+from bayesftc.controllers._linalg import cholesky, multiply, whiten
+from bayesftc.cosim.ops import both, maximum, negate, select
+
+ROUNDING = 1e-12
+"""Relative increase of the cost that counts as rounding: at the minimum a step is right although the cost cannot tell."""
+
+FIRST_DAMPING = 1e-2
+"""Damping after the first step that fails; a smaller one is none. Each failure multiplies it by 10, each success by 1/10."""
+
+DISTANT = 1e100
+"""A sample this many nominal standard deviations away moves no belief: squared it would no more be a number."""
+
+
+def leave_out_distant(e, nominal, used):
+    """Leave out sensors whose sample is too far away for its square to be a number."""
+    for i in range(e.shape[0]):
+        distance = e[i] / DISTANT
+        used[i] = select(distance * distance < nominal[i, i], used[i], 0.0)
+
+
+def locate(z, mean, root, x):
+    """Write the state at z: ``x = mean + root v`` for a lower triangular root."""
+    p = z.shape[0] - mean.shape[0]
+    for i in range(mean.shape[0]):
+        total = mean[i]
+        for k in range(i + 1):
+            total = total + root[i, k] * z[p + k]
+        x[i] = total
+
+
+def keep(used, goal, seeing, kept, wanted):
+    """Say which equations there are: those of the sensors in use, and, where ``seeing``, of the goals that are given."""
+    m = used.shape[0]
+    for i in range(m):
+        kept[i] = used[i]
+    for i in range(goal.shape[0]):
+        wanted[i] = select(goal[i] - goal[i] == 0.0, 1.0, 0.0)
+        kept[m + i] = wanted[i] * seeing
+
+
+def factorise(R, goal_noise, kept, noise):
+    """Write the Cholesky factor of the covariance of sensors and goal together, of those that are kept."""
+    m, g = R.shape[0], goal_noise.shape[0]
+    for i in range(m + g):
+        for j in range(m + g):
+            noise[i, j] = 0.0
+    for i in range(m):
+        for j in range(m):
+            noise[i, j] = R[i, j]
+    for i in range(g):
+        for j in range(g):
+            noise[m + i, m + j] = goal_noise[i, j]
+    keep_only(kept, noise)
+    cholesky(noise, noise)
+
+
+def determined(T, cost, wanted, controls):
+    """Return whether goal and prior determine each control, and all is a number."""
+    good = is_finite(T, cost)
+    for j in range(controls):
+        good = both(good, T[j, j] * T[j, j] > doubt(wanted) * squared_length(T, j))
+    return good
+
+
+def _ignore(x, control, following, F, B):
+    """No goal: what comes next does not matter."""
+
+
+@cache
+def make_look_ahead(f: Callable[..., None], f_jacobian: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that writes the next state and its derivatives."""
+
+    def look_ahead(x, control, following, F, B):
+        f(x, control, following)
+        f_jacobian(x, control, F, B)
+
+    return look_ahead
+
+
+@cache
+def make_minimiser(
+    g: Callable[..., None], g_jacobian: Callable[..., None], look_ahead: Callable[..., None] | None, iterations: int
+) -> Callable[..., None]:
+    """Return the step function that minimises the joint cost from ``z``, by Gauss-Newton steps with Marquardt's damping.
+
+    It leaves at ``z`` the minimum, in ``T, b, cost`` the equations linearised there. The cost is twice the negative
+    log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead to where
+    something is no number, is not taken, and the next one is damped more.
+    """
+    ahead = _ignore if look_ahead is None else look_ahead
+
+    def equations(
+        z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+        x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
+    ):  # fmt: skip
+        m, n, p = y.shape[0], x.shape[0], control.shape[0]
+        locate(z, mean, root, x)
+        for i in range(p):
+            control[i] = z[i]
+        g(x, reading)
+        g_jacobian(x, C)
+        ahead(x, control, following, F, B)
+        multiply(F, root, slope)
+        for i in range(m):
+            residual[i] = select(kept[i] > 0.5, y[i] - reading[i], 0.0)
+            for j in range(p + n):
+                J[i, j] = 0.0
+            for j in range(n):
+                total = 0.0
+                for k in range(j, n):
+                    total = total + C[i, k] * root[k, j]
+                J[i, p + j] = select(kept[i] > 0.5, total, 0.0)
+        for i in range(goal.shape[0]):
+            there = kept[m + i] > 0.5
+            error = goal[i]
+            for k in range(n):
+                error = error - G[i, k] * following[k]
+            residual[m + i] = select(there, error, 0.0)
+            for j in range(p + n):
+                total = 0.0
+                for k in range(n):
+                    total = total + G[i, k] * (B[k, j] if j < p else slope[k, j - p])
+                J[m + i, j] = select(there, total, 0.0)
+        whiten(noise, J, residual)
+        cost[0] = 0.0
+        for i in range(p + n):
+            for j in range(p + n):
+                T[i, j] = 1.0 if i == j else 0.0
+            b[i] = -z[i]
+        for i in range(p):
+            b[i] = 0.0
+            for j in range(p):
+                T[i, j] = prior_root[i, j]
+                b[i] = b[i] + prior_root[i, j] * (control_mean[j] - z[j])
+        for i in range(p + n):
+            cost[0] = cost[0] + b[i] * b[i]
+        for i in range(residual.shape[0]):
+            cost[0] = cost[0] + residual[i] * residual[i]
+            for j in range(p + n):
+                row[j] = J[i, j]
+            absorb(T, b, row, residual[i])
+
+    def minimise(
+        z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+        x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d,
+    ):  # fmt: skip
+        equations(
+            z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+            x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
+        )  # fmt: skip
+        damping = 0.0
+        for _ in range(iterations):
+            damp(T, b, damping, D, d, row)
+            solve_triangle(D, d, trial)
+            for i in range(z.shape[0]):
+                trial[i] = z[i] + trial[i]
+            equations(
+                trial, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+                x, control, reading, following, C, F, B, slope, J, residual, row, T2, b2, cost2,
+            )  # fmt: skip
+            better = both(is_finite(T2, cost2[0]), negate(cost2[0] > cost[0] * (1.0 + ROUNDING)))
+            for i in range(z.shape[0]):
+                z[i] = select(better, trial[i], z[i])
+                b[i] = select(better, b2[i], b[i])
+                for j in range(z.shape[0]):
+                    T[i, j] = select(better, T2[i, j], T[i, j])
+            cost[0] = select(better, cost2[0], cost[0])
+            eased = select(damping > FIRST_DAMPING, 0.1 * damping, 0.0)
+            damping = select(better, eased, maximum(10.0 * damping, FIRST_DAMPING))
+
+    return minimise

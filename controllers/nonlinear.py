@@ -1,0 +1,281 @@
+"""The Bayesian controller for nonlinear models: filtering and control as one minimisation (paper, section 2.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from typing import Literal
+
+import numpy as np
+
+from bayesftc.controllers._bayesian_block import BayesianBlock
+from bayesftc.controllers._checks import Matrix
+from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
+from bayesftc.controllers._joint import (
+    determined,
+    factorise,
+    keep,
+    leave_out_distant,
+    locate,
+    make_look_ahead,
+    make_minimiser,
+)
+from bayesftc.controllers._least_squares import is_finite, marginal
+from bayesftc.controllers._linalg import cholesky_semidefinite, congruence
+from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.nonlinear_model import NonlinearModel
+from bayesftc.controllers.precision import NAN, Learner
+from bayesftc.cosim.block import Definition, Floats, Kernel
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import absolute, both, select
+
+
+def stay(x_hat, P, applied, following, F, B, FP, mean, covariance):
+    """Predict that the state stays where it is (a random walk)."""
+    n = x_hat.shape[0]
+    for i in range(n):
+        mean[i] = x_hat[i]
+        for j in range(n):
+            covariance[i, j] = P[i, j]
+
+
+@cache
+def make_move(look_ahead: Kernel) -> Kernel:
+    """Return the step function that predicts by the model, its uncertainty by the model linearised at the estimate."""
+
+    def move(x_hat, P, applied, following, F, B, FP, mean, covariance):
+        look_ahead(x_hat, applied, following, F, B)
+        for i in range(x_hat.shape[0]):
+            mean[i] = following[i]
+        congruence(F, P, FP, covariance)
+
+    return move
+
+
+@cache
+def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
+    """Return the step function that takes the belief to the next step, with the control that was applied."""
+
+    def predict(
+        x_hat, P, applied, Q, largest, initial_mean, initial_covariance,
+        following, F, B, FP, reading, C, mean, covariance,
+    ):  # fmt: skip
+        n = x_hat.shape[0]
+        move(x_hat, P, applied, following, F, B, FP, mean, covariance)
+        for i in range(n):
+            for j in range(n):
+                covariance[i, j] = covariance[i, j] + Q[i, j]
+        hold_variances(covariance, largest)
+        # Where the model has no finite value, nothing could be learned from any sample again: the belief begins anew there.
+        g(mean, reading)
+        g_jacobian(mean, C)
+        good = absolute(mean[0]) <= MEAN_CAP
+        for i in range(n):
+            good = both(good, absolute(mean[i]) <= MEAN_CAP)
+            for j in range(n):
+                good = both(good, covariance[i, j] - covariance[i, j] == 0.0)
+        for i in range(reading.shape[0]):
+            good = both(good, reading[i] - reading[i] == 0.0)
+            for j in range(n):
+                good = both(good, C[i, j] - C[i, j] == 0.0)
+        for i in range(n):
+            mean[i] = select(good, mean[i], initial_mean[i])
+            for j in range(n):
+                covariance[i, j] = select(good, covariance[i, j], initial_covariance[i, j])
+
+    return predict
+
+
+def keep_filtered(found, z, mean, root, T, point, X, spread_out, x_hat, P):
+    """Carry p(x_t | y_1..t): goal and control prior leave the belief alone (``belief="filtered"``)."""
+
+
+def take_joint(found, z, mean, root, T, point, X, spread_out, x_hat, P):
+    """Carry the belief about x_t of the joint minimum, into which the goal leaks (``belief="joint"``)."""
+    n = x_hat.shape[0]
+    locate(z, mean, root, point)
+    marginal(T, root, z.shape[0] - n, X, spread_out)
+    for i in range(n):
+        x_hat[i] = select(found, point[i], x_hat[i])
+        for j in range(n):
+            P[i, j] = select(found, spread_out[i, j], P[i, j])
+
+
+@cache
+def _make_step(
+    learn: Kernel, report: Kernel, g: Kernel, g_jacobian: Kernel, filtering: Kernel, joining: Kernel, carry: Kernel,
+    predict: Kernel, first: int,
+) -> Callable[..., None]:  # fmt: skip
+    """Return the controller's step function; the learner's own outputs begin at the place `first` among all outputs."""
+
+    def nonlinear_bayesian_controller(
+        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work,
+        mean, covariance, applied, memory,
+        Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
+        reading, C, e, present, used, CP, spread, root, kept, wanted, noise, nothing,
+        z, point, control, following, F, B, FP, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d, X, spread_out,
+    ):  # fmt: skip
+        n, p, m = x_hat.shape[0], u.shape[0], y.shape[0]
+        g(mean, reading)
+        g_jacobian(mean, C)
+        innovate(y, reading, covariance, C, e, present, CP, spread)
+        for i in range(m):
+            innovation[i] = select(present[i] > 0.5, e[i], NAN)
+        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        report(memory, settings, nominal, first, outputs)
+        leave_out_distant(e, nominal, used)
+        cholesky_semidefinite(covariance, root)
+
+        # The belief, by the prediction and the sensors alone.
+        keep(used, goal, 0.0, kept, wanted)
+        factorise(R, GQ, kept, noise)
+        for i in range(p):
+            z[i] = applied[i]
+        for i in range(n):
+            z[p + i] = 0.0
+        filtering(
+            z, y, goal, kept, mean, root, noise, G, nothing, applied,
+            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d,
+        )  # fmt: skip
+        locate(z, mean, root, x_hat)
+        marginal(T, root, p, X, P)
+        good = is_finite(P, cost[0])
+        for i in range(n):
+            for j in range(n):
+                P[i, j] = select(good, P[i, j], covariance[i, j])
+
+        # The control, together with the state, by goal and control prior as well.
+        keep(used, goal, 1.0, kept, wanted)
+        factorise(R, GQ, kept, noise)
+        joining(
+            z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d,
+        )  # fmt: skip
+        found = determined(T, cost[0], wanted, p)
+        for i in range(p):
+            u[i] = select(found, z[i], NAN)
+        carry(found, z, mean, root, T, point, X, spread_out, x_hat, P)
+        limit(u, applied, u_min, u_max, u_change)
+        predict(
+            x_hat, P, applied, Q, largest, initial_mean, initial_covariance,
+            following, F, B, FP, reading, C, mean, covariance,
+        )  # fmt: skip
+
+    return nonlinear_bayesian_controller
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearBayesianController(BayesianBlock):
+    """Infers the state and the control that brings the next state to the goal, for a nonlinear model.
+
+    At every sample the joint negative log-likelihood of the state x_t, the control u_t and the next state x_t+1 (paper, section
+    2.3) is minimised: prediction prior, sensors, process, goal prior, control prior. Gauss-Newton steps with
+    Levenberg-Marquardt damping start from the prediction and the last control; their number is fixed. The covariance is that of
+    the model linearised at the minimum (Laplace's approximation). For a linear model all this is `BayesianController`.
+
+    Inputs and outputs are those of `BayesianController`: ``y``, ``goal``; ``u, x_hat, P, R, innovation, precision, beta,
+    fault_probability``, and those of the precision learner. ``innovation`` is ``y - g(x_t|t-1)``.
+
+    Parameters
+    ----------
+    model : NonlinearModel or LinearModel
+        What the controller believes about plant and sensors.
+    precision : PrecisionLearner
+        How sensor precisions are learned; by default they are fixed.
+    goal_on : "states" or matrix
+        What the goal is given for: all states, or ``G x`` for a matrix G with a column for each state.
+    goal_covariance : number, vector or matrix
+        Covariance of the goal prior.
+    control_covariance : number, vector, matrix or None
+        Covariance of the control prior; None is a flat one.
+    control_mean : number or vector
+        Mean of the control prior.
+    belief : {"filtered", "joint"}
+        Carry the minimum of prediction and sensors alone, p(x_t | y_1..t); or that of the full joint, into which the goal leaks.
+    u_min, u_max : number or vector
+        Limits of the control; the prediction uses the control that was applied.
+    u_rate : number or vector
+        Largest change of the control per second; the first step is measured from 0.
+    initial_mean, initial_covariance : optional
+        Belief before the first sample, by default 0 and the identity; also after a step at which the model has no finite value.
+    prediction : {"model", "random walk"}
+        The prediction prior of the next sample: by f and the control that was applied; or the belief itself plus process noise.
+    iterations : int
+        Number of steps of each of the two minimisations a sample (belief, control).
+
+    Raises
+    ------
+    ModelError
+        If dimensions do not fit, a covariance is not positive definite, the model is not finite at the initial mean, or a flat
+        control prior leaves a control undetermined there.
+    """
+
+    model: NonlinearModel
+    goal_on: Literal["states"] | Matrix = "states"
+    prediction: Literal["model", "random walk"] = "model"
+    iterations: int = 20
+
+    def __post_init__(self) -> None:
+        if isinstance(self.model, LinearModel):
+            object.__setattr__(self, "model", NonlinearModel.from_linear(self.model))
+        if not isinstance(self.model, NonlinearModel):
+            raise ModelError(f"NonlinearBayesianController needs a NonlinearModel, not {self.model!r}.")
+        if self.prediction not in {"model", "random walk"}:
+            raise ModelError(f"prediction is {self.prediction!r}; it must be 'model' or 'random walk'.")
+        if int(self.iterations) != self.iterations or not 1 <= self.iterations <= 1000:
+            raise ModelError(f"iterations is {self.iterations!r}; it must be a whole number from 1 to 1000.")
+        self._check_settings()
+        start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
+        self._check_reach(start.matrix("B"))
+        self._learner()  # settings that do not fit the model fail here, not in the loop
+
+    def _distinct_outputs(self) -> Floats:
+        raise ModelError("goal_on='outputs' is for linear models; give the matrix G of what the goal is of the state.")
+
+    def _learner(self) -> Learner:
+        # Learners know the sensors by a linear model: the one at the initial mean, where it is known to be finite.
+        return self.precision.learner(
+            self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
+        )
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        model, learner = self.model, self._learner()
+        n, p, m, g = model.states, model.controls, model.sensors, self.goals
+        of_f, of_g = model.derivatives
+        look_ahead, iterations = make_look_ahead(model.f, of_f), int(self.iterations)
+        move = make_move(look_ahead) if self.prediction == "model" else stay
+        kernel = _make_step(
+            learner.step,
+            learner.report,
+            model.g,
+            of_g,
+            make_minimiser(model.g, of_g, None, iterations),
+            make_minimiser(model.g, of_g, look_ahead, iterations),
+            take_joint if self.belief == "joint" else keep_filtered,
+            make_predict(model.g, of_g, move),
+            sum(port.size for port in self._own_outputs),
+        )
+        prior = self._prior_precision()
+        parameters = self._shared_parameters(step) | {
+            "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior, "nothing": np.zeros((p, p)),
+            "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
+        }  # fmt: skip
+        N, M = p + n, m + g
+        scratch = {
+            "reading": (m,), "C": (m, n), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m),
+            "root": (n, n), "kept": (M,), "wanted": (g,), "noise": (M, M), "z": (N,), "point": (n,), "control": (p,),
+            "following": (n,), "F": (n, n), "B": (n, p), "FP": (n, n), "J": (M, N), "residual": (M,), "row": (N,), "T": (N, N),
+            "b": (N,), "cost": (1,), "trial": (N,), "T2": (N, N), "b2": (N,), "cost2": (1,), "D": (N, N), "d": (N,),
+            "X": (n, n), "spread_out": (n, n),
+        }  # fmt: skip
+        state = {
+            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
+            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
+        }  # fmt: skip
+        return Definition(kernel, state=state, parameters=parameters)
+
+
+__all__ = ["NonlinearBayesianController"]
