@@ -6,6 +6,8 @@ from bayesftc.controllers.explicit import ExplicitDetection
 from bayesftc.controllers.gamma import GammaPrecision
 from bayesftc.controllers.point_mass import PointMassPrecision
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
+from bayesftc.controllers.robust import StudentTUpdate, WeightedLikelihood
+from bayesftc.controllers.variational import VariationalBayesKF
 from bayesftc.controllers.wishart import WishartPrecision
 from bayesftc.cosim.block import Block
 
@@ -19,6 +21,9 @@ LEARNERS: tuple[type[PrecisionLearner], ...] = (
     WishartPrecision,
     EFFDI,
     SERFDI,
+    VariationalBayesKF,
+    StudentTUpdate,
+    WeightedLikelihood,
     ExplicitDetection,
 )
 """To add a learner, write it by the rules of `bayesftc.controllers.precision` and name it here."""

@@ -1,5 +1,6 @@
 """Precision learners: conjugacy against numerical integration, the update rules against NumPy, and the whole list in the loop."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import integrate, stats
 
-from bayesftc import controllers
+from bayesftc import controllers, cosim
 from bayesftc.controllers import (
     EFFDI,
     SERFDI,
@@ -17,10 +18,14 @@ from bayesftc.controllers import (
     FixedPrecision,
     GammaPrecision,
     PointMassPrecision,
+    StudentTUpdate,
+    VariationalBayesKF,
+    WeightedLikelihood,
     WishartPrecision,
 )
 from bayesftc.controllers.validation import compare, ser_reference
 from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.ops import either, select
 
 MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], 0.02)
 
@@ -36,6 +41,12 @@ EXAMPLES = [
     WishartPrecision(),
     WishartPrecision(forgetting=None, degrees_of_freedom=3.5, belief_uncertainty=True),
     WishartPrecision(forgetting=0.8, forget_to="zero", estimate="mode", calibration=Calibration(2.0, -3.0)),
+    VariationalBayesKF(),
+    VariationalBayesKF(forgetting=0.8, covariance="full", calibration=Calibration(2.0, -3.0)),
+    StudentTUpdate(),
+    StudentTUpdate(degrees_of_freedom=1.0, joint=True),
+    WeightedLikelihood(),
+    WeightedLikelihood(c=1.0, joint=True),
     EFFDI(),
     SERFDI(),
     ExplicitDetection(GammaPrecision(calibration=Calibration(2.0, -3.0)), threshold=3.0),
@@ -133,6 +144,65 @@ def test_absurd_samples_are_survived(precision):
         assert np.isfinite(out.P).all()
         assert (np.linalg.eigvalsh(out.P) > 0).all()
         assert np.isfinite(out.x_hat).all()
+
+
+INF, NAN = float("inf"), float("nan")
+
+
+def write_absurd_samples(k, noise, y):
+    """Noise with 1e300 and infinities in it, long and short silences, and long times of exact agreement."""
+    phase = k % 100_000
+    for i in range(y.shape[0]):
+        y[i] = 20.0 + select(phase >= 40_000, 0.0, noise[i])
+        y[i] = select(phase >= 80_000, 20.0 + 3.0 * noise[0], y[i])
+    y[0] = select(k % 9973 == 17, 1e300, y[0])
+    y[1] = select(k % 9973 == 17, -1e300, y[1])
+    y[1] = select(k % 7919 == 29, INF, select(k % 7919 == 31, 1e9, y[1]))
+    silent = k % 50_000 < 3_000
+    y[0] = select(either(silent, k % 13 == 0), NAN, y[0])
+    y[1] = select(either(silent, k % 30_000 < 2_000), NAN, y[1])
+
+
+@dataclass(frozen=True)
+class AbsurdSamples(cosim.Block):
+    """Two sensors at their worst."""
+
+    @property
+    def inputs(self):
+        return (cosim.Port("noise", (2,), draw="normal"),)
+
+    @property
+    def outputs(self):
+        return (cosim.Port("y", (2,)),)
+
+    def define(self, step):
+        return cosim.Definition(write_absurd_samples)
+
+
+@pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
+def test_a_million_steps_leave_beliefs_finite_and_covariances_positive_definite(precision):
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [[1.0, 0.6], [0.6, 4.0]], 0.02)
+    diagram = cosim.Diagram(dt=0.02)
+    samples, goal = diagram.add(AbsurdSamples()), diagram.add(cosim.Constant(20.0))
+    controller = diagram.add(controllers.BayesianController(model, precision=precision), name="controller")
+    diagram.connect(samples["y"], controller["y"])
+    diagram.connect(goal["y"], controller["goal"])
+    own = [port.name for port in precision.learner(model).ports]
+    always = ("P", "x_hat", "u", "precision")
+    result = diagram.simulate(1_000_000 * model.step, record=[f"controller.{name}" for name in ("R", *always, *own)])
+    R = result["controller.R"].copy()
+    for i in range(2):  # a sensor that a baseline leaves out has an infinite variance
+        ignored = np.isinf(R[:, i, i])
+        R[ignored, i, :] = R[ignored, :, i] = 0.0
+        R[ignored, i, i] = 1.0
+    np.testing.assert_array_equal(R, R.transpose(0, 2, 1))
+    np.linalg.cholesky(R)  # an error, where one is not positive definite
+    assert (result["controller.P"][:, 0, 0] > 0).all()
+    for name in (*always, *own):
+        assert np.isfinite(result[f"controller.{name}"]).all(), name
+    for name in {"precision_scale", "precision_mean"} & set(own):
+        if result[f"controller.{name}"].ndim == 3:
+            np.linalg.cholesky(result[f"controller.{name}"])
 
 
 def prior_predictions(y, outs):
