@@ -230,3 +230,18 @@ def test_one_clear_sentence(make, error, words):
     with pytest.raises(error, match=words) as caught:
         make()
     assert isinstance(caught.value, BayesFTCError)
+
+
+def test_any_block_can_watch_the_controller_at_its_own_rate(make_block, run_both):
+    """Outputs by name, what feeds its y and goal, a start value where there is nothing; at the controller's rate."""
+
+    def watch(y, goal, u, spare, seen):
+        seen[0] = y[0] + 10.0 * goal[0] + 100.0 * u[0] + spare[0]
+
+    ports = [cosim.Port("y", (2,)), cosim.Port("goal", (1,)), cosim.Port("u", (1,)), cosim.Port("spare", default=0.5)]
+    watcher = make_block(inputs=ports, outputs=[cosim.Port("seen")], output=watch, sample_time=MODEL.step)
+    result = run_both(car_loop(monitors={"watcher": watcher}, dt=0.01), 1.0, seed=3)
+    y = result["fault_1.y"][:, 0]
+    expected = y + 10 * result["reference.y"] + 100 * result["controller.u"][:, 0] + 0.5
+    np.testing.assert_allclose(result["watcher.seen"][::2], expected[::2], rtol=1e-12)
+    np.testing.assert_array_equal(result["watcher.seen"][1::2], result["watcher.seen"][:-1:2])
