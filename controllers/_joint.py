@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers._filter import doubt, keep_only
-from bayesftc.controllers._least_squares import absorb, damp, is_finite, solve_triangle, squared_length
+from bayesftc.controllers._least_squares import absorb, curve, damp, is_finite, solve_curved, squared_length
 from bayesftc.controllers._linalg import cholesky, multiply, whiten
 from bayesftc.cosim.ops import both, maximum, negate, select
 
@@ -18,6 +18,8 @@ ROUNDING = 1e-12
 
 FIRST_DAMPING = 1e-2
 """Damping after the first step that fails; a smaller one is none. Each failure multiplies it by 10, each success by 1/10."""
+
+INFINITE = float("inf")
 
 DISTANT = 1e100
 """A sample this many nominal standard deviations away moves no belief: squared it would no more be a number."""
@@ -95,6 +97,8 @@ def make_minimiser(
 ) -> Callable[..., None]:
     """Return the step function that minimises the joint cost from ``z``, by Gauss-Newton steps with Marquardt's damping.
 
+    Where residuals stay large, Gauss-Newton converges slowly, for it leaves out their curvature: that is learned on the way.
+
     It leaves at ``z`` the minimum, in ``T, b, cost`` the equations linearised there. The cost is twice the negative
     log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead to where
     something is no number, is not taken, and the next one is damped more.
@@ -154,30 +158,40 @@ def make_minimiser(
 
     def minimise(
         z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-        x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d,
+        x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
+        trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent,
     ):  # fmt: skip
-        equations(
-            z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-            x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
-        )  # fmt: skip
+        n = z.shape[0]
+        cost[0] = INFINITE  # the start is the first point that is tried
         damping = 0.0
-        for _ in range(iterations):
-            damp(T, b, damping, D, d, row)
-            solve_triangle(D, d, trial)
-            for i in range(z.shape[0]):
-                trial[i] = z[i] + trial[i]
+        for i in range(n):
+            trial[i] = z[i]
+            for j in range(n):
+                T[i, j] = 0.0
+                S[i, j] = 0.0
+        for _ in range(iterations + 1):
             equations(
                 trial, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-                x, control, reading, following, C, F, B, slope, J, residual, row, T2, b2, cost2,
+                x, control, reading, following, C, F, B, slope, J2, residual, row, T2, b2, cost2,
             )  # fmt: skip
             better = both(is_finite(T2, cost2[0]), negate(cost2[0] > cost[0] * (1.0 + ROUNDING)))
-            for i in range(z.shape[0]):
+            started = cost[0] < INFINITE
+            curve(both(better, started), z, trial, T, b, T2, b2, J, J2, residual, ROUNDING * ROUNDING * cost[0], S, M,
+                  moved, turned, bent)  # fmt: skip
+            for i in range(n):
                 z[i] = select(better, trial[i], z[i])
                 b[i] = select(better, b2[i], b[i])
-                for j in range(z.shape[0]):
+                for j in range(n):
                     T[i, j] = select(better, T2[i, j], T[i, j])
+            for i in range(residual.shape[0]):
+                for j in range(n):
+                    J[i, j] = select(better, J2[i, j], J[i, j])
             cost[0] = select(better, cost2[0], cost[0])
             eased = select(damping > FIRST_DAMPING, 0.1 * damping, 0.0)
             damping = select(better, eased, maximum(10.0 * damping, FIRST_DAMPING))
+            damp(T, b, damping, D, d, row)
+            solve_curved(D, d, S, M, trial)
+            for i in range(n):
+                trial[i] = z[i] + trial[i]
 
     return minimise

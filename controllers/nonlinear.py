@@ -115,7 +115,8 @@ def _make_step(
         mean, covariance, applied, memory,
         Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, nothing,
-        z, point, control, following, F, B, FP, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d, X, spread_out,
+        z, point, control, following, F, B, FP, J, residual, row, T, b, cost,
+        trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent, X, spread_out,
     ):  # fmt: skip
         n, p, m = x_hat.shape[0], u.shape[0], y.shape[0]
         g(mean, reading)
@@ -137,7 +138,8 @@ def _make_step(
             z[p + i] = 0.0
         filtering(
             z, y, goal, kept, mean, root, noise, G, nothing, applied,
-            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d,
+            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost,
+            trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent,
         )  # fmt: skip
         locate(z, mean, root, x_hat)
         marginal(T, root, p, X, P)
@@ -151,7 +153,8 @@ def _make_step(
         factorise(R, GQ, kept, noise)
         joining(
             z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost, trial, T2, b2, cost2, D, d,
+            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost,
+            trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent,
         )  # fmt: skip
         found = determined(T, cost[0], wanted, p)
         for i in range(p):
@@ -263,13 +266,15 @@ class NonlinearBayesianController(BayesianBlock):
             "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior, "nothing": np.zeros((p, p)),
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
         }  # fmt: skip
-        N, M = p + n, m + g
+        unknowns, equations = p + n, m + g
         scratch = {
             "reading": (m,), "C": (m, n), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m),
-            "root": (n, n), "kept": (M,), "wanted": (g,), "noise": (M, M), "z": (N,), "point": (n,), "control": (p,),
-            "following": (n,), "F": (n, n), "B": (n, p), "FP": (n, n), "J": (M, N), "residual": (M,), "row": (N,), "T": (N, N),
-            "b": (N,), "cost": (1,), "trial": (N,), "T2": (N, N), "b2": (N,), "cost2": (1,), "D": (N, N), "d": (N,),
+            "root": (n, n), "kept": (equations,), "wanted": (g,), "noise": (equations, equations), "point": (n,), "control": (p,),
+            "following": (n,), "F": (n, n), "B": (n, p), "FP": (n, n), "residual": (equations,), "cost": (1,), "cost2": (1,),
             "X": (n, n), "spread_out": (n, n),
+            **dict.fromkeys(("J", "J2"), (equations, unknowns)),
+            **dict.fromkeys(("T", "T2", "D", "S", "M"), (unknowns, unknowns)),
+            **dict.fromkeys(("z", "trial", "row", "b", "b2", "d", "moved", "turned", "bent"), (unknowns,)),
         }  # fmt: skip
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
