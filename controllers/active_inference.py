@@ -1,0 +1,422 @@
+"""The unbiased active inference controller: belief and control descend the free energy (paper, section 2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from textwrap import indent
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesftc.controllers import _descent
+from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, frozen
+from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once, write_step
+from bayesftc.controllers._linalg import apply
+from bayesftc.controllers.laws import PID, Proportional, ProportionalDerivative
+from bayesftc.controllers.modality import Modality
+from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.precision import ERROR_CAP, NAN, FixedPrecision, PrecisionLearner
+from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import select
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.timebase import rational_step
+
+Law = Proportional | ProportionalDerivative | PID | Block | Callable[..., None]
+
+# The step function. What stands in braces is written for each controller: the calls of its modalities' functions and of its law.
+_STEP = """
+{measure}
+read(y, expected, limit, e, present)
+for i in range(e.shape[0]):
+    innovation[i] = select(present[i] > 0.5, y[i] - expected[i], NAN)
+learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+report(memory, settings, nominal, first, outputs)
+log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_determinant[0]
+for s in range(inner_steps):
+    if s > 0:
+        {measure_again}
+        read(y, expected, limit, e, present)
+    {differentiate}
+    prior_error(mean, predicted, eps_x)
+    energy = quadratic(e, weights, weighted) + quadratic(eps_x, Px, pull_x)
+    belief_gradient(weighted, G, pull_x, slope)
+    {descent}
+    free_energy[0] = free_energy_of(energy, log_determinant, used, means)
+{decide}
+act(control, applied, u)
+{law_update}
+predict_state(mean, applied, A, B, predicted)
+place(mean, 0, x_hat)
+"""
+
+_DESCENT_BY_GRADIENT = """
+{law_output}
+{law_derivative}
+prior_error(control, wanted, eps_u)
+energy = energy + quadratic(eps_u, Pu, pull_u)
+add_control_gradient(pull_u, D, slope)
+fraction = shortening_with_control(G, weights, curvature, rate, PG, D, Pu, rate_u, PD)
+descend(fraction, rate, slope, mean)
+descend(fraction, rate_u, pull_u, control)
+"""
+
+_DESCENT_OF_THE_BELIEF = """
+fraction = shortening(G, weights, curvature, rate, PG)
+descend(fraction, rate, slope, mean)
+"""
+
+_DECISION_BY_LAW = """
+{law_output}
+place(wanted, 0, control)
+for i in range(eps_u.shape[0]):
+    eps_u[i] = 0.0 * control[i]
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class UnbiasedActiveInference(Block):
+    """Unbiased active inference (u-AIC): the belief about state and control descends the free energy (paper, section 2.2).
+
+    With the prediction errors ``eps_i = y_i - g_i(mu)`` of each sensor modality, ``eps_x = mu - x_pred`` of the state prior and
+    ``eps_u = mu_u - f*(mu, goal)`` of the control, the free energy is::
+
+        F = 1/2 (sum_i eps_i' P_i eps_i + eps_x' P_x eps_x + eps_u' P_u eps_u - ln |P_u P_x prod_i P_i|) + C
+
+    where C is ln(2 pi) / 2 for each element of the errors, so that F = -ln p(mu_u, mu, y). Means move against its gradient,
+    ``mu <- mu - dt belief_rate dF/dmu`` and ``mu_u <- mu_u - dt control_rate dF/dmu_u``, `inner_steps` times a sample; dF/dmu
+    contains the control's error too. With a random walk and one inner step eps_x is zero where the gradient is taken: the
+    prior then does nothing but start the belief where it was.
+
+    Inputs ``y`` (the samples of all modalities, one after the other; one that is not finite is missing) and ``goal``.
+    Outputs ``u`` (the control's mean), ``x_hat`` (mu), ``innovation`` (``y - g(mu)`` before the sample is used; NaN for a missing
+    one), ``R`` (the learner's sensor covariance), ``precision``, ``beta``, ``fault_probability``, ``free_energy``, ``eps_x`` and
+    ``eps_u``, and the precision learner's own. Free energy and prediction errors are those at which the last gradient was
+    taken.
+
+    A precision learner sees the errors before the sample is used, and no uncertainty of the belief (``spread`` is zero: means
+    are all this controller has). Its sensor covariance R becomes the precision ``P = S R^-1 S`` with S = diag(sqrt(gain) std):
+    each sensor's `Modality.precision` at nominal trust, however small its noise. A sensor that the learner leaves out, or
+    whose sample is missing, has the precision zero and no part in the log-determinant.
+
+    Errors are held within a million nominal standard deviations. Where learned precisions or the measurement functions'
+    slopes make the curvature (bounded by its largest row sum) too large for the rates, a step is shortened to stay stable.
+
+    Parameters
+    ----------
+    modalities : sequence of Modality
+        What the sensors measure; if there are none, the model's C and sensor covariance.
+    law : block or function
+        The control law f*: a block with the inputs ``x_hat`` and ``goal`` and the output ``u``, such as `Proportional`, `PID`
+        or one of your own, or a step function ``law(x_hat, goal, u)``. What a block keeps from step to step moves on once a sample.
+    dt : float, str or Fraction, optional
+        Sample time in seconds; by default the model's.
+    belief_rate : number or vector
+        Rate of the belief's descent, for all states or for each, per second and unit of precision.
+    control_rate : number or vector, optional
+        Rate of the control's descent; needed for ``control="gradient"``.
+    inner_steps : int
+        Gradient steps a sample.
+    control : {"gradient", "law"}
+        Let the control's mean descend the free energy, or put it to f* (then eps_u = 0). A law of high gain needs a small
+        `control_precision` to descend in a stable way, for dF/dmu contains its square.
+    state_prior : {"random walk", "euler", "kalman"}
+        How the state is predicted: as it was (the paper's choice); by Euler integration, where the second half of the states
+        are the rates of the first half; or by the model's A and B with the control that was applied.
+    model : LinearModel, optional
+        For ``state_prior="kalman"``.
+    state_precision, control_precision : number, vector or matrix
+        P_x and P_u.
+    precision : PrecisionLearner
+        How sensor precisions are learned; by default they are fixed.
+    initial_mean : number or vector
+        Belief before the first sample.
+    sizes : tuple of three ints, optional
+        Numbers of states, goals and controls; needed where the law is a plain function.
+
+    Raises
+    ------
+    ModelError
+        If sizes do not fit, a setting is missing or out of range, or at nominal trust and the initial mean the descent is
+        unstable (an eigenvalue of rate times curvature of 2 or more; the sentence gives the largest).
+    """
+
+    modalities: Sequence[Modality] = ()
+    law: Law | None = None
+    dt: float | str | Fraction | None = None
+    belief_rate: float | Sequence[float] = 1.0
+    control_rate: float | Sequence[float] | None = None
+    inner_steps: int = 1
+    control: Literal["gradient", "law"] = "gradient"
+    state_prior: Literal["random walk", "euler", "kalman"] = "random walk"
+    model: LinearModel | None = None
+    state_precision: Matrix = 1.0
+    control_precision: Matrix = 1.0
+    precision: PrecisionLearner = field(default_factory=FixedPrecision)
+    initial_mean: float | Sequence[float] = 0.0
+    sizes: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        self._check_choices()
+        n, goals, p = self._sizes()
+        object.__setattr__(self, "sizes", (n, goals, p))
+        object.__setattr__(self, "modalities", self._modalities())
+        values = {
+            "belief_rate": as_vector("The belief_rate", self.belief_rate, n),
+            "state_precision": as_covariance("The state_precision", self.state_precision, n),
+            "control_precision": as_covariance("The control_precision", self.control_precision, p),
+            "initial_mean": as_vector("The initial_mean", self.initial_mean, n),
+        }
+        if self.control_rate is not None:
+            values["control_rate"] = as_vector("The control_rate", self.control_rate, p)
+        for name, value in values.items():
+            if name.endswith("rate") and (value <= 0).any():
+                raise ModelError(f"The {name} is {value.tolist()}; it must be positive.")
+            object.__setattr__(self, name, value)
+        self._check_prior()
+        self.precision.learner(self._learned_model())  # settings that do not fit fail here, not in the loop
+        self._check_stability()
+
+    @property
+    def default_name(self) -> str:
+        """See `Block.default_name`."""
+        return "controller"
+
+    @property
+    def sample_time(self) -> Fraction:
+        """The sample time in seconds."""
+        dt: Any = self.model.dt if self.dt is None and self.model is not None else self.dt
+        return rational_step(dt, "The controller's sample time")
+
+    @property
+    def measurement_matrix(self) -> Floats | None:
+        """What each sensor reads of ``x_hat``; None where a modality is no matrix."""
+        rows = [modality.matrix for modality in self.modalities]
+        return None if any(row is None for row in rows) else frozen(np.vstack(rows))  # type: ignore[arg-type]
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Inputs ``y`` and ``goal``."""
+        return Port("y", (self._sensors,)), Port("goal", (self._dimensions[1],))
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """The outputs named above, and the precision learner's own."""
+        return *self._own_outputs, *self.precision.learner(self._learned_model()).ports
+
+    @property
+    def _own_outputs(self) -> tuple[Port, ...]:
+        (n, _, p), m = self._dimensions, self._sensors
+        shapes: dict[str, tuple[int, ...]] = {"u": (p,), "x_hat": (n,), "innovation": (m,), "R": (m, m)}
+        shapes |= dict.fromkeys(("precision", "beta", "fault_probability"), (m,))
+        shapes |= {"free_energy": (), "eps_x": (n,), "eps_u": (p,)}
+        return tuple(Port(name, shape) for name, shape in shapes.items())
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        (n, goals, p), m, h = self._dimensions, self._sensors, float(step)
+        learner, law = self.precision.learner(self._learned_model()), self._embedded()
+        functions, calls, modality_state, modality_parameters = self._measurement()
+        A, B = self._prediction()
+        nominal, gain = self._nominal(), np.concatenate([np.asarray(s.precision) for s in self.modalities])
+        sigma = np.sqrt(np.diag(nominal))
+        Px, Pu = np.asarray(self.state_precision), np.asarray(self.control_precision)
+        parameters = {
+            "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": gain, "settings": learner.settings,
+            "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),
+            "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
+            "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
+            "curvature": np.abs(self._prior_curvature()).sum(axis=1), **law.parameters, **modality_parameters,
+        }  # fmt: skip
+        shapes = {
+            "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "L": (m, m), "inverse": (m, m),
+            "weights": (m, m), "weighted": (m,), "G": (m, n), "PG": (m, n), "pull_x": (n,), "slope": (n,), "wanted": (p,),
+            "control": (p,), "applied": (p,), "pull_u": (p,), "D": (p, n), "PD": (p, n),
+        }  # fmt: skip
+        state = {
+            "mean": self.initial_mean, "predicted": self.initial_mean, "memory": learner.memory,
+            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in shapes.items()},
+            **law.state, **modality_state,
+        }  # fmt: skip
+        names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
+        functions |= {**law.functions, "learn": learner.step, "report": learner.report, "inner_steps": self.inner_steps}
+        functions |= {name: getattr(_descent, name) for name in _DESCENT_FUNCTIONS} | {"select": select, "NAN": NAN}
+        functions["first"] = sum(port.size for port in self._own_outputs)
+        text = self._text({**law.calls, **calls})
+        return Definition(
+            write_step("unbiased_active_inference", dict.fromkeys(names), text, functions),
+            state=state,
+            parameters=parameters,
+        )
+
+    def _text(self, calls: dict[str, str]) -> str:
+        """Return the body of the step function."""
+        descends = self.control == "gradient"
+        descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
+        return _STEP.format(
+            measure=calls["measure"],
+            measure_again=indent(calls["measure"], " " * 8).lstrip(),
+            differentiate=indent(calls["differentiate"], " " * 4).lstrip(),
+            descent=indent(descent, " " * 4).lstrip(),
+            decide="" if descends else _DECISION_BY_LAW.format_map(calls).strip("\n"),
+            law_update=calls.get("law_update", ""),
+        )
+
+    def _measurement(self) -> tuple[dict[str, Any], dict[str, str], dict[str, Floats], dict[str, Floats]]:
+        """Return what evaluates all modalities: functions, calls, scratch, and the matrices of those that are linear."""
+        n = self._dimensions[0]
+        functions: dict[str, Any] = {}
+        measure, differentiate, first = [], [], 0
+        state, parameters = {}, {}
+        for i, modality in enumerate(self.modalities):
+            derivative, name = modality.derivative(n), f"modality{i}"
+            state[f"{name}_y"] = np.zeros(modality.samples)
+            if derivative is None:
+                parameters[f"{name}_G"] = modality.jacobian_at(np.zeros(n))
+                functions["apply"] = apply
+                measure.append(f"apply({name}_G, mean, {name}_y)")
+            else:
+                functions[f"{name}_function"], functions[f"{name}_derivative"] = modality.function, derivative
+                state[f"{name}_G"] = np.zeros((modality.samples, n))
+                measure.append(f"{name}_function(mean, {name}_y)")
+                differentiate.append(f"{name}_derivative(mean, {name}_G)")
+            measure.append(f"place({name}_y, {first}, expected)")
+            differentiate.append(f"place_rows({name}_G, {first}, G)")
+            first += modality.samples
+        calls = {"measure": "\n".join(measure), "differentiate": "\n".join(differentiate)}
+        return functions, calls, state, parameters
+
+    @property
+    def _dimensions(self) -> tuple[int, int, int]:
+        n, goals, p = self.sizes or (0, 0, 0)
+        return int(n), int(goals), int(p)
+
+    @property
+    def _sensors(self) -> int:
+        return sum(modality.samples for modality in self.modalities)
+
+    def _embedded(self) -> Embedded:
+        return embed(self.law, self._dimensions, self.sample_time, differentiate=self.control == "gradient")
+
+    def _nominal(self) -> Floats:
+        nominal, first = np.zeros((self._sensors, self._sensors)), 0
+        for modality in self.modalities:
+            last = first + modality.samples
+            nominal[first:last, first:last] = np.asarray(modality.covariance)
+            first = last
+        return nominal
+
+    def _prediction(self) -> tuple[Floats, Floats]:
+        n, _, p = self._dimensions
+        if self.state_prior == "kalman" and self.model is not None:
+            return self.model.matrix("A"), self.model.matrix("B")
+        A = np.eye(n)
+        if self.state_prior == "euler":
+            A[: n // 2, n // 2 :] = float(self.sample_time) * np.eye(n // 2)
+        return A, np.zeros((n, p))
+
+    def _prior_curvature(self) -> Floats:
+        """Return what the state prior adds to the curvature: with one step a sample, only what it moves the start by."""
+        Px: Floats = np.asarray(self.state_precision)
+        return Px if self.inner_steps > 1 else Px @ (np.eye(len(Px)) - self._prediction()[0])
+
+    def _learned_model(self) -> LinearModel:
+        """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""
+        A, B = self._prediction()
+        G = np.vstack([s.jacobian_at(np.asarray(self.initial_mean)) for s in self.modalities])
+        return LinearModel(A, B, G, np.zeros_like(A), self._nominal(), self.sample_time)
+
+    def _sizes(self) -> tuple[int, int, int]:
+        known = law_sizes(self.law)
+        if known is None and self.sizes is None:
+            raise ModelError("With a function as law give sizes=(states, goals, controls), which a function does not say.")
+        given: Any = known if self.sizes is None else tuple(self.sizes)
+        if len(given) != 3 or any(isinstance(s, bool) or s != int(s) or s < 1 for s in given):
+            raise ModelError(f"sizes is {self.sizes!r}; it must be three whole numbers (states, goals, controls).")
+        if known is not None and known != given:
+            raise ModelError(f"The law has {known} states, goals and controls, but sizes={given}; leave sizes out.")
+        return given  # type: ignore[no-any-return]
+
+    def _modalities(self) -> tuple[Modality, ...]:
+        modalities = tuple(self.modalities)
+        if not modalities and self.model is not None:
+            covariance = self.model.matrix("sensor_covariance")
+            modalities = (Modality("sensors", matrix=self.model.matrix("C"), covariance=covariance),)
+        if not modalities or not all(isinstance(s, Modality) for s in modalities):
+            raise ModelError(
+                f"modalities must be Modality objects, at least one, not {modalities!r}; or give a model that says what is "
+                "measured."
+            )
+        return modalities
+
+    def _check_choices(self) -> None:
+        for name, choices in (
+            ("control", ("gradient", "law")),
+            ("state_prior", ("random walk", "euler", "kalman")),
+        ):
+            if getattr(self, name) not in choices:
+                raise ModelError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(map(repr, choices))}.")
+        if self.model is None and self.dt is None:
+            raise ModelError("Give the controller's sample time dt= in seconds.")
+        if self.dt is not None and self.model is not None and rational_step(self.dt) != self.model.step:
+            raise ModelError(f"dt is {self.dt!r}, but the model's is {float(self.model.step):g} s; leave dt out.")
+        if self.control == "gradient" and self.control_rate is None:
+            raise ModelError("control='gradient' needs a control_rate; or put the control to its law by control='law'.")
+        steps = self.inner_steps
+        if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
+            raise ModelError(f"inner_steps is {steps!r}; it must be a whole number, at least 1.")
+        if not isinstance(self.precision, PrecisionLearner):
+            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
+
+    def _check_prior(self) -> None:
+        n, _, p = self._dimensions
+        if self.state_prior == "euler" and n % 2:
+            raise ModelError(f"state_prior='euler' needs as many rates as positions, but there are {n} states.")
+        if self.state_prior == "kalman":
+            if self.model is None:
+                raise ModelError("state_prior='kalman' needs a model, whose A and B predict the state.")
+            if (self.model.states, self.model.controls) != (n, p):
+                raise ModelError(
+                    f"The model has {self.model.states} states and {self.model.controls} controls; the law has {n} and {p}."
+                )
+
+    def _check_stability(self) -> None:
+        """Compare the eigenvalues of rates times curvature, at nominal trust and the initial mean, with the limit of 2."""
+        (n, goals, p), h = self._dimensions, float(self.sample_time)
+        mean = np.asarray(self.initial_mean)
+        G = np.vstack([s.jacobian_at(mean) for s in self.modalities])
+        nominal, gain = self._nominal(), np.concatenate([np.asarray(s.precision) for s in self.modalities])
+        S = np.diag(np.sqrt(gain * np.diag(nominal)))
+        H: Any = G.T @ S @ np.linalg.inv(nominal) @ S @ G + self._prior_curvature()
+        rates = h * np.asarray(self.belief_rate)
+        arrays = {"mean": np.array(mean), "goal": np.zeros(goals), "wanted": np.full(p, np.nan), "D": np.zeros((p, n))}
+        law = self._embedded()
+        run_once(law, "law_output", arrays)
+        if not np.isfinite(arrays["wanted"]).all():
+            raise ModelError(
+                f"The control law gives {arrays['wanted'].tolist()} at the initial mean and a goal of zero; it must write "
+                "finite numbers into all of u."
+            )
+        if self.control == "gradient":
+            run_once(law, "law_derivative", arrays)
+            D, Pu = arrays["D"], np.asarray(self.control_precision)
+            H = np.block([[H + D.T @ Pu @ D, -D.T @ Pu], [-Pu @ D, Pu]])
+            rates = np.concatenate([rates, h * np.asarray(self.control_rate, float)])
+        largest = float(np.linalg.eigvals(rates[:, np.newaxis] * H).real.max())
+        if not largest < 2.0:
+            raise ModelError(
+                f"The descent is unstable: rate times curvature of the free energy has an eigenvalue of {largest:.3g} at the "
+                "initial mean, and must stay below 2. Lower belief_rate"
+                + (" and control_rate, or the control_precision (which the law's gain squared multiplies)," if self.control == "gradient" else "")
+                + " or the precisions of the modalities."
+            )
+
+
+_DESCENT_FUNCTIONS = (
+    "act", "add_control_gradient", "belief_gradient", "descend", "free_energy_of", "place", "place_rows", "predict_state",
+    "prior_error", "quadratic", "read", "shortening", "shortening_with_control", "weigh",
+)  # fmt: skip
+
+__all__ = ["UnbiasedActiveInference"]
