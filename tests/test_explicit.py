@@ -14,6 +14,7 @@ from bayesftc.controllers import (
     FittedThreshold,
     FixedPrecision,
     GammaPrecision,
+    UnbiasedActiveInference,
 )
 from bayesftc.cosim.errors import ModelError
 from bayesftc.examples.cruise_control.cruise_control import FREEZE, cruise_control
@@ -218,6 +219,41 @@ def test_bad_settings(make, words):
     with pytest.raises(ValueError, match=words) as caught:
         make()
     assert isinstance(caught.value, ModelError) or "steps" in words
+
+
+def pull(x_hat, goal, u):
+    u[0] = goal[0] - x_hat[0]
+
+
+def test_it_serves_active_inference_as_well(same_bits):
+    """The same trigger on another controller's errors, in both forms of its step function."""
+    model = controllers.LinearModel([[1.0]], [[0.1]], [[1.0], [1.0]], 0.001, R, 0.02)
+    y = samples()
+    outs = {}
+    for compiled in (True, False):
+        controller = UnbiasedActiveInference(
+            law=pull,
+            model=model,
+            belief_rate=10.0,
+            control="law",
+            precision=ExplicitDetection(GammaPrecision(forgetting=0.9), threshold=3.5, hold=HOLD * 0.02),
+            initial_mean=20.0,
+            sizes=(1, 1, 1),
+        )
+        step = controller.online(compiled=compiled)
+        outs[compiled] = [step(y=row, goal=[20.0]) for row in y]
+    for a, b in zip(outs[True], outs[False], strict=True):
+        for name in a:
+            same_bits(a[name], b[name], name)
+    e = stacked(outs[True], "innovation")
+    expected = np.column_stack([triggered(d, 3.5) for d in (np.abs(e) / np.sqrt(R)).T])
+    assert 0 < expected.any(axis=1).sum() < 350
+    np.testing.assert_array_equal(stacked(outs[True], "detected"), expected)
+    learning = expected.any(axis=1)
+    a, b = gamma(e, learning)
+    np.testing.assert_allclose(
+        np.diagonal(stacked(outs[True], "R"), axis1=1, axis2=2), np.where(learning[:, None], b / a, R), rtol=1e-9
+    )
 
 
 def test_in_a_scenario_file(tmp_path):
