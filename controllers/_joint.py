@@ -25,6 +25,10 @@ DISTANT = 1e100
 """A sample this many nominal standard deviations away moves no belief: squared it would no more be a number."""
 
 
+SLOPES, SQUARES, VECTORS = 2, 5, 8
+"""How many arrays of scratch space the minimiser needs: equations x unknowns, unknowns x unknowns, unknowns."""
+
+
 def leave_out_distant(e, nominal, used):
     """Leave out sensors whose sample is too far away for its square to be a number."""
     for i in range(e.shape[0]):
@@ -99,7 +103,7 @@ def make_minimiser(
 
     Where residuals stay large, Gauss-Newton converges slowly, for it leaves out their curvature: that is learned on the way.
 
-    It leaves at ``z`` the minimum, in ``T, b, cost`` the equations linearised there. The cost is twice the negative
+    It leaves in ``z`` the minimum, in ``squares[0]`` the triangle of the equations linearised there. The cost is twice the negative
     log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead to where
     something is no number, is not taken, and the next one is damped more.
     """
@@ -158,9 +162,13 @@ def make_minimiser(
 
     def minimise(
         z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-        x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
-        trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent,
+        x, control, reading, following, C, F, B, slope, residual, slopes, squares, vectors, cost, cost2,
     ):  # fmt: skip
+        # Few arguments: Python makes a list of more than thirty, which a step function must not.
+        J, J2 = slopes[0], slopes[1]
+        T, T2, D, S, M = squares[0], squares[1], squares[2], squares[3], squares[4]
+        b, b2, d, trial, row = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+        moved, turned, bent = vectors[5], vectors[6], vectors[7]
         n = z.shape[0]
         cost[0] = INFINITE  # the start is the first point that is tried
         damping = 0.0

@@ -14,6 +14,9 @@ from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
 from bayesftc.controllers._joint import (
+    SLOPES,
+    SQUARES,
+    VECTORS,
     determined,
     factorise,
     keep,
@@ -115,10 +118,10 @@ def _make_step(
         mean, covariance, applied, memory,
         Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, nothing,
-        z, point, control, following, F, B, FP, J, residual, row, T, b, cost,
-        trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent, X, spread_out,
+        z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
     ):  # fmt: skip
         n, p, m = x_hat.shape[0], u.shape[0], y.shape[0]
+        T = squares[0]
         g(mean, reading)
         g_jacobian(mean, C)
         innovate(y, reading, covariance, C, e, present, CP, spread)
@@ -138,8 +141,7 @@ def _make_step(
             z[p + i] = 0.0
         filtering(
             z, y, goal, kept, mean, root, noise, G, nothing, applied,
-            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost,
-            trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent,
+            point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
         )  # fmt: skip
         locate(z, mean, root, x_hat)
         marginal(T, root, p, X, P)
@@ -153,8 +155,7 @@ def _make_step(
         factorise(R, GQ, kept, noise)
         joining(
             z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-            point, control, reading, following, C, F, B, FP, J, residual, row, T, b, cost,
-            trial, T2, b2, cost2, J2, D, d, S, M, moved, turned, bent,
+            point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
         )  # fmt: skip
         found = determined(T, cost[0], wanted, p)
         for i in range(p):
@@ -272,9 +273,8 @@ class NonlinearBayesianController(BayesianBlock):
             "root": (n, n), "kept": (equations,), "wanted": (g,), "noise": (equations, equations), "point": (n,), "control": (p,),
             "following": (n,), "F": (n, n), "B": (n, p), "FP": (n, n), "residual": (equations,), "cost": (1,), "cost2": (1,),
             "X": (n, n), "spread_out": (n, n),
-            **dict.fromkeys(("J", "J2"), (equations, unknowns)),
-            **dict.fromkeys(("T", "T2", "D", "S", "M"), (unknowns, unknowns)),
-            **dict.fromkeys(("z", "trial", "row", "b", "b2", "d", "moved", "turned", "bent"), (unknowns,)),
+            "z": (unknowns,), "slopes": (SLOPES, equations, unknowns), "squares": (SQUARES, unknowns, unknowns),
+            "vectors": (VECTORS, unknowns),
         }  # fmt: skip
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
