@@ -8,9 +8,10 @@ paper's own numbers in `bayesftc.reproduce.paper`.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from bayesftc.reproduce._detection import run as detection
     from bayesftc.reproduce._tracking import run as tracking
 
-__all__ = ["tracking"]
+__all__ = ["detection", "tracking"]
 
 
 def __getattr__(name: str) -> Any:

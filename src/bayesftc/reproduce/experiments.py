@@ -18,7 +18,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.reproduce import _tracking, _tracking_figures, _tracking_tables
+from bayesftc.reproduce import (
+    _detection,
+    _detection_figures,
+    _detection_tables,
+    _tracking,
+    _tracking_figures,
+    _tracking_tables,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,6 +45,10 @@ class Experiment:
 
 
 EXPERIMENTS = {
-    e.name: e for e in (Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.figures),)
+    e.name: e
+    for e in (
+        Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.figures),
+        Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.figures),
+    )
 }
 """All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""

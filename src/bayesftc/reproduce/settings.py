@@ -10,6 +10,7 @@ from typing import Any
 
 from bayesftc.controllers.baselines import EFFDI_QUANTILE_999
 from bayesftc.cosim.errors import ModelError
+from bayesftc.reproduce import paper
 
 PAPER = "the paper's"
 
@@ -88,3 +89,55 @@ class Tracking(Settings):
 
     def __post_init__(self) -> None:
         check_size("runs", self.runs, 2, "so that errors can be compared")
+
+
+@dataclass(frozen=True)
+class Detection(Settings):
+    """Experiment 3: how well a residual tells whether a sensor is faulty."""
+
+    streams: int = chosen(20, "not published: as many independent repetitions, so that the mean has an interval")
+    steps: int = chosen(
+        80_000, f"{PAPER} text: about 160,000 time steps, here 80,000 of each of two sensors: 1000 faults"
+    )
+    mean_time_to_fault: float = chosen(2.8, f"{PAPER} text, s: a hazard of 1/140 a step")
+    mean_time_to_recovery: float = chosen(0.4, f"{PAPER} text, s: a hazard of 1/20 a step")
+    injection: float = chosen(3.0, "not published, m/s: the headline's is this times the common factor f")
+    drift: float = chosen(5.0, "not published, m/s per second: the headline's is this times f")
+    baseline_auc: float = chosen(
+        paper.AUC["SER"],
+        "f is scaled until the baseline's (SER's) mean AUC is the paper's: the difficulty is then the same",
+    )
+    factor_streams: int = chosen(20, "streams on which f is found; none of them is judged")
+    factor_seed: int = chosen(0, "f is found once, whatever the seed of the streams that are judged")
+    factor_range: tuple[float, float] = chosen((0.5, 4.0), "where f is looked for")
+    factor_tolerance: float = chosen(1e-3, "relative accuracy of f: an AUC within .0003")
+    offset: float = chosen(20.0, "not published, m/s: mean of all references")
+    fast: tuple[float, float] = chosen(
+        (20.0, 2.0), "not published: amplitude (m/s) and period (s) of the headline's sine"
+    )
+    slow: tuple[float, float] = chosen(
+        (5.0, 8.0), "amplitude and period of the grid's slow sine, the tracking experiment's"
+    )
+    ser_threshold: float = chosen(3.0, "not published, standard deviations of the innovation: as in tracking")
+    training_share: float = chosen(0.8, f"{PAPER} text: a split by time, 80 % for training, 20 % for the test")
+    skipped: int = chosen(200, "steps at the start that are left out, while the belief settles")
+    gap: int = chosen(
+        500, "steps left out at the cut: 25 mean fault lengths, after which no fault and no memory reaches across it"
+    )
+    training_stride: int = chosen(
+        4, "every fourth sample of the training part is fitted: ample for a map with two numbers"
+    )
+    # Beta's forgetting and prior: all combinations, judged by the mean AUC on the training parts alone.
+    forgettings: tuple[float, ...] = chosen((0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9), "a memory of 1.4 to 10 samples")
+    prior_shapes: tuple[float, ...] = chosen((0.05, 0.1, 0.2, 0.5, 1.0, 2.0), "a prior that counts as 0.1 to 4 samples")
+    plain_forgetting: float = chosen(
+        0.95, "the further residual 'beta (PL of tracking)' has the tracking experiment's memory"
+    )
+    # The grid.
+    grid_streams: int = chosen(2, "about 2000 faults for each cell")
+    grid_injections: tuple[float, ...] = chosen((2.0, 3.0, 5.0, 7.0, 10.0), "m/s")
+    grid_drifts: tuple[float, ...] = chosen((1.0, 2.0, 5.0, 10.0, 20.0), "m/s per second")
+
+    def __post_init__(self) -> None:
+        check_size("streams", self.streams, 2, "so that their mean has an interval")
+        check_size("steps", self.steps, 5_000, "to see enough faults")

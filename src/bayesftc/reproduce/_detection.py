@@ -1,0 +1,253 @@
+"""Experiment 3: is a sensor faulty? The beta residual beside the state estimation residual (paper, section 5.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import product
+from math import exp, log
+from typing import Any
+
+import numpy as np
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim._repeat import repeat
+from bayesftc.cosim.block import Floats
+from bayesftc.reproduce import _residuals, paper
+from bayesftc.reproduce._car import closed_loop
+from bayesftc.reproduce._ensemble import Progress, check_jobs, chunks, in_parallel, prepare, seeds
+from bayesftc.reproduce._residuals import Residual, Stream
+from bayesftc.reproduce._roc import auc as area, curve, rates
+from bayesftc.reproduce.settings import Car, Detection
+
+HEADLINE = "fast"
+GROUP = 5
+"""Streams that one task simulates: a tenth of a second or two, after which it can be stopped."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """How large the faults are, in m/s and m/s per second, and on which reference."""
+
+    injection: float
+    drift: float
+    reference: str = HEADLINE
+
+
+def run(
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    runs: int | None = None,
+    grid: bool = True,
+    settings: Detection | None = None,
+    car: Car | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the experiment and return what ``detection.json`` holds.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the streams that are judged.
+    jobs : int
+        Number of threads; the results are the same to the last bit for any.
+    runs : int, optional
+        Number of streams, instead of the settings'.
+    grid : bool
+        Whether faults of other sizes and other references are run as well.
+    settings, car : Detection, Car, optional
+        Other settings than those of `bayesftc.reproduce.settings`.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If a number of jobs or streams cannot be, or no factor in the given range lets the baseline reach its AUC.
+    """
+    settings, car = settings or Detection(), car or Car()
+    settings = settings if runs is None else replace(settings, streams=runs)
+    bench = _Bench(settings, car, check_jobs(jobs), progress)
+    factor, baseline = bench.factor()
+    faults = Faults(settings.injection * factor, settings.drift * factor)
+    own = seeds(seed, "detection/streams", settings.streams)
+    beta, tried = bench.choose(faults, own)
+    residuals = _residuals.known(settings, beta, car)
+    judged = bench.judge(faults, own, residuals)
+    auc = {name: np.array([stream[name][0] for stream in judged]) for name in residuals}
+    difference = auc["beta"] - auc["SER"]
+    return {
+        "settings": {
+            "seed": seed,
+            "f": factor,
+            "f_auc": baseline,
+            "faults": asdict(faults),
+            "beta": {name: getattr(beta, name) for name in ("forgetting", "prior_shape")},
+            **settings.to_dict(),
+            "car": car.to_dict(),
+            "residuals": {name: r.text for name, r in residuals.items()},
+        },
+        "auc": {name: float(values.mean()) for name, values in auc.items()},
+        "auc_ci": {name: interval(values) for name, values in auc.items()},
+        "difference": {"mean": float(difference.mean()), "ci": interval(difference)},
+        "streams": [
+            {"seed": own[i], "faults": judged[i]["faults"][0], "auc": {name: float(auc[name][i]) for name in residuals}}
+            for i in range(settings.streams)
+        ],
+        "roc": {
+            "false_positive_rate": rates().tolist(),
+            "true_positive_rate": {name: np.mean([s[name][1] for s in judged], axis=0).tolist() for name in residuals},
+        },
+        "choice": tried,
+        "grid": bench.grid(seed, residuals) if grid else None,
+        "paper": {"auc": paper.AUC, **paper.AUC},
+    }
+
+
+def interval(values: Floats, level: float = 0.95) -> list[float]:
+    """Return the confidence interval of the mean of independent values, by Student's t distribution."""
+    from scipy.stats import t
+
+    half = t.ppf(0.5 + level / 2, len(values) - 1) * values.std(ddof=1) / len(values) ** 0.5
+    return [float(values.mean() - half), float(values.mean() + half)]
+
+
+class _Bench:
+    """Runs streams of random faults through closed loops."""
+
+    def __init__(self, settings: Detection, car: Car, jobs: int, progress: Progress | None):
+        self.settings, self.car, self.jobs, self.progress = settings, car, jobs, progress
+
+    def factor(self) -> tuple[float, float]:
+        """Return the factor on the faults' sizes with which the baseline has the paper's AUC, and the AUC, by bisection."""
+        s = self.settings
+        own = seeds(s.factor_seed, "detection/factor", s.factor_streams)
+
+        def baseline(factor: float) -> float:
+            faults = Faults(s.injection * factor, s.drift * factor)
+            return float(self._areas("Scaling the faults", [(faults, _residuals.ser(s))], own, self._whole).mean())
+
+        low, high = s.factor_range
+        if not baseline(low) < s.baseline_auc < baseline(high):
+            raise cosim.ModelError(
+                f"No factor in {s.factor_range} gives the state estimation residual an AUC of {s.baseline_auc:g}; widen "
+                "factor_range."
+            )
+        while high / low > 1 + s.factor_tolerance:
+            middle = exp(0.5 * (log(low) + log(high)))
+            low, high = (middle, high) if baseline(middle) < s.baseline_auc else (low, middle)
+        middle = exp(0.5 * (log(low) + log(high)))
+        return middle, baseline(middle)
+
+    def choose(self, faults: Faults, own: Sequence[int]) -> tuple[controllers.GammaPrecision, list[dict[str, Any]]]:
+        """Return the learner whose beta has the highest mean AUC on the training parts, and the AUC of all that were tried."""
+        s = self.settings
+        learners = [
+            controllers.GammaPrecision(forgetting=rho, prior_shape=shape)
+            for rho, shape in product(s.forgettings, s.prior_shapes)
+        ]
+        cases = [(faults, _residuals.beta(learner)) for learner in learners]
+        means = self._areas("Choosing beta's memory", cases, own, self._parts()[0]).mean(axis=1)
+        tried = [
+            {"forgetting": learner.forgetting, "prior_shape": learner.prior_shape, "training_auc": float(mean)}
+            for learner, mean in zip(learners, means, strict=True)
+        ]
+        return learners[int(np.argmax(means))], tried
+
+    def judge(
+        self, faults: Faults, own: Sequence[int], residuals: Mapping[str, Residual]
+    ) -> list[dict[str, tuple[Any, ...]]]:
+        """Return for each stream the test AUC of each residual with its curve, and the number of faults."""
+        loops = {learner: self._loop(faults, learner) for r in residuals.values() for learner in r.learners}
+        prepare(list(loops.values()), self.progress)
+        tasks = [partial(self._judge_stream, loops, residuals, seed) for seed in own]
+        return in_parallel(tasks, self.jobs, self.progress, "Judging residuals")
+
+    def grid(self, seed: int, residuals: Mapping[str, Residual]) -> list[dict[str, Any]]:
+        """Return the AUC of the two residuals of the paper over sizes of the faults and references, on whole streams."""
+        s = self.settings
+        own = seeds(seed, "detection/grid", s.grid_streams)
+        cells = [Faults(i, d, r) for r, i, d in product(("fast", "slow", "constant"), s.grid_injections, s.grid_drifts)]
+        names = _residuals.GRID
+        cases = [(cell, residuals[name]) for cell in cells for name in names]
+        means = self._areas("Other faults and references", cases, own, self._whole).mean(axis=1)
+        return [
+            {**asdict(cell), "auc": dict(zip(names, row, strict=True))}
+            for cell, row in zip(cells, means.reshape(len(cells), -1).tolist(), strict=True)
+        ]
+
+    def _areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int], rows: slice) -> Floats:
+        """Return the AUC over some rows of each stream, for residuals of one feature: cases x streams."""
+        loops = [self._loop(faults, residual.learners[0]) for faults, residual in cases]
+        prepare(loops, self.progress)
+
+        def group(loop: cosim.Diagram, residual: Residual, few: Sequence[int]) -> list[float]:
+            streams = self._streams(loop, few)
+            return [area(s.faulty[rows], residual.features([s])[rows, :, 0]) for s in streams]
+
+        tasks = [
+            partial(group, loop, residual, few)
+            for loop, (_, residual) in zip(loops, cases, strict=True)
+            for few in chunks(own, GROUP)
+        ]
+        parts = in_parallel(tasks, self.jobs, self.progress, what)
+        return np.concatenate(parts).reshape(len(cases), len(own))
+
+    def _judge_stream(
+        self,
+        loops: Mapping[controllers.PrecisionLearner, cosim.Diagram],
+        residuals: Mapping[str, Residual],
+        seed: int,
+    ) -> dict[str, tuple[Any, ...]]:
+        streams = {learner: next(self._streams(loop, [seed])) for learner, loop in loops.items()}
+        faulty = next(iter(streams.values())).faulty
+        training, test = self._parts()
+        few = slice(training.start, training.stop, self.settings.training_stride)
+        found: dict[str, tuple[Any, ...]] = {"faults": (int((np.diff(faulty.astype(int), axis=0) > 0).sum()),)}
+        for name, residual in residuals.items():
+            x = residual.features([streams[learner] for learner in residual.learners])
+            fit = controllers.FaultClassifier().fit(_rows(x[few]), faulty[few].ravel())
+            probability, truth = fit.predict_proba(_rows(x[test]))[:, 1], faulty[test].ravel()
+            found[name] = area(truth, probability), curve(truth, probability)
+        return found
+
+    @property
+    def _whole(self) -> slice:
+        return slice(self.settings.skipped, None)
+
+    def _parts(self) -> tuple[slice, slice]:
+        """Return the rows of the training part and of the test part, with the gap between them."""
+        s = self.settings
+        cut = int(s.training_share * s.steps)
+        return slice(s.skipped, cut - s.gap), slice(cut, None)
+
+    def _streams(self, loop: cosim.Diagram, own: Sequence[int]) -> Iterator[Stream]:
+        active = [f"fault_{i}.active" for i in range(self.car.sensors)]
+        for result in repeat(loop, self.settings.steps * self.car.step, own, [*_residuals.SIGNALS, *active]):
+            yield Stream(result, np.column_stack([result[name] for name in active]) > 0.5)
+
+    def _loop(self, faults: Faults, learner: controllers.PrecisionLearner) -> cosim.Diagram:
+        s = self.settings
+        kinds = (cosim.Freeze(), cosim.Injection(magnitude=faults.injection), cosim.Drift(slope=faults.drift))
+        chain = [
+            cosim.RandomFaults(
+                kinds=kinds,
+                sensor=i,
+                mean_time_to_fault=s.mean_time_to_fault,
+                mean_time_to_recovery=s.mean_time_to_recovery,
+                name=f"fault_{i}",
+            )
+            for i in range(self.car.sensors)
+        ]
+        reference: cosim.Source = cosim.Constant(s.offset)
+        if faults.reference != "constant":
+            amplitude, period = getattr(s, faults.reference)
+            reference = cosim.Sine(amplitude, period, offset=s.offset)
+        return closed_loop(self.car, learner, chain, reference, s.offset)
+
+
+def _rows(x: Floats) -> Floats:
+    """Return features with a row for each sample of each sensor."""
+    return x.reshape(-1, x.shape[-1])

@@ -1,0 +1,108 @@
+"""The residuals that the detection experiment compares, each from its own controller's loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim.block import Floats
+from bayesftc.reproduce._car import model
+from bayesftc.reproduce.settings import Car, Detection
+
+SIGNALS = ("controller.innovation", "controller.beta", "controller.precision")
+GRID = ("SER", "beta", "beta (PL of tracking)")
+"""The residuals of the grid; each has one loop."""
+
+
+class Stream(NamedTuple):
+    """A run and its ground truth, which has a row for each step and a column for each sensor."""
+
+    result: cosim.Result
+    faulty: np.ndarray[Any, np.dtype[np.bool_]]
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What a fault probability is computed from.
+
+    Attributes
+    ----------
+    text : str
+        What it is.
+    learners : tuple of PrecisionLearner
+        Of the controllers from whose loops it is taken.
+    columns : tuple of function
+        For each learner the function from its run to a feature of each step and sensor.
+    """
+
+    text: str
+    learners: tuple[controllers.PrecisionLearner, ...]
+    columns: tuple[Callable[[cosim.Result], Floats], ...]
+
+    def features(self, streams: Sequence[Stream]) -> Floats:
+        """Return the features from the learners' runs, of shape (steps, sensors, features)."""
+        return np.stack([f(stream.result) for f, stream in zip(self.columns, streams, strict=True)], axis=-1)
+
+
+def ser(settings: Detection) -> Residual:
+    """Return the paper's baseline."""
+    learner = controllers.SERFDI(threshold=settings.ser_threshold)
+    return Residual("|y - C x_t|t-1| in the loop of SER FT", (learner,), (controllers.state_estimation_residual,))
+
+
+def beta(learner: controllers.PrecisionLearner) -> Residual:
+    """Return the logarithm of beta, which ranks like beta itself."""
+    return Residual("log(beta) in its learner's loop", (learner,), (_log_beta,))
+
+
+def known(settings: Detection, chosen: controllers.GammaPrecision, car: Car) -> dict[str, Residual]:
+    """Return all residuals by name: the paper's two, variations of them, and the beta of every other learner that has one."""
+    base, best = ser(settings), beta(chosen)
+    plain = controllers.GammaPrecision(forgetting=settings.plain_forgetting)
+    kept = chosen.forgetting or 1.0
+
+    def smoothed(result: cosim.Result) -> Floats:
+        from scipy.signal import lfilter
+
+        return np.asarray(
+            lfilter([1.0 - kept], [1.0, -kept], controllers.state_estimation_residual(result) ** 2, axis=0)
+        )
+
+    residuals = {
+        "SER": base,
+        "beta": best,
+        "SER, smoothed": Residual("square of SER with the exponential memory of beta", base.learners, (smoothed,)),
+        "SER and beta": Residual("both as features", (*base.learners, chosen), (*base.columns, *best.columns)),
+        "innovation of PL": Residual(
+            "|y - C x_t|t-1| in the loop of beta", (chosen,), (controllers.state_estimation_residual,)
+        ),
+        "innovation of No FT": Residual(
+            "|y - C x_t|t-1| of a Kalman filter that trusts all sensors",
+            (controllers.FixedPrecision(),),
+            (controllers.state_estimation_residual,),
+        ),
+        "precision": Residual("-log(precision) in the loop of beta", (chosen,), (_log_variance,)),
+        "beta (PL of tracking)": beta(plain),
+    }
+    for cls in controllers.LEARNERS:
+        if cls is not controllers.GammaPrecision and _has_beta(cls(), car):
+            residuals[f"beta ({cls.__name__})"] = beta(cls())
+    return residuals
+
+
+def _has_beta(learner: controllers.PrecisionLearner, car: Car) -> bool:
+    """Return whether a learner has a beta, by one sample."""
+    step = controllers.BayesianController(model(car), precision=learner).online(compiled=False)
+    return bool(np.isfinite(step(y=[1.0] * car.sensors, goal=[0.0]).beta).all())
+
+
+def _log_beta(result: cosim.Result) -> Floats:
+    return np.log(controllers.beta_residual(result))
+
+
+def _log_variance(result: cosim.Result) -> Floats:
+    return -np.log(result["controller.precision"])
