@@ -7,7 +7,7 @@ MEAN_CAP = 1e150
 """Largest magnitude of a state's belief; its square is still a double."""
 
 STEP_LIMIT = 1.9
-"""Where a gradient step times the free energy's curvature exceeds this, the step is shortened; at 2 it would diverge."""
+"""Where a gradient step times the free energy's curvature exceeds this, the step is shortened; from 2 on it may diverge."""
 
 LOG_2_PI = 1.8378770664093453
 
@@ -93,6 +93,11 @@ def row_sum(j, weights, weighted, J):
     return total
 
 
+def _shortened(curvature):
+    """Return 1, or where that is too far the step that ends at the minimum instead of beyond it."""
+    return select(curvature > STEP_LIMIT, 1.0 / curvature, 1.0)
+
+
 def shortening(G, P, curvature, rate, PG):
     """Return by what to shorten the belief's gradient step so that it stays stable, at most 1.
 
@@ -102,7 +107,7 @@ def shortening(G, P, curvature, rate, PG):
     worst = 0.0 * rate[0]
     for j in range(rate.shape[0]):
         worst = maximum(rate[j] * (row_sum(j, P, PG, G) + curvature[j]), worst)
-    return minimum(STEP_LIMIT / worst, 1.0)
+    return _shortened(worst)
 
 
 def shortening_with_control(G, P, curvature, rate, PG, D, Pu, rate_u, PD):
@@ -120,7 +125,7 @@ def shortening_with_control(G, P, curvature, rate, PG, D, Pu, rate_u, PD):
         for j in range(rate_u.shape[0]):
             total = total + absolute(Pu[i, j])
         driven = maximum(rate_u[i] * total, driven)
-    return minimum(STEP_LIMIT / (worst + pulled + driven), 1.0)
+    return _shortened(worst + pulled + driven)
 
 
 def descend(fraction, rate, gradient, mean):

@@ -48,7 +48,9 @@ def law_sizes(law: Any) -> tuple[int, int, int] | None:
     """
     if isinstance(law, FunctionType):
         if len(argument_names(law)) != 3:
-            raise ModelError(f"The control law {law.__name__!r} must take three arguments: x_hat, goal, and u to write.")
+            raise ModelError(
+                f"The control law {law.__name__!r} must take three arguments: x_hat, goal, and u to write."
+            )
         return None
     if not isinstance(law, Block):
         raise ModelError(f"law must be a block such as Proportional(2.0), or a function (x_hat, goal, u), not {law!r}.")
@@ -126,5 +128,3 @@ def write_step(name: str, arguments: Mapping[str, Any], text: str, functions: Ma
 
 def _arrays(values: Mapping[str, Any]) -> dict[str, Floats]:
     return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
-
-

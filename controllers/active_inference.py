@@ -110,7 +110,8 @@ class UnbiasedActiveInference(Block):
         What the sensors measure; if there are none, the model's C and sensor covariance.
     law : block or function
         The control law f*: a block with the inputs ``x_hat`` and ``goal`` and the output ``u``, such as `Proportional`, `PID`
-        or one of your own, or a step function ``law(x_hat, goal, u)``. What a block keeps from step to step moves on once a sample.
+        or one of your own, or a step function ``law(x_hat, goal, u)``. What a block keeps from step to step
+        moves on once a sample.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the model's.
     belief_rate : number or vector
@@ -216,7 +217,7 @@ class UnbiasedActiveInference(Block):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        (n, goals, p), m, h = self._dimensions, self._sensors, float(step)
+        (n, _, p), m, h = self._dimensions, self._sensors, float(step)
         learner, law = self.precision.learner(self._learned_model()), self._embedded()
         functions, calls, modality_state, modality_parameters = self._measurement()
         A, B = self._prediction()
@@ -331,7 +332,9 @@ class UnbiasedActiveInference(Block):
     def _sizes(self) -> tuple[int, int, int]:
         known = law_sizes(self.law)
         if known is None and self.sizes is None:
-            raise ModelError("With a function as law give sizes=(states, goals, controls), which a function does not say.")
+            raise ModelError(
+                "With a function as law give sizes=(states, goals, controls), which a function does not say."
+            )
         given: Any = known if self.sizes is None else tuple(self.sizes)
         if len(given) != 3 or any(isinstance(s, bool) or s != int(s) or s < 1 for s in given):
             raise ModelError(f"sizes is {self.sizes!r}; it must be three whole numbers (states, goals, controls).")
@@ -357,7 +360,9 @@ class UnbiasedActiveInference(Block):
             ("state_prior", ("random walk", "euler", "kalman")),
         ):
             if getattr(self, name) not in choices:
-                raise ModelError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(map(repr, choices))}.")
+                raise ModelError(
+                    f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(map(repr, choices))}."
+                )
         if self.model is None and self.dt is None:
             raise ModelError("Give the controller's sample time dt= in seconds.")
         if self.dt is not None and self.model is not None and rational_step(self.dt) != self.model.step:
@@ -406,11 +411,10 @@ class UnbiasedActiveInference(Block):
             rates = np.concatenate([rates, h * np.asarray(self.control_rate, float)])
         largest = float(np.linalg.eigvals(rates[:, np.newaxis] * H).real.max())
         if not largest < 2.0:
+            remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
             raise ModelError(
                 f"The descent is unstable: rate times curvature of the free energy has an eigenvalue of {largest:.3g} at the "
-                "initial mean, and must stay below 2. Lower belief_rate"
-                + (" and control_rate, or the control_precision (which the law's gain squared multiplies)," if self.control == "gradient" else "")
-                + " or the precisions of the modalities."
+                f"initial mean, and must stay below 2. Lower {remedy} or the precisions of the modalities."
             )
 
 

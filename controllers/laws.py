@@ -105,9 +105,7 @@ class Proportional(Block):
             value = as_vector(f"{name} of {type(self).__name__}", getattr(self, name), self.controls, finite=False)
             object.__setattr__(self, name, tuple(value.tolist()))
         if (np.asarray(self.u_min) > np.asarray(self.u_max)).any():
-            raise ModelError(
-                f"{type(self).__name__} has u_min={self.u_min} above u_max={self.u_max}; exchange them."
-            )
+            raise ModelError(f"{type(self).__name__} has u_min={self.u_min} above u_max={self.u_max}; exchange them.")
 
     @property
     def controls(self) -> int:
@@ -236,7 +234,11 @@ class PID(ProportionalDerivative):
                 f"PID has tracking_time={self.tracking_time:g} s at a sample time of {float(step):g} s; the integral would "
                 "overshoot: give at least the sample time."
             )
-        wind = [float(step), self.anti_windup in {"clamping", "both"}, float(step) / self.tracking_time if back else 0.0]
+        wind = [
+            float(step),
+            self.anti_windup in {"clamping", "both"},
+            float(step) / self.tracking_time if back else 0.0,
+        ]
         parameters = self._parameters() | {
             "integral_gain": np.asarray(self.integral_gain, float),
             "integral_limit": np.asarray(self.integral_limit, float),

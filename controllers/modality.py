@@ -71,9 +71,7 @@ class Modality:
             raise ModelError(f"{self._title} has size={self.size!r}; say how many samples it gives, at least 1.")
         for kind in ("function", "jacobian"):
             function = getattr(self, kind)
-            if function is not None and (
-                not isinstance(function, FunctionType) or len(argument_names(function)) != 2
-            ):
+            if function is not None and (not isinstance(function, FunctionType) or len(argument_names(function)) != 2):
                 raise ModelError(
                     f"{self._title} has {kind}={function!r}; it must be a plain Python function of two arguments, the state "
                     "and what it writes."
@@ -86,9 +84,7 @@ class Modality:
             if (std <= 0).any():
                 raise ModelError(f"{self._title} has std={std.tolist()}; it must be positive.")
             nominal = std * std
-        object.__setattr__(
-            self, "covariance", as_covariance(f"The covariance of {self._title}", nominal, self.samples)
-        )
+        object.__setattr__(self, "covariance", as_covariance(f"The covariance of {self._title}", nominal, self.samples))
         weights = as_vector(f"The precision of {self._title}", self.precision, self.samples)
         if (weights <= 0).any():
             raise ModelError(f"{self._title} has precision={weights.tolist()}; it must be positive.")

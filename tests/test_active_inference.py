@@ -1,0 +1,446 @@
+"""Active inference: its free energy and gradient against CasADi and SciPy, where it settles, and what it survives."""
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy import linalg, stats
+
+from bayesftc import controllers, cosim, fmus
+from bayesftc.controllers import Modality, UnbiasedActiveInference
+from bayesftc.cosim.errors import BayesFTCError, ModelError
+from bayesftc.cosim.ops import cos, select, sin, square
+
+H = 0.01
+ARM = cosim.arm_with_camera((1.0, 0.8), (-0.05, 0.01, 0.001))
+
+
+def bend(x, y):
+    y[0] = x[0] * x[1] + 0.3 * square(x[2])
+    y[1] = sin(x[3]) - cos(x[0])
+    y[2] = x[2] / (1.0 + square(x[1]))
+
+
+def bend_by_hand(x, y_x):
+    for i in range(3):
+        for j in range(4):
+            y_x[i, j] = 0.0 * x[0]
+    y_x[0, 0], y_x[0, 1], y_x[0, 2] = x[1], x[0], 0.6 * x[2]
+    y_x[1, 0], y_x[1, 3] = sin(x[0]), cos(x[3])
+    d = 1.0 + square(x[1])
+    y_x[2, 1], y_x[2, 2] = -2.0 * x[1] * x[2] / square(d), 1.0 / d
+
+
+def pull(x_hat, goal, u):
+    u[0] = 2.0 * (goal[0] - sin(x_hat[0])) - x_hat[2] * x_hat[1]
+    u[1] = goal[1] - x_hat[1] + 0.2 * square(x_hat[3])
+
+
+# The same functions written again in CasADi, and what each modality is built from.
+def casadi_arm(x):
+    a, b = 1.0, 0.8
+    p = ca.vertcat(a * ca.cos(x[0]) + b * ca.cos(x[0] + x[1]), a * ca.sin(x[0]) + b * ca.sin(x[0] + x[1]))
+    r2 = ca.sumsqr(p)
+    return ca.vertcat(x, p * (1 - 0.05 * r2 + 0.01 * r2**2 + 0.001 * r2**3))
+
+
+def casadi_bend(x):
+    return ca.vertcat(x[0] * x[1] + 0.3 * x[2] ** 2, ca.sin(x[3]) - ca.cos(x[0]), x[2] / (1 + x[1] ** 2))
+
+
+def casadi_pull(x, goal):
+    return ca.vertcat(2 * (goal[0] - ca.sin(x[0])) - x[2] * x[1], goal[1] - x[1] + 0.2 * x[3] ** 2)
+
+
+def random_covariance(rng, n, scale):
+    M = rng.normal(size=(n, n))
+    return scale * (M @ M.T + n * np.eye(n)) / (2 * n)
+
+
+PD = controllers.ProportionalDerivative([[3.0, 0.5], [-0.2, 2.0]], derivative_gain=[0.7, 0.4])
+PID = controllers.PID([2.0, 1.0], derivative_gain=[0.7, 0.4], integral_gain=3.0, integral_limit=0.2)
+
+
+def random_case(seed, prior, law):
+    """A controller with random modalities, priors and precisions, and the same things for the oracle."""
+    rng = np.random.default_rng(seed)
+    chosen, measured = [], []
+    for kind in rng.permutation(4)[: rng.integers(1, 5)]:
+        if kind == 0:
+            C = rng.normal(size=(3, 4))
+            chosen.append(
+                Modality(
+                    "matrix", matrix=C, covariance=random_covariance(rng, 3, 0.04), precision=rng.uniform(0.3, 2, 3)
+                )
+            )
+            measured.append(lambda x, C=C: ca.DM(C) @ x)
+        elif kind == 1:
+            chosen.append(Modality("arm", 6, ARM, std=rng.uniform(1e-3, 0.1, 6), precision=rng.uniform(0.3, 1, 6)))
+            measured.append(casadi_arm)
+        else:
+            by_hand = bend_by_hand if kind == 3 else None
+            chosen.append(Modality("bend", 3, bend, covariance=random_covariance(rng, 3, 0.5), jacobian=by_hand))
+            measured.append(casadi_bend)
+    A, B = np.eye(4) + 0.05 * rng.normal(size=(4, 4)), 0.1 * rng.normal(size=(4, 2))
+    model = controllers.LinearModel(A, B, np.eye(4), 0.1, 1.0, H) if prior == "kalman" else None
+    controller = UnbiasedActiveInference(
+        chosen, law, H, 2.0, 0.5, state_prior=prior, model=model, control_precision=random_covariance(rng, 2, 0.5),
+        state_precision=random_covariance(rng, 4, 2.0), initial_mean=rng.normal(size=4), inner_steps=2,
+        sizes=None if isinstance(law, cosim.Block) else (4, 2, 2),
+    )  # fmt: skip
+    if prior == "random walk":
+        A, B = np.eye(4), 0 * B
+    elif prior == "euler":
+        A, B = np.block([[np.eye(2), H * np.eye(2)], [np.zeros((2, 2)), np.eye(2)]]), 0 * B
+    return controller, measured, A, B, rng
+
+
+def control_law(law, x, goal, integral):
+    if law is pull:
+        return casadi_pull(x, goal)
+    return ca.DM(law.gain) @ (goal - x[:2]) - ca.DM(law.derivative_gain) @ x[2:4] + integral
+
+
+def descent_by_casadi(controller, measured, A, B, ys, goals):
+    """Follow the descent over the rows of y with a free energy written here; return all means and values of F."""
+    x, v = ca.SX.sym("x", 4), ca.SX.sym("v", 2)
+    y, goal, predicted, integral = ca.SX.sym("y", ys.shape[1]), ca.SX.sym("g", 2), ca.SX.sym("p", 4), ca.SX.sym("i", 2)
+    Px, Pu = np.asarray(controller.state_precision), np.asarray(controller.control_precision)
+    F, first = -(np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1]), 0
+    for modality, g in zip(controller.modalities, measured, strict=True):
+        error = y[first : first + modality.size] - g(x)
+        S = np.diag(np.sqrt(modality.precision * np.diag(modality.covariance)))
+        P = S @ np.linalg.inv(modality.covariance) @ S
+        F += error.T @ ca.DM(P) @ error - np.linalg.slogdet(P)[1]
+        first += modality.size
+    eps_x, eps_u = x - predicted, v - control_law(controller.law, x, goal, integral)
+    F += eps_x.T @ ca.DM(Px) @ eps_x + eps_u.T @ ca.DM(Pu) @ eps_u + (first + 6) * np.log(2 * np.pi)
+    F = F / 2
+    slopes = ca.Function("F", [x, v, y, goal, predicted, integral], [F, ca.gradient(F, x), ca.gradient(F, v)])
+    mean, control, memory = np.array(controller.initial_mean), np.zeros(2), np.zeros(2)
+    prediction, out = mean, []
+    for row, target in zip(ys, goals, strict=True):
+        for _ in range(controller.inner_steps):
+            value, by_x, by_v = (np.array(r).ravel() for r in slopes(mean, control, row, target, prediction, memory))
+            mean = mean - H * np.asarray(controller.belief_rate) * by_x
+            control = control - H * np.asarray(controller.control_rate) * by_v
+        out.append((mean, control, value[0]))
+        prediction = A @ mean + B @ control
+        if isinstance(controller.law, controllers.PID):
+            memory = np.clip(memory + H * np.asarray(controller.law.integral_gain) @ (target - mean[:2]), -0.2, 0.2)
+    return (np.array(column) for column in zip(*out, strict=True))
+
+
+@pytest.mark.parametrize("law", [PD, PID, pull], ids=["PD", "PID", "function"])
+@pytest.mark.parametrize("prior", ["random walk", "euler", "kalman"])
+@pytest.mark.parametrize("seed", range(4))
+def test_free_energy_and_gradient_are_casadis(seed, prior, law):
+    controller, measured, A, B, rng = random_case(seed, prior, law)
+    sensors = controller.port("y").size
+    ys, goals = 0.7 * rng.normal(size=(6, sensors)), 0.5 * rng.normal(size=(6, 2))
+    step = controller.online(compiled=False)
+    outs = [step(y=a, goal=b) for a, b in zip(ys, goals, strict=True)]
+    means, controls, energies = descent_by_casadi(controller, measured, A, B, ys, goals)
+    np.testing.assert_allclose([out.x_hat for out in outs], means, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose([out.u for out in outs], controls, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose([out.free_energy for out in outs], energies, rtol=1e-9)
+    moved = np.abs(np.diff(means, axis=0)).max()
+    assert moved > 1e-3  # the gradient did something
+
+
+def test_the_constant_makes_it_a_negative_log_density():
+    """With the precisions of a generative model, F = -ln p(u, x, y) of SciPy's densities."""
+    rng = np.random.default_rng(3)
+    R, C = random_covariance(rng, 3, 0.3), rng.normal(size=(3, 4))
+    Px, Pu = random_covariance(rng, 4, 2.0), random_covariance(rng, 2, 1.0)
+    sensors = Modality("all", matrix=C, covariance=R, precision=1 / np.diag(R))
+    controller = UnbiasedActiveInference(
+        [sensors], PD, H, 0.1, 0.1, state_precision=Px, control_precision=Pu, initial_mean=rng.normal(size=4)
+    )
+    y, goal, mean = rng.normal(size=3), rng.normal(size=2), np.asarray(controller.initial_mean)
+    u = np.asarray(PD.gain) @ (goal - mean[:2]) - np.asarray(PD.derivative_gain) @ mean[2:]
+    log_density = (
+        stats.multivariate_normal(C @ mean, R).logpdf(y)
+        + stats.multivariate_normal(mean, np.linalg.inv(Px)).logpdf(mean)
+        + stats.multivariate_normal(u, np.linalg.inv(Pu)).logpdf(np.zeros(2))
+    )
+    assert controller.online()(y=y, goal=goal).free_energy == pytest.approx(-log_density, rel=1e-12)
+
+
+def small(**options):
+    """One position seen twice and its rate, under a PD law; precisions as in the arm's published settings."""
+    given = {
+        "modalities": [
+            Modality("position", matrix=[[1.0, 0.0], [1.0, 0.0]], std=0.1),
+            Modality("rate", matrix=[[0.0, 1.0]], std=(0.2,), precision=0.5),
+        ],
+        "law": controllers.ProportionalDerivative(2.0, derivative_gain=1.0),
+        "dt": H,
+        "belief_rate": 20.0,
+        "control_rate": 20.0,
+        **options,
+    }
+    return UnbiasedActiveInference(**given)
+
+
+def test_with_a_random_walk_and_one_step_the_states_prediction_error_is_zero():
+    y = np.random.default_rng(1).normal(size=(50, 3))
+    for steps, zero in ((1, True), (3, False)):
+        step = small(inner_steps=steps).online()
+        errors = np.array([step(y=row, goal=[1.0]).eps_x for row in y])
+        assert (errors == 0.0).all() == zero
+    weak, strong = (small(state_precision=p).online() for p in (1e-3, 1e3))
+    for row in y:  # so P_x has no influence
+        np.testing.assert_array_equal(weak(y=row, goal=[1.0]).x_hat, strong(y=row, goal=[1.0]).x_hat)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_inner_steps_lower_the_free_energy(seed):
+    controller, *_, rng = random_case(seed, "euler", pull)
+    y, goal = rng.normal(size=controller.port("y").size), rng.normal(size=2)
+    energies = [replace(controller, inner_steps=s).online()(y=y, goal=goal).free_energy for s in range(1, 8)]
+    assert (np.diff(energies) < 0).all()
+
+
+def test_it_settles_at_the_weighted_least_squares_solution():
+    rng = np.random.default_rng(8)
+    C, R, Px = rng.normal(size=(5, 3)), random_covariance(rng, 5, 0.2), random_covariance(rng, 3, 1.0)
+    gain, y, start = rng.uniform(0.5, 2.0, 5), rng.normal(size=5), rng.normal(size=3)
+    sensors = Modality("all", matrix=C, covariance=R, precision=gain)
+    S = np.diag(np.sqrt(gain * np.diag(R)))
+    W = linalg.cholesky(S @ linalg.inv(R) @ S)
+    law = controllers.Proportional([1.5], states=3)
+    for control, rate in (("law", None), ("gradient", 10.0)):
+        controller = UnbiasedActiveInference(
+            [sensors], law, H, 5.0, rate, control=control, state_precision=Px, initial_mean=start, inner_steps=1,
+        )  # fmt: skip
+        step = controller.online()
+        for _ in range(5_000):  # the random walk's prior moves with the belief, so the sensors have the last word
+            out = step(y=y, goal=[0.4])
+        np.testing.assert_allclose(out.x_hat, linalg.lstsq(W @ C, W @ y)[0], rtol=1e-7)
+        np.testing.assert_allclose(out.u, 1.5 * (0.4 - out.x_hat[0]), rtol=1e-7)
+    settled = replace(controller, control="law", control_rate=None, inner_steps=2000).online()(y=y, goal=[0.4])
+    stacked = linalg.lstsq(
+        np.vstack([W @ C, linalg.cholesky(Px)]), np.concatenate([W @ y, linalg.cholesky(Px) @ start])
+    )
+    np.testing.assert_allclose(settled.x_hat, stacked[0], rtol=1e-9)  # within one sample the prior stays where it was
+
+
+LEARNERS = [cls() for cls in controllers.LEARNERS]
+
+
+def rough_samples(steps=120):
+    rng = np.random.default_rng(4)
+    y = rng.normal(size=(steps, 3)) * [0.1, 0.1, 0.2]
+    y[40:70, 0] += 3.0
+    y[rng.random((steps, 3)) < 0.1] = np.nan
+    y[20], y[25], y[30], y[80:90], y[95] = 1e300, [np.inf, -np.inf, 0.0], [np.nan, 1e300, -1e300], np.nan, 0.0
+    return y
+
+
+@pytest.mark.parametrize("control", ["gradient", "law"])
+@pytest.mark.parametrize("precision", LEARNERS, ids=repr)
+def test_both_forms_agree_to_the_last_bit_with_every_learner(precision, control, same_bits):
+    controller = small(precision=precision, control=control, control_precision=0.1, inner_steps=2, state_prior="euler")
+    steps = [controller.online(compiled=compiled) for compiled in (True, False)]
+    for row in rough_samples():
+        a, b = (step(y=row, goal=[0.5]) for step in steps)
+        for name in a:
+            same_bits(a[name], b[name], name)
+        for name in ("u", "x_hat", "free_energy", "eps_x", "eps_u"):
+            assert np.isfinite(a[name]).all(), name
+        assert np.isnan(a.innovation).tolist() == (~np.isfinite(row)).tolist()
+
+
+def test_a_missing_sample_leaves_its_sensor_out():
+    both, alone = small(inner_steps=3), small(inner_steps=3)
+    alone = replace(alone, modalities=[Modality("first", matrix=[[1.0, 0.0]], std=0.1), alone.modalities[1]])
+    first, second = both.online(), alone.online()
+    for y in np.random.default_rng(0).normal(size=(20, 2)):
+        a, b = first(y=[y[0], np.nan, y[1]], goal=[0.2]), second(y=y, goal=[0.2])
+        np.testing.assert_allclose(a.x_hat, b.x_hat, rtol=1e-13)
+        assert a.free_energy == pytest.approx(b.free_energy, rel=1e-13)
+
+
+def test_learned_precision_is_in_units_of_the_gain():
+    """P = gain at nominal trust, however small the noise; a sensor that is trusted half as much weighs half as much."""
+
+    @dataclass(frozen=True)
+    class Half(controllers.PrecisionLearner):
+        def learner(self, model):
+            return controllers.Learner(learn_half, np.zeros(1), np.zeros(1))
+
+    sensor = Modality("position", matrix=[[1.0]], std=1e-3, precision=0.8)
+    for precision, weight in ((controllers.FixedPrecision(), 0.8), (Half(), 0.4)):
+        controller = UnbiasedActiveInference(
+            [sensor], controllers.Proportional(1.0), H, 10.0, control="law", precision=precision
+        )
+        out = controller.online(compiled=False)(y=[5e-4], goal=[0.0])
+        assert out.x_hat[0] == pytest.approx(H * 10.0 * weight * 5e-4, rel=1e-12)
+
+
+def learn_half(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+    for i in range(y.shape[0]):
+        R[i, i] = 2.0 * nominal[i, i]
+        used[i], precision[i], beta[i], fault_probability[i] = present[i], 0.5 / nominal[i, i], 0.0, 0.0
+
+
+def count_up(x_hat, goal, calls, u):
+    u[0] = calls[0] + goal[0] - x_hat[0]
+
+
+def count_one(calls, k, goal):
+    calls[0] = calls[0] + 1.0
+
+
+@dataclass(frozen=True)
+class Counting(cosim.Block):
+    """A law of the user's own that counts the samples it has seen."""
+
+    @property
+    def inputs(self):
+        return cosim.Port("x_hat", (2,)), cosim.Port("goal", (1,))
+
+    @property
+    def outputs(self):
+        return (cosim.Port("u", (1,)),)
+
+    def define(self, step):
+        return cosim.Definition(count_up, count_one, state={"calls": 0.0})
+
+
+@pytest.mark.parametrize("control", ["law", "gradient"])
+def test_a_law_of_ones_own_moves_on_once_a_sample(control, same_bits):
+    controller = small(law=Counting(), control=control, inner_steps=50, control_rate=90.0, control_precision=1e-1)
+    steps = [controller.online(compiled=compiled) for compiled in (True, False)]
+    for k in range(20):
+        a, b = (step(y=[0.0, 0.0, 0.0], goal=[0.0]) for step in steps)
+        same_bits(a.u, b.u)
+        assert a.u[0] == pytest.approx(k - a.x_hat[0], abs=1e-9 if control == "law" else 0.05 * k + 1e-9)
+
+
+def absurd(noise, y):
+    """Values of all sizes, infinities, NaN streaks, and long stretches on which all sensors agree exactly."""
+    for i in range(y.shape[0]):
+        z = noise[i]
+        y[i] = select(z < 0.01, 1e300 * (z - 0.005) / (z - 0.005), select(z < 0.02, -1e300 / (z - z), z))
+        y[i] = select(noise[3] < 0.5, 0.25, select(noise[4] < 0.1, (z - z) / (z - z), y[i]))
+
+
+@pytest.mark.parametrize(
+    "precision",
+    [controllers.FixedPrecision(), controllers.GammaPrecision(forgetting=None), controllers.WishartPrecision()],
+    ids=repr,
+)
+def test_a_million_absurd_samples_leave_the_belief_finite(precision, make_block):
+    source = make_block(
+        inputs=[cosim.Port("noise", (5,), draw="uniform")], outputs=[cosim.Port("y", (3,))], output=absurd
+    )
+    controller = small(precision=precision, control_precision=0.1, state_prior="euler", inner_steps=2)
+    diagram = cosim.Diagram(dt=H)
+    samples, brain = diagram.add(source, "samples"), diagram.add(controller, "brain")
+    goal = diagram.add(cosim.Constant(1.0), "goal")
+    diagram.connect(samples["y"], brain["y"])
+    diagram.connect(goal["y"], brain["goal"])
+    result = diagram.build().simulate(10_000.0, record=["brain.u", "brain.x_hat", "brain.free_energy"])
+    assert len(result.time) == 1_000_001
+    for name in ("brain.u", "brain.x_hat", "brain.free_energy"):
+        assert np.isfinite(result[name]).all()
+
+
+def test_sensors_that_agree_exactly_for_ever_do_not_break_the_descent():
+    """Precisions grow a thousand times and more; the step is shortened instead of diverging."""
+    step = small(precision=controllers.GammaPrecision(forgetting=None)).online()
+    for _ in range(20_000):
+        out = step(y=[0.0, 0.0, 0.0], goal=[0.0])
+    assert out.precision.max() > 1e5  # a thousand times the nominal one
+    for _ in range(200):
+        out = step(y=[0.3, 0.3, 0.0], goal=[0.0])
+        assert np.abs(out.x_hat).max() < 0.31  # no overshoot either
+    assert out.x_hat[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_the_arm_with_three_modalities():
+    modalities = [
+        Modality("encoders", matrix=np.eye(4)[:2], std=1e-3),
+        Modality("tachometers", matrix=np.eye(4)[2:], std=1e-3),
+        Modality("all", 6, ARM, std=(1e-3,) * 4 + (1e-2,) * 2, precision=0.2),
+    ]
+    law = controllers.PID((250.0, 250.0), derivative_gain=(20.0, 20.0), integral_gain=50.0, integral_limit=100.0)
+    controller = UnbiasedActiveInference(
+        modalities, law, 1e-3, 200.0, control="law", initial_mean=(-1.5, 0.0, 0.0, 0.0)
+    )
+
+    assert controller.measurement_matrix is None
+    assert controller.port("y").size == 10
+    with pytest.raises(ModelError, match=r"an eigenvalue of \d"):
+        replace(controller, belief_rate=2000.0)
+
+
+def test_a_model_alone_says_what_is_measured(run_both):
+    """The cruise control's model, predicted as by a Kalman filter; the control is in the prediction."""
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)
+    controller = UnbiasedActiveInference(
+        law=controllers.Proportional(2000.0), model=model, belief_rate=2.0, control="law", state_prior="kalman",
+        state_precision=10.0, initial_mean=20.0, precision=controllers.GammaPrecision(),
+    )  # fmt: skip
+    np.testing.assert_array_equal(controller.measurement_matrix, model.matrix("C"))
+    loop = cosim.closed_loop(
+        plant=cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),
+        controller=controller,
+        control="force",
+        measured="v",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        faults=[cosim.Freeze(sensor=0, start=2.0, stop=4.0)],
+        reference=25.0,
+    )
+    result = run_both(loop, 6.0, seed=1)
+    assert result["plant.v"][-1] == pytest.approx(25.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"belief_rate": 200.0, "control": "law"}, "unstable.*eigenvalue of 4 at"),
+        ({"belief_rate": -1.0}, "must be positive"),
+        ({"control_rate": None}, "needs a control_rate"),
+        ({"inner_steps": 0}, "at least 1"),
+        ({"control": "both"}, "'gradient', 'law'"),
+        ({"state_prior": "kalman"}, "needs a model"),
+        ({"state_precision": -1.0}, "not positive definite"),
+        ({"modalities": []}, "at least one"),
+        ({"modalities": [Modality("x", matrix=[[1.0]], std=1.0)]}, "1 columns for 2 states"),
+        ({"modalities": [Modality("x", 1, bend, std=1.0)]}, "does not fit 2 states and 1 samples"),
+        ({"law": pull}, "sizes="),
+        ({"law": None}, "must be a block"),
+        ({"law": cosim.Sensors()}, "x_hat and goal"),
+        ({"sizes": (3, 1, 1)}, "leave sizes out"),
+        ({"initial_mean": [0.0, np.nan]}, "finite"),
+        ({"dt": None}, "sample time"),
+        ({"precision": "gamma"}, "precision learner"),
+        ({"precision": controllers.EFFDI(duration=0.017)}, "EFFDI"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else value,
+)
+def test_bad_settings_are_said_in_a_sentence(options, words):
+    with pytest.raises(BayesFTCError, match=words):
+        small(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "one of function= and matrix="),
+        ({"matrix": [[1.0]], "function": bend}, "one of function= and matrix="),
+        ({"matrix": [[1.0]]}, "one of std= and covariance="),
+        ({"matrix": [[1.0]], "std": 0.0}, "positive"),
+        ({"matrix": [[1.0]], "std": 1.0, "precision": -1.0}, "positive"),
+        ({"matrix": [[1.0]], "std": 1.0, "size": 2}, "has 1 rows"),
+        ({"function": bend, "std": 1.0}, "how many samples"),
+        ({"function": print, "size": 1, "std": 1.0}, "plain Python function"),
+    ],
+)
+def test_a_modality_says_what_it_lacks(options, words):
+    with pytest.raises(ModelError, match=words):
+        Modality("camera", **options)
