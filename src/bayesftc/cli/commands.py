@@ -137,7 +137,9 @@ def reproduce(
     runs: Annotated[
         int | None, typer.Option(help="Runs of each case, for a quick look; by default as many as the paper has.")
     ] = None,
-    grid: Annotated[bool, typer.Option(help="Whether faults of other sizes are run as well.")] = True,
+    paper_only: Annotated[
+        bool, typer.Option("--paper-only", help="Leave out what is not in the paper: further techniques, other faults.")
+    ] = False,
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
     debug: Debug = False,
@@ -146,7 +148,7 @@ def reproduce(
     with guarded(debug):
         from bayesftc.cli.reproduce import reproduce_experiments
 
-        options = {"seed": seed, "jobs": jobs, "runs": runs, "grid": grid}
+        options = {"seed": seed, "jobs": jobs, "runs": runs, "beyond": not paper_only}
         reproduce_experiments(experiment, out, options, json=json, quiet=quiet)
 
 

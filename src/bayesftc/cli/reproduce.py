@@ -37,7 +37,7 @@ def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any
     out : pathlib.Path or None
         Folder for ``<experiment>.json`` and the figures; each experiment's are written when it is done.
     options : mapping
-        ``seed``, ``jobs`` (None: one for each core), ``runs``, ``grid``, as the experiments take them.
+        ``seed``, ``jobs`` (None: one for each core), ``runs``, ``beyond``, as the experiments take them.
     json, quiet : bool
         How the numbers are printed: as one JSON object with a key for each experiment, or not at all.
     """

@@ -40,7 +40,7 @@ def run(
     seed: int = 0,
     jobs: int = 1,
     runs: int | None = None,
-    grid: bool = True,
+    beyond: bool = True,
     settings: Detection | None = None,
     car: Car | None = None,
     progress: Progress | None = None,
@@ -55,8 +55,8 @@ def run(
         Number of threads; the results are the same to the last bit for any.
     runs : int, optional
         Number of streams, instead of the settings'.
-    grid : bool
-        Whether faults of other sizes and other references are run as well.
+    beyond : bool
+        Whether what is not in the paper is run as well: further residuals, faults of other sizes, other references.
     settings, car : Detection, Car, optional
         Other settings than those of `bayesftc.reproduce.settings`.
     progress : callable, optional
@@ -74,7 +74,7 @@ def run(
     faults = Faults(settings.injection * factor, settings.drift * factor)
     own = seeds(seed, "detection/streams", settings.streams)
     beta, tried = bench.choose(faults, own)
-    residuals = _residuals.known(settings, beta, car)
+    residuals = _residuals.known(settings, beta, car) if beyond else _residuals.papers(settings, beta)
     judged = bench.judge(faults, own, residuals)
     auc = {name: np.array([stream[name][0] for stream in judged]) for name in residuals}
     difference = auc["beta"] - auc["SER"]
@@ -101,7 +101,7 @@ def run(
             "true_positive_rate": {name: np.mean([s[name][1] for s in judged], axis=0).tolist() for name in residuals},
         },
         "choice": tried,
-        "grid": bench.grid(seed, residuals) if grid else None,
+        "grid": bench.grid(seed, residuals) if beyond else None,
         "paper": {"auc": paper.AUC, **paper.AUC},
     }
 

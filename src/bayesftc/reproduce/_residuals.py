@@ -59,9 +59,14 @@ def beta(learner: controllers.PrecisionLearner) -> Residual:
     return Residual("log(beta) in its learner's loop", (learner,), (_log_beta,))
 
 
+def papers(settings: Detection, chosen: controllers.GammaPrecision) -> dict[str, Residual]:
+    """Return the paper's two residuals by name."""
+    return {"SER": ser(settings), "beta": beta(chosen)}
+
+
 def known(settings: Detection, chosen: controllers.GammaPrecision, car: Car) -> dict[str, Residual]:
     """Return all residuals by name: the paper's two, variations of them, and the beta of every other learner that has one."""
-    base, best = ser(settings), beta(chosen)
+    base, best = papers(settings, chosen).values()
     plain = controllers.GammaPrecision(forgetting=settings.plain_forgetting)
     kept = chosen.forgetting or 1.0
 

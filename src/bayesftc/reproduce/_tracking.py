@@ -73,7 +73,7 @@ def run(
     seed: int = 0,
     jobs: int = 1,
     runs: int | None = None,
-    grid: bool = True,
+    beyond: bool = True,
     settings: Tracking | None = None,
     car: Car | None = None,
     progress: Progress | None = None,
@@ -88,8 +88,8 @@ def run(
         Number of threads; all but ``speed`` is the same to the last bit for any.
     runs : int, optional
         Runs of each technique in each scenario, instead of the settings'.
-    grid : bool
-        Whether faults of other sizes are run as well.
+    beyond : bool
+        Whether what is not in the paper is run as well: further techniques, and faults of other sizes.
     settings, car : Tracking, Car, optional
         Other settings than those of `bayesftc.reproduce.settings`.
     progress : callable, optional
@@ -105,6 +105,7 @@ def run(
     bench = _Bench(settings, car, seed, check_jobs(jobs), progress)
     known = techniques(settings)
     papers = {name: known[name] for name in PAPERS}
+    known = known if beyond else papers
     headline = [Scenario(fault, r, size) for (fault, size), r in product(_headline(settings).items(), REFERENCES)]
     cells = bench.errors("The paper's table", headline, papers)
     speed = bench.speed()
@@ -131,7 +132,7 @@ def run(
         "total_merit_of_all": total(of_all),
         "lost": _lost(headline, everything, settings.significance),
         "mean_absolute_error": bench.curves,
-        "grid": _grid(bench, cells, papers) if grid else None,
+        "grid": _grid(bench, cells, papers) if beyond else None,
         "speed": speed,
     }
 

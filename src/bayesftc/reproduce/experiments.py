@@ -3,9 +3,9 @@
 To add one you must:
 
 1. put its settings, each with its reason, into ``settings.py``, and what the paper prints into ``paper.py``;
-2. write ``run(*, seed, jobs, runs, grid, progress)``, which returns a dictionary of plain data with the keys ``settings`` and
+2. write ``run(*, seed, jobs, runs, beyond, progress)``, which returns a dictionary of plain data with the keys ``settings`` and
    ``paper`` among others: what the JSON file holds. ``runs`` makes the experiment smaller, for a quick look (None: the
-   settings' size); ``grid=False`` leaves out what is not in the paper's tables. The same seed must give the same bits for
+   settings' size); ``beyond=False`` leaves out what is not in the paper. The same seed must give the same bits for
    any number of jobs: `_ensemble` has what that takes;
 3. write ``show(report)``, which yields what is printed (strings and tables), and ``figures(report)``, which returns
    matplotlib figures by name; both know the report alone;

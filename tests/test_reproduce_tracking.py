@@ -1,0 +1,177 @@
+"""The tracking experiment, small: what it computes, by other ways of computing it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import t as student_t
+
+from bayesftc import controllers, cosim, reproduce
+from bayesftc.cosim.random import numbers
+from bayesftc.reproduce import _tracking, paper
+from bayesftc.reproduce._ensemble import chunks, in_parallel, seeds
+from bayesftc.reproduce._merit import merit, outcomes, total
+from bayesftc.reproduce.settings import Car, Tracking
+
+FOUR = ("EF-FDI", "No FT", "PL", "SER FT")
+
+
+@pytest.fixture(scope="module")
+def report():
+    return reproduce.tracking(seed=3, jobs=2, runs=30, beyond=False)
+
+
+def without_speed(report):
+    return {key: value for key, value in report.items() if key != "speed"}
+
+
+def test_report_has_what_the_file_promises(report):
+    kinds = {f"{f}/{r}" for f in ("freeze", "injection", "drift") for r in ("constant", "ramp", "sine")}
+    assert {"settings", "scenarios", "merit", "total_merit", "oracle", "paper", "speed", "grid"} <= set(report)
+    assert set(report["scenarios"]) == set(report["oracle"]) == kinds
+    for techniques in report["scenarios"].values():
+        assert tuple(techniques) == FOUR
+        for cell in techniques.values():
+            assert set(cell) == {"rmse_mean", "rmse_sd", "n"}
+            assert cell["n"] == 30
+            assert 0.1 < cell["rmse_mean"] < 10
+    assert report["speed"]["steps"] == 4 * 9 * 30 * 1000
+
+
+def test_settings_in_the_report_are_those_of_the_objects_with_a_reason_for_each(report):
+    settings = report["settings"]
+    for name, value in vars(Tracking(runs=30)).items():
+        assert settings[name] == (list(value) if isinstance(value, tuple) else value)
+        assert len(settings["why"][name]) > 5
+    assert settings["car"]["drag"] == Car().drag
+    assert "forgetting=0.95" in settings["techniques"]["PL"]
+
+
+def test_same_bits_for_any_number_of_jobs(report):
+    assert without_speed(reproduce.tracking(seed=3, jobs=1, runs=30, beyond=False)) == without_speed(report)
+    assert reproduce.tracking(seed=4, jobs=2, runs=30, beyond=False)["scenarios"] != report["scenarios"]
+
+
+def test_merit_is_antisymmetric_and_its_columns_add_up(report):
+    for table, sums in ((report["merit"], report["total_merit"]), (paper.MERIT, paper.TOTAL_MERIT)):
+        for a in FOUR:
+            assert sums[a] == sum(table[row][a] for row in FOUR)
+            for b in FOUR:
+                assert table[a][b] == -table[b][a]
+                assert abs(table[a][b]) <= 9
+
+
+def test_knowing_the_faulty_sensor_is_never_worse(report):
+    for kind, techniques in report["scenarios"].items():
+        best = min(cell["rmse_mean"] for cell in techniques.values())
+        assert report["oracle"][kind]["rmse_mean"] < best
+
+
+def test_oracle_is_as_good_as_one_kalman_filter_says(report):
+    """Between the steady error with two sensors and with one: deadbeat control leaves a P + Q of the belief and the noise."""
+
+    def steady(sensors):
+        P = 1.0
+        for _ in range(10_000):
+            predicted = 0.999**2 * P + 0.001
+            P = predicted / (1 + sensors * predicted)
+        return np.sqrt(0.999**2 * P + 0.001)
+
+    for cell in report["oracle"].values():
+        assert steady(2) < cell["rmse_mean"] < 1.1 * steady(1)
+
+
+def test_an_error_is_the_root_mean_square_of_a_run_by_hand():
+    """The first run of a scenario again, with a Kalman filter and deadbeat control written out."""
+    settings = replace(Tracking(), runs=2)
+    bench = _tracking._Bench(settings, Car(), 3, 1, None)
+    learner = controllers.FixedPrecision()
+    scenario = _tracking.Scenario("injection", "sine", settings.injection)
+    error = bench.errors("x", [scenario], {"No FT": learner})[scenario]["No FT"][0]
+    seed = seeds(3, "injection/sine", 1)[0]
+    q = np.sqrt(1e-3) * numbers(seed, "disturbance_noise.noise", 1001)
+    eta = [numbers(seed, "sensors.noise", 1001, channel=i) for i in range(2)]
+    v, mean, P, errors = 20.0, 20.0, 1.0, []
+    for k in range(1000):
+        goal = 20 + 5 * np.sin(2 * np.pi * k * 0.02 / 8)
+        y = [v + eta[0][k] + (3.0 if 300 <= k < 700 else 0.0), v + eta[1][k]]
+        weight = 1 / P + 2.0
+        belief = (mean / P + y[0] + y[1]) / weight
+        u = (goal - 0.999 * belief) / 2e-4
+        v = 0.999 * v + 2e-4 * u + q[k]
+        mean, P = 0.999 * belief + 2e-4 * u, 0.999**2 / weight + 1e-3
+        errors.append(v - goal)
+    assert error == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
+
+
+def test_outcomes_are_those_of_welchs_formula():
+    rng = np.random.default_rng(0)
+    decided = []
+    for shift in np.linspace(-0.6, 0.6, 25):
+        a, b = rng.normal(0.0, 1.0, 40), rng.normal(shift, 0.4, 60)
+        va, vb = a.var(ddof=1) / 40, b.var(ddof=1) / 60
+        freedom = (va + vb) ** 2 / (va**2 / 39 + vb**2 / 59)
+        t = (a.mean() - b.mean()) / np.sqrt(va + vb)
+        p = 2 * student_t.sf(abs(t), freedom)
+        wanted = 0 if p >= 0.05 else (1 if t < 0 else -1)
+        one = int(outcomes(a, b, 0.05))
+        assert one == wanted
+        decided.append(one)
+    assert set(decided) == {-1, 0, 1}
+
+
+def test_merit_counts_scenarios_for_the_column_against_the_row():
+    rng = np.random.default_rng(1)
+    good, bad = rng.normal(1, 0.1, 50), rng.normal(2, 0.1, 50)
+    table = merit([{"a": good, "b": bad}, {"a": good, "b": bad}, {"a": bad, "b": good}], ["a", "b"], 0.05)
+    assert table == {"a": {"a": 0, "b": -1}, "b": {"a": 1, "b": 0}}
+    assert total(table) == {"a": 1, "b": -1}
+    assert outcomes(np.ones(5), np.ones(5), 0.05) == 0
+
+
+def test_seeds_of_two_purposes_never_meet():
+    drawn = [s for purpose in ("a", "b", "c") for seed in (0, 1) for s in seeds(seed, purpose, 500)]
+    assert len(set(drawn)) == len(drawn)
+    assert seeds(0, "a", 5) == seeds(0, "a", 9)[:5]
+    assert all(0 <= s < 2**63 for s in drawn)
+
+
+def test_tasks_keep_their_places_and_an_error_ends_the_work():
+    assert in_parallel([lambda i=i: i * i for i in range(20)], jobs=4) == [i * i for i in range(20)]
+    assert chunks(list(range(7)), 3) == [[0, 1, 2], [3, 4, 5], [6]]
+    begun = []
+
+    def fail():
+        begun.append(1)
+        raise ValueError("broken")
+
+    with pytest.raises(ValueError, match="broken"):
+        in_parallel([fail] * 1000, jobs=1)
+    assert len(begun) < 1000
+
+
+def test_threshold_of_effdi_is_its_quantile_without_fault():
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=4_000_000)
+    r = np.abs(y[2:] - 2 * y[1:-1] + y[:-2])
+    statistic = r[2:] + r[1:-1] + r[:-2]
+    assert np.quantile(statistic, 0.999) == pytest.approx(Tracking().effdi_threshold, abs=0.05)
+
+
+@pytest.mark.parametrize("wrong", [{"jobs": 0}, {"jobs": 1.5}, {"jobs": True}, {"runs": 1}, {"runs": "many"}])
+def test_numbers_that_cannot_be(wrong):
+    with pytest.raises(cosim.ModelError, match=next(iter(wrong))):
+        reproduce.tracking(**wrong)
+
+
+@pytest.mark.slow
+def test_headline_is_the_papers_order():
+    report = reproduce.tracking(seed=0, jobs=2)
+    merits = report["total_merit"]
+    assert merits["PL"] == max(merits.values()) >= paper.TOTAL_MERIT["PL"]
+    assert sorted(merits, key=merits.get)[-2] == "SER FT"
+    assert max(merits["EF-FDI"], merits["No FT"]) < 0
+    assert len(report["grid"]["tables"]) == 5 * 4 * 3
+    assert {c.__name__ for c in controllers.LEARNERS} - set(report["scenarios"]["freeze/sine"]) == {
+        "FixedPrecision", "GammaPrecision", "EFFDI", "SERFDI",
+    }  # fmt: skip
