@@ -1,0 +1,107 @@
+"""``bayesftc reproduce``: tables, files, and every way in which it can end."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from typer.testing import CliRunner
+
+from bayesftc.cli import app
+from bayesftc.reproduce.experiments import EXPERIMENTS
+
+FEW = ("--runs", "2", "--paper-only", "--jobs", "2")
+
+
+@pytest.fixture
+def bayesftc_(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments], prog_name="bayesftc")
+
+
+def test_tracking_prints_its_table_and_writes_its_files(bayesftc_, tmp_path):
+    done = bayesftc_("reproduce", "tracking", *FEW, "--seed", 5, "--out", "here/there")
+    assert done.exit_code == 0, done.output
+    for text in ("total merit", "(21)", "EF-FDI", "freeze/constant", "steps per second", "tracking.json"):
+        assert text in done.stdout
+    written = {p.name for p in (tmp_path / "here" / "there").iterdir()}
+    assert written == {"tracking.json", "tracking_error_over_time.png", "tracking_errors.png"}
+    report = json.loads((tmp_path / "here" / "there" / "tracking.json").read_text())
+    assert report["settings"]["seed"] == 5
+    assert report["settings"]["runs"] == 2
+    assert report["merit"].keys() == report["paper"]["merit"].keys()
+
+
+def test_json_is_one_object_with_the_experiments(bayesftc_):
+    done = bayesftc_("reproduce", "tracking", *FEW, "--json")
+    assert json.loads(done.stdout)["tracking"]["scenarios"]["drift/sine"]["PL"]["n"] == 2
+
+
+def test_quiet_prints_nothing(bayesftc_):
+    assert bayesftc_("reproduce", "tracking", *FEW, "--quiet").output == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("trakcing",), 5, "did you mean 'tracking'"),
+        (("tracking", "--jobs", "0"), 9, "jobs is 0"),
+        (("tracking", "--runs", "1"), 9, "runs is 1"),
+        (("tracking", "--seed", "-1"), 9, "seed"),
+    ],
+)
+def test_wrong_input_is_a_sentence(bayesftc_, arguments, code, words):
+    done = bayesftc_("reproduce", *arguments)
+    assert done.exit_code == code
+    assert words in done.stderr
+    assert "Traceback" not in done.output
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_run(bayesftc_, tmp_path):
+    (tmp_path / "file").write_text("")
+    done = bayesftc_("reproduce", "all", "--out", "file/below")
+    assert done.exit_code == 12
+    assert "is no folder" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_every_experiment_says_what_its_list_demands():
+    from bayesftc import reproduce
+
+    assert set(reproduce.__all__) == set(EXPERIMENTS)
+    for name, experiment in EXPERIMENTS.items():
+        assert getattr(reproduce, name) is experiment.run
+    with pytest.raises(AttributeError):
+        _ = reproduce.nothing
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c_stops_at_once_and_leaves_nothing(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "bayesftc",
+        "reproduce",
+        "tracking",
+        "--paper-only",
+        "--runs",
+        "200000",
+        "--jobs",
+        "2",
+    ]
+    process = subprocess.Popen(
+        [*command, "--out", "out"], cwd=tmp_path, stderr=subprocess.PIPE, env={**os.environ}, text=True
+    )
+    time.sleep(6)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    sent = time.monotonic()
+    _, errors = process.communicate(timeout=20)
+    assert time.monotonic() - sent < 3
+    assert process.returncode == 130
+    assert "Stopped by Ctrl-C" in errors
+    assert not (tmp_path / "out").exists()

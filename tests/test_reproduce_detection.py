@@ -1,0 +1,156 @@
+"""The detection experiment, small: its curves against scikit-learn, its split, and what its report promises."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.metrics import roc_auc_score, roc_curve
+
+from bayesftc import controllers, cosim, reproduce
+from bayesftc.reproduce import _detection, _residuals
+from bayesftc.reproduce._ensemble import seeds
+from bayesftc.reproduce._roc import auc, curve, rates
+from bayesftc.reproduce.settings import Car, Detection
+
+SMALL = Detection(
+    steps=12_000,
+    factor_streams=2,
+    factor_tolerance=0.05,
+    forgettings=(0.5, 0.95),
+    prior_shapes=(0.1, 2.0),
+    grid_streams=1,
+)
+
+
+@pytest.fixture(scope="module")
+def report():
+    return reproduce.detection(seed=1, jobs=2, runs=3, beyond=False, settings=SMALL)
+
+
+def test_report_has_what_the_file_promises(report):
+    assert {"settings", "auc", "auc_ci", "streams", "roc", "grid", "paper"} <= set(report)
+    assert report["paper"]["SER"] == 0.873
+    assert report["paper"]["beta"] == 0.907
+    for name in ("SER", "beta"):
+        mine = [stream["auc"][name] for stream in report["streams"]]
+        assert len(mine) == 3
+        assert report["auc"][name] == pytest.approx(np.mean(mine), rel=1e-12)
+        low, high = report["auc_ci"][name]
+        assert low < report["auc"][name] < high
+        assert 0.8 < report["auc"][name] < 0.95
+    assert report["difference"]["mean"] == pytest.approx(report["auc"]["beta"] - report["auc"]["SER"], rel=1e-9)
+
+
+def test_same_bits_for_any_number_of_jobs(report):
+    assert reproduce.detection(seed=1, jobs=1, runs=3, beyond=False, settings=SMALL) == report
+
+
+def test_the_streams_depend_on_the_seed_and_the_factor_does_not(report):
+    other = reproduce.detection(seed=2, jobs=2, runs=3, beyond=False, settings=SMALL)
+    assert other["settings"]["f"] == report["settings"]["f"]
+    assert {s["seed"] for s in other["streams"]}.isdisjoint(s["seed"] for s in report["streams"])
+
+
+def test_factor_lets_the_baseline_reach_its_auc_on_streams_that_are_not_judged(report):
+    assert report["settings"]["f_auc"] == pytest.approx(0.873, abs=0.01)
+    finding = set(seeds(SMALL.factor_seed, "detection/factor", SMALL.factor_streams))
+    assert finding.isdisjoint(s["seed"] for s in report["streams"])
+
+
+def test_beta_is_chosen_by_the_training_parts(report):
+    best = max(report["choice"], key=lambda c: c["training_auc"])
+    assert {k: best[k] for k in ("forgetting", "prior_shape")} == report["settings"]["beta"]
+    assert len(report["choice"]) == 4
+
+
+def test_a_choice_does_not_see_the_test_part():
+    """The AUC for the choice, from the training rows alone, computed by scikit-learn from a run of its own."""
+    bench = _detection._Bench(SMALL, Car(), 1, None)
+    faults, seed = _detection.Faults(3.0, 5.0), seeds(7, "x", 1)
+    small = replace(SMALL, forgettings=(0.9,), prior_shapes=(2.0,))
+    bench.settings = small
+    (tried,) = bench.choose(faults, seed)[1]
+    loop = bench._loop(faults, controllers.GammaPrecision(forgetting=0.9, prior_shape=2.0))
+    result = loop.simulate(12_000 * 0.02, seed=seed[0])
+    faulty = np.column_stack([result["fault_0.active"], result["fault_1.active"]]) > 0.5
+    rows = slice(200, 9_600 - 500)
+    wanted = roc_auc_score(faulty[rows].ravel(), result["controller.beta"][rows].ravel())
+    assert tried["training_auc"] == pytest.approx(wanted, abs=1e-12)
+
+
+def test_parts_leave_a_gap_longer_than_faults_and_memory_reach():
+    training, test = _detection._Bench(SMALL, Car(), 1, None)._parts()
+    assert test.start - training.stop == SMALL.gap
+    assert test.start == 0.8 * SMALL.steps
+    assert max(SMALL.forgettings) ** SMALL.gap < 1e-10
+    assert SMALL.gap * Car().step > 20 * SMALL.mean_time_to_recovery
+
+
+def test_all_residuals_of_a_stream_have_the_same_faults_and_noise():
+    bench = _detection._Bench(SMALL, Car(), 1, None)
+    faults = _detection.Faults(3.0, 5.0)
+    runs = [
+        bench._loop(faults, learner).simulate(40.0, seed=5)
+        for learner in (controllers.SERFDI(), controllers.GammaPrecision())
+    ]
+    for name in ("fault_0.active", "fault_1.kind", "disturbance_noise.y", "reference.y"):
+        assert np.array_equal(runs[0][name], runs[1][name])
+    noise = [run["sensors.y"] - run["plant.v"][:, None] for run in runs]
+    assert np.allclose(noise[0], noise[1], atol=1e-12)
+    assert not np.array_equal(runs[0]["plant.v"], runs[1]["plant.v"])
+
+
+def test_every_learner_with_a_beta_is_a_residual():
+    known = _residuals.known(SMALL, controllers.GammaPrecision(forgetting=0.5), Car())
+    assert {"SER", "beta", "SER, smoothed", "SER and beta", "precision", *_residuals.GRID} <= set(known)
+    assert "beta (WishartPrecision)" in known
+    assert not any("EFFDI" in name or "SERFDI" in name for name in known)
+
+
+def test_area_is_that_of_scikit_learn_with_ties():
+    rng = np.random.default_rng(0)
+    for share in (0.02, 0.5, 0.9):
+        faulty = rng.random((3_000, 2)) < share
+        score = np.round(rng.normal(size=faulty.shape) + faulty, 1)
+        assert auc(faulty, score) == pytest.approx(roc_auc_score(faulty.ravel(), score.ravel()), abs=1e-12)
+
+
+def test_curve_is_that_of_scikit_learn():
+    rng = np.random.default_rng(1)
+    faulty = rng.random(20_000) < 0.2
+    score = rng.normal(size=20_000) + 1.5 * faulty
+    false, true, _ = roc_curve(faulty, score)
+    mine = curve(faulty, score)
+    assert np.abs(mine - np.interp(rates(), false, true)).max() < 2e-3
+    assert mine[0] < 0.01
+    assert mine[-1] == 1.0
+    assert np.trapezoid(mine, rates()) == pytest.approx(auc(faulty, score), abs=2e-3)
+
+
+def test_interval_covers_the_mean_as_often_as_it_says():
+    rng = np.random.default_rng(2)
+    hits = [low < 1.0 < high for low, high in (_detection.interval(rng.normal(1.0, 2.0, 8)) for _ in range(4_000))]
+    assert np.mean(hits) == pytest.approx(0.95, abs=0.012)
+
+
+@pytest.mark.parametrize("wrong", [{"jobs": 0}, {"runs": 1}])
+def test_numbers_that_cannot_be(wrong):
+    with pytest.raises(cosim.ModelError):
+        reproduce.detection(**wrong)
+
+
+def test_a_baseline_that_cannot_be_reached():
+    hard = replace(SMALL, baseline_auc=0.999)
+    with pytest.raises(cosim.ModelError, match="factor"):
+        reproduce.detection(settings=hard, jobs=2)
+
+
+@pytest.mark.slow
+def test_headline_beta_beats_the_baseline():
+    report = reproduce.detection(seed=0, jobs=2)
+    assert report["auc"]["SER"] == pytest.approx(0.873, abs=0.01)
+    assert report["auc"]["beta"] >= 0.89
+    assert report["difference"]["ci"][0] > 0
+    assert len(report["streams"]) == 20
+    assert all(900 < s["faults"] < 1_100 for s in report["streams"])
+    assert len(report["grid"]) == 5 * 5 * 3
