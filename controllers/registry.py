@@ -1,9 +1,11 @@
 """The lists of all controllers, precision learners and baselines: tests run over them, scenario files choose from them."""
 
+from bayesftc.controllers.active_inference import UnbiasedActiveInference
 from bayesftc.controllers.baselines import EFFDI, SERFDI
 from bayesftc.controllers.bayesian import BayesianController
 from bayesftc.controllers.explicit import ExplicitDetection
 from bayesftc.controllers.gamma import GammaPrecision
+from bayesftc.controllers.nonlinear import NonlinearBayesianController
 from bayesftc.controllers.point_mass import PointMassPrecision
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.robust import StudentTUpdate, WeightedLikelihood
@@ -11,7 +13,7 @@ from bayesftc.controllers.variational import VariationalBayesKF
 from bayesftc.controllers.wishart import WishartPrecision
 from bayesftc.cosim.block import Block
 
-CONTROLLERS: tuple[type[Block], ...] = (BayesianController,)
+CONTROLLERS: tuple[type[Block], ...] = (BayesianController, NonlinearBayesianController, UnbiasedActiveInference)
 """What can stand between sensors and plant: a block with the inputs ``y`` and ``goal`` and the output ``u``."""
 
 LEARNERS: tuple[type[PrecisionLearner], ...] = (
