@@ -103,8 +103,8 @@ def make_minimiser(
 
     Where residuals stay large, Gauss-Newton converges slowly, for it leaves out their curvature: that is learned on the way.
 
-    It leaves in ``z`` the minimum, in ``squares[0]`` the triangle of the equations linearised there. The cost is twice the negative
-    log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead to where
+    It leaves in ``z`` the minimum, in ``squares[0]`` the triangle of the equations linearised there. The cost is twice the
+    negative log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead where
     something is no number, is not taken, and the next one is damped more.
     """
     ahead = _ignore if look_ahead is None else look_ahead

@@ -1,0 +1,569 @@
+"""The nonlinear controller: equal to the closed form where that holds, and a minimum of the joint cost by scipy where not."""
+
+import pickle
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime, least_squares, minimize
+
+from bayesftc import controllers, cosim
+from bayesftc.controllers import (
+    EFFDI,
+    SERFDI,
+    BayesianController,
+    FixedPrecision,
+    GammaPrecision,
+    LinearModel,
+    NonlinearBayesianController,
+    NonlinearModel,
+    WishartPrecision,
+)
+from bayesftc.cosim.errors import KernelError, ModelError
+from bayesftc.cosim.ops import cos, exp, sin, sqrt, square
+
+STEP, LENGTH = 0.02, 0.5
+
+
+def swing(x, u, x_next):
+    """A pendulum: angle (rad) and angular velocity (rad/s), driven by an angular acceleration."""
+    speed = x[1] + STEP * (u[0] - 9.81 / LENGTH * sin(x[0]) - 0.2 * x[1])
+    x_next[0] = x[0] + STEP * speed
+    x_next[1] = speed
+
+
+def swing_jacobian(x, u, F, B):
+    F[1, 0] = -STEP * 9.81 / LENGTH * cos(x[0])
+    F[1, 1] = 1.0 - STEP * 0.2
+    F[0, 0] = 1.0 + STEP * F[1, 0]
+    F[0, 1] = STEP * F[1, 1]
+    B[1, 0] = STEP
+    B[0, 0] = STEP * STEP
+
+
+def look(x, y):
+    """Two encoders, and a camera that sees the bob from the side."""
+    y[0] = x[0]
+    y[1] = x[0]
+    y[2] = LENGTH * sin(x[0])
+
+
+def look_jacobian(x, C):
+    for i in range(3):
+        C[i, 1] = 0.0
+    C[0, 0] = 1.0
+    C[1, 0] = 1.0
+    C[2, 0] = LENGTH * cos(x[0])
+
+
+STD = (0.01, 0.01, 0.005)
+PENDULUM = NonlinearModel(swing, look, 2, 1, 3, [1e-8, 1e-5], np.square(STD), STEP)
+# The goal for angle and speed together closes in on the angle with a time constant of (dt^2 + Va / Vw) / dt = 0.2 s.
+SETTINGS = {"goal_covariance": [3.6e-5, 1e-2], "initial_covariance": 0.01}
+
+
+def linear_problem(rng):
+    n, p, m = (int(k) for k in rng.integers(1, 5, size=3))
+    A = rng.normal(size=(n, n))
+    A *= rng.uniform(0.5, 1.2) / np.abs(np.linalg.eigvals(A)).max()
+    F, S = rng.normal(size=(n, max(n - 1, 1))), rng.normal(size=(m, m))  # process noise of rank n - 1
+    model = LinearModel(
+        A, rng.normal(size=(n, p)), rng.normal(size=(m, n)), 0.1 * F @ F.T, S @ S.T + 0.1 * np.eye(m), 0.1
+    )
+    flat = p <= n and rng.random() < 0.5
+    options = {
+        "goal_covariance": rng.uniform(0.1, 2.0, n),
+        "control_covariance": None if flat else float(rng.choice([0.1, 1.0, 1e6])),
+        "control_mean": rng.normal(size=p),
+        "initial_covariance": np.diag(rng.choice([0.0, 0.5, 3.0], size=n)),
+        "u_max": 5.0,
+        "u_rate": 50.0,
+    }
+    return model, options
+
+
+def both_controllers(model, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
+        linear = BayesianController(model, **options)
+    return linear.online(compiled=False), NonlinearBayesianController(model, **options).online(compiled=False)
+
+
+def assert_alike(a, b, tolerance=1e-9):
+    assert list(a) == list(b)
+    for name in a:
+        np.testing.assert_allclose(
+            b[name], a[name], rtol=tolerance, atol=tolerance * max(1.0, np.nanmax(np.abs(a.x_hat)))
+        )
+
+
+LEARNERS = [
+    FixedPrecision(),
+    GammaPrecision(forgetting=0.9),
+    WishartPrecision(forgetting=0.9),
+    EFFDI(duration=0.4),
+    SERFDI(),
+]
+
+
+@pytest.mark.parametrize("belief", ["filtered", "joint"])
+@pytest.mark.parametrize("precision", LEARNERS, ids=lambda p: type(p).__name__)
+def test_for_a_linear_model_it_is_the_closed_form(belief, precision):
+    """Random models, singular process noise and priors, missing samples and goals, limits, correlated sensors."""
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        model, options = linear_problem(rng)
+        a, b = both_controllers(model, belief=belief, precision=precision, **options)
+        for _ in range(12):
+            y, goal = rng.normal(size=model.sensors), rng.normal(size=model.states)
+            y[rng.random(model.sensors) < 0.2] = np.nan
+            goal[rng.random(model.states) < 0.1] = np.nan
+            assert_alike(a(y=y, goal=goal), b(y=y, goal=goal))
+
+
+@dataclass
+class Problem:
+    """A strongly nonlinear sample, and its joint cost over [x_t, u_t, x_t+1] in plain NumPy."""
+
+    controller: NonlinearBayesianController
+    y: np.ndarray
+    goal: np.ndarray
+
+    @property
+    def sizes(self):
+        return self.controller.model.states, self.controller.model.controls, self.controller.model.sensors
+
+    def residuals(self, z):
+        c, (n, p, m) = self.controller, self.sizes
+        x, u, x_next, reading, following = z[:n], z[n : n + p], z[n + p :], np.empty(m), np.empty(n)
+        c.model.g(x, reading)
+        c.model.f(x, u, following)
+        terms = [
+            (x - c.initial_mean, c.initial_covariance),
+            (self.y - reading, c.model.matrix("sensor_covariance")),
+            (x_next - following, c.model.matrix("process_covariance")),
+            (x_next - self.goal, c.goal_covariance),
+            (u - c.control_mean, c.control_covariance),
+        ]
+        return np.concatenate([np.linalg.solve(np.linalg.cholesky(S), r) for r, S in terms])
+
+    def cost(self, z):
+        return 0.5 * float(np.sum(self.residuals(z) ** 2))
+
+    def completed(self, x, u):
+        """Return [x, u, x_next] with the best next state for given x and u."""
+        c, following = self.controller, np.empty(len(x))
+        c.model.f(x, u, following)
+        Q = c.model.matrix("process_covariance")
+        gain = Q @ np.linalg.inv(Q + np.asarray(c.goal_covariance))
+        return np.concatenate([x, u, following + gain @ (self.goal - following)])
+
+    def solution(self):
+        out = self.controller.online(compiled=False)(y=self.y, goal=self.goal)
+        return self.completed(out.x_hat, out.u)
+
+
+def random_problem(seed):
+    """Sines and squares in f and g whose bends are as large as the prior is wide."""
+    rng = np.random.default_rng(seed)
+    n, p = int(rng.integers(1, 4)), 1
+    m = int(rng.integers(n, n + 3))
+    p = int(rng.integers(1, n + 1))
+
+    def fixed(a):
+        return tuple(map(tuple, a.tolist()))
+
+    A, B = fixed(np.eye(n) + 0.3 * rng.normal(size=(n, n))), fixed(rng.normal(size=(n, p)))
+    W, S, Z = (fixed(s * rng.normal(size=k)) for s, k in ((1.0, (n, n)), (0.5, (n, n)), (0.2, (n, p))))
+    C, V, E = (fixed(s * rng.normal(size=k)) for s, k in ((1.0, (m, n)), (2.0, (m, n)), (0.5, (m, 2))))
+
+    def f(x, u, x_next):
+        for i in range(n):
+            inner, total = 0.0, 0.0
+            for j in range(n):
+                total = total + A[i][j] * x[j]
+                inner = inner + W[i][j] * x[j]
+            for j in range(p):
+                total = total + B[i][j] * u[j] + Z[i][j] * square(u[j])
+            for j in range(n):
+                total = total + S[i][j] * sin(inner) * x[j]
+            x_next[i] = total
+
+    def g(x, y):
+        for i in range(m):
+            inner, total = 0.0, 0.0
+            for j in range(n):
+                total = total + C[i][j] * x[j]
+                inner = inner + V[i][j] * x[j]
+            y[i] = total + E[i][0] * sin(inner) + 0.2 * E[i][1] * square(inner)
+
+    R, P = rng.uniform(0.05, 1.0, m), rng.uniform(0.2, 1.0, n)
+    model = NonlinearModel(f, g, n, p, m, 0.05 * np.eye(n) + 0.02, R, 0.1)
+    mean, y = rng.normal(size=n), np.empty(m)
+    g(mean + np.sqrt(P) * rng.normal(size=n), y)
+    controller = NonlinearBayesianController(
+        model,
+        goal_covariance=float(rng.choice([0.1, 1.0])),
+        control_covariance=float(rng.choice([0.3, 3.0, 100.0])),
+        control_mean=rng.normal(size=p),
+        belief="joint",
+        initial_mean=mean,
+        initial_covariance=P,
+    )
+    return Problem(controller, y + np.sqrt(R) * rng.normal(size=m), mean + rng.normal(size=n))
+
+
+def by_scipy(problem, start):
+    """Return the best of what several of scipy's optimisers find from one start."""
+    found = [minimize(problem.cost, start, method=method, tol=1e-12).x for method in ("BFGS", "Nelder-Mead")]
+    found += [
+        least_squares(problem.residuals, start, method=m, xtol=1e-15, ftol=1e-15, gtol=1e-15).x for m in ("lm", "trf")
+    ]
+    return found
+
+
+def width(problem):
+    """Return the spread of each unknown at the prior: the yardstick of distance."""
+    c, n = problem.controller, problem.sizes[0]
+    return np.sqrt(
+        np.concatenate([np.diag(c.initial_covariance), np.diag(c.control_covariance), np.diag(c.goal_covariance)[:n]])
+    )
+
+
+def prior_start(problem):
+    c, p = problem.controller, problem.sizes[1]
+    return problem.completed(np.asarray(c.initial_mean), np.asarray(c.control_mean) + np.zeros(p))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_optimiser_of_scipys_finds_less_in_the_same_basin(seed):
+    """Started from our solution and from the prior mean; two minima are of one basin where they are 1e-3 spreads apart."""
+    problem = random_problem(1000 + seed)
+    ours = problem.solution()
+    cost = problem.cost(ours)
+    gradient = approx_fprime(ours, problem.cost, 1e-7) * width(problem)
+    assert np.abs(gradient).max() < 1e-4 * max(cost, 1.0)  # as exact as differences are
+    for start in (ours, prior_start(problem)):
+        for theirs in by_scipy(problem, start):
+            near = np.abs((theirs - ours) / width(problem)).max() < 1e-3
+            if start is ours or near:
+                assert problem.cost(theirs) >= cost * (1.0 - 1e-8)
+
+
+def distant_minima(problems):
+    """Return in which share of random problems there is a minimum in another basin, lower by more than 1e-8 relative.
+
+    Sought by Levenberg and Marquardt's method in SciPy from the prior mean and from twenty draws of the prior.
+    """
+    better = 0
+    for seed in range(problems):
+        problem, rng = random_problem(seed), np.random.default_rng(seed)
+        n, p, _ = problem.sizes
+        ours = problem.solution()
+        starts = [prior_start(problem)]
+        starts += [
+            problem.completed(s[:n], s[n : n + p])
+            for s in starts[0] + 2 * width(problem) * rng.normal(size=(20, len(ours)))
+        ]
+        costs = []
+        for start in starts:
+            found = least_squares(problem.residuals, start, method="lm", xtol=1e-14, ftol=1e-14)
+            costs.append(found.cost)
+        better += min(costs) < problem.cost(ours) * (1.0 - 1e-8)
+    return better / problems
+
+
+@pytest.mark.parametrize("problems", [30, pytest.param(200, marks=pytest.mark.slow)])
+def test_the_share_of_random_problems_with_a_better_minimum_elsewhere(problems):
+    """Of the 200 it is 0.11, as docs/controllers.md says."""
+    share = distant_minima(problems)
+    print(f"Of {problems} random problems {share:.3f} have a better minimum in another basin.")  # noqa: T201
+    assert 0.0 < share < 0.2
+
+
+def test_one_step_is_an_extended_kalman_filters():
+    """filterpy's extended Kalman filter makes one undamped step from the prediction; more steps are a better minimum."""
+    from filterpy.kalman import ExtendedKalmanFilter
+
+    rng, y = np.random.default_rng(0), np.empty(3)
+    for _ in range(20):
+        mean = rng.normal(size=2)
+        look(mean + 0.1 * rng.normal(size=2), y)
+        y += np.array(STD) * rng.normal(size=3)
+        ekf = ExtendedKalmanFilter(2, 3)
+        ekf.x, ekf.P, ekf.R = mean.copy(), 0.01 * np.eye(2), np.diag(np.square(STD))
+        C, reading = np.empty((3, 2)), np.empty(3)
+        look_jacobian(mean, C)
+        look(mean, reading)
+        ekf.update(y.copy(), lambda x, C=C: C, lambda x, reading=reading: reading)
+        controller = NonlinearBayesianController(PENDULUM, iterations=1, initial_mean=mean, **SETTINGS)
+        out = controller.online(compiled=False)(y=y, goal=[0.0, 0.0])
+        np.testing.assert_allclose(out.x_hat, ekf.x, rtol=1e-9, atol=1e-12)
+
+
+def encoders(x, y):
+    y[0] = x[0]
+    y[1] = x[0]
+
+
+def test_with_linear_sensors_a_run_is_an_extended_kalman_filters():
+    from filterpy.kalman import ExtendedKalmanFilter
+
+    model = NonlinearModel(swing, encoders, 2, 1, 2, [1e-8, 1e-5], [1e-4, 4e-4], STEP)
+    step = NonlinearBayesianController(model, **SETTINGS).online(compiled=False)
+    ekf, rng = ExtendedKalmanFilter(2, 2), np.random.default_rng(1)
+    ekf.x, ekf.P, ekf.R, ekf.Q = np.zeros(2), 0.01 * np.eye(2), np.diag([1e-4, 4e-4]), np.diag([1e-8, 1e-5])
+    C, F, B = np.array([[1.0, 0.0], [1.0, 0.0]]), np.empty((2, 2)), np.empty((2, 1))
+    for k in range(80):
+        y = 0.5 * np.sin(0.1 * k) + 0.01 * rng.normal(size=2)
+        out = step(y=y, goal=[0.3, 0.0])
+        ekf.update(y, lambda x: C, lambda x: C @ x)
+        np.testing.assert_allclose(out.x_hat, ekf.x, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(out.P, ekf.P, rtol=1e-9, atol=1e-15)
+        swing_jacobian(ekf.x, out.u, F, B)
+        following = np.empty(2)
+        swing(ekf.x, out.u, following)
+        ekf.x, ekf.P = following, F @ ekf.P @ F.T + ekf.Q
+
+
+def test_the_covariance_is_that_of_the_model_linearised_at_the_estimate():
+    controller = NonlinearBayesianController(PENDULUM, initial_mean=[1.2, 0.0], **SETTINGS)
+    out = controller.online(compiled=False)(y=[1.0, 1.01, 0.42], goal=[1.0, 0.0])
+    C = np.empty((3, 2))
+    look_jacobian(out.x_hat, C)
+    information = np.eye(2) / 0.01 + C.T @ np.diag(1 / np.square(STD)) @ C
+    np.testing.assert_allclose(out.P, np.linalg.inv(information), rtol=1e-9, atol=1e-15)
+
+
+def test_a_random_walk_predicts_the_belief_itself():
+    options = {"initial_mean": [0.3, 1.0], **SETTINGS, "prediction": "random walk"}
+    step = NonlinearBayesianController(PENDULUM, **options).online(compiled=False)
+    first = step(y=[0.3, 0.31, 0.15], goal=[0.5, 0.0])
+    second = step(y=[0.32, 0.33, 0.16], goal=[0.5, 0.0])
+    reading = np.empty(3)
+    look(first.x_hat, reading)
+    np.testing.assert_allclose(second.innovation, [0.32, 0.33, 0.16] - reading, rtol=1e-12)
+    model = LinearModel(np.eye(2), np.zeros((2, 1)), [[1.0, 0.0]] * 2, [1e-8, 1e-5], 1e-4, STEP)
+    linear = NonlinearModel(swing, encoders, 2, 1, 2, [1e-8, 1e-5], 1e-4, STEP)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
+        kalman = BayesianController(model, control_covariance=1.0, **SETTINGS).online(compiled=False)
+    walk = NonlinearBayesianController(linear, prediction="random walk", **SETTINGS).online(compiled=False)
+    for y in ([0.1, 0.2], [None, 0.3], [0.2, 0.1]):
+        a, b = kalman(y=y, goal=[0.0, 0.0]), walk(y=y, goal=[0.0, 0.0])
+        np.testing.assert_allclose(b.x_hat, a.x_hat, rtol=1e-9)
+        np.testing.assert_allclose(b.P, a.P, rtol=1e-9)
+
+
+def test_derivatives_that_are_given_do_what_derived_ones_do():
+    given = replace(PENDULUM, f_jacobian=swing_jacobian, g_jacobian=look_jacobian)
+    a, b = (NonlinearBayesianController(m, **SETTINGS).online(compiled=False) for m in (PENDULUM, given))
+    for y in ([0.3, 0.31, 0.15], [0.32, None, 0.16]):
+        assert_alike(a(y=y, goal=[0.5, 0.0]), b(y=y, goal=[0.5, 0.0]), 1e-12)
+
+
+@pytest.mark.parametrize("belief", ["filtered", "joint"])
+def test_a_missing_goal_holds_the_control_under_a_flat_prior(belief):
+    step = NonlinearBayesianController(PENDULUM, belief=belief, **SETTINGS).online(compiled=False)
+    before = step(y=[0.1, 0.1, 0.05], goal=[0.2, 0.0])
+    out = step(y=[0.1, 0.1, 0.05], goal=[np.nan, np.inf])
+    assert out.u[0] == before.u[0] != 0.0
+    assert np.isfinite(out.x_hat).all()
+    assert (np.linalg.eigvalsh(out.P) > 0).all()
+
+
+def moving(x, u, noise, theta, omega, following, standard):
+    for _ in range(10):
+        following[1] = x[1] + 0.1 * STEP * (u[0] - 9.81 / LENGTH * sin(x[0]) - 0.2 * x[1])
+        x[0] = x[0] + 0.1 * STEP * following[1]
+        x[1] = following[1]
+    x[1] = x[1] + standard[0] * noise[0]
+
+
+def shown(x, theta, omega):
+    theta[0] = x[0]
+    omega[0] = x[1]
+
+
+def track(make_block, precision, faults, engine="compiled", steps=600):
+    plant = make_block(
+        inputs=[cosim.Port("u", feedthrough=False), cosim.Port("noise", draw="normal", feedthrough=False)],
+        outputs=[cosim.Port("theta"), cosim.Port("omega")],
+        finite=True,
+        output=shown,
+        update=moving,
+        state={"x": np.zeros(2), "following": np.zeros(2)},
+        parameters={"standard": 0.003},
+    )
+    controller = NonlinearBayesianController(PENDULUM, precision=precision, u_min=-60.0, u_max=60.0, **SETTINGS)
+    return cosim.closed_loop(
+        plant=plant,
+        controller=controller,
+        control="u",
+        measured=["theta", "omega"],
+        sensors=cosim.Sensors(count=3, std=STD, signals=2, function=look),
+        faults=faults,
+        reference=[cosim.Sine(amplitude=1.0, period=4.0), 0.0],
+    )
+
+
+def test_tracking_goes_on_while_a_sensor_fails(make_block, same_bits):
+    fault = [cosim.Injection(sensor=0, start=4.0, stop=8.0, magnitude=0.6)]
+    errors = {}
+    for name, precision, faults in (
+        ("healthy", GammaPrecision(forgetting=0.9), []),
+        ("learned", GammaPrecision(forgetting=0.9), fault),
+        ("fixed", FixedPrecision(), fault),
+    ):
+        result = track(make_block, precision, faults).simulate(10.0, seed=3)
+        during = (result.time > 4.5) & (result.time < 8.0)
+        errors[name] = float(np.sqrt(np.mean((result["plant.theta"] - result["controller.x_hat"][:, 0])[during] ** 2)))
+    assert errors["learned"] < 1.5 * errors["healthy"]
+    assert errors["fixed"] > 15.0 * errors["healthy"]
+    # Both engines compute the same bits, fault and all.
+    diagram = track(make_block, GammaPrecision(forgetting=0.9), [replace(fault[0], start=0.5)])
+    compiled, plain = (diagram.simulate(1.2, seed=3, engine=engine) for engine in ("compiled", "interpreted"))
+    for name in compiled:
+        same_bits(compiled[name], plain[name], name)
+
+
+def wild(x, u, x_next):
+    """A motion that overflows far away, and a measurement that is no number below zero."""
+    x_next[0] = x[0] + 0.1 * u[0] - 0.1 * (exp(x[0]) - 1.0)
+
+
+def roots(x, y):
+    y[0] = sqrt(x[0] + 2.0)
+    y[1] = x[0]
+
+
+def absurd(rng, steps, sensors, around):
+    y = around + 0.1 * rng.normal(size=(steps, sensors))
+    odd = rng.random((steps, sensors))
+    y = np.select([odd < 0.01, odd < 0.02, odd < 0.03, odd < 0.04], [1e300, -np.inf, np.nan, -1e12], y)
+    for start in rng.integers(0, steps, 20):
+        y[start : start + 60] = np.nan
+    return y
+
+
+@pytest.mark.parametrize("belief", ["filtered", "joint"])
+@pytest.mark.parametrize("precision", [FixedPrecision(), GammaPrecision(), WishartPrecision()], ids=repr)
+def test_absurd_samples_are_survived(belief, precision):
+    model = NonlinearModel(wild, roots, 1, 1, 2, 1e-3, 0.01, 0.1)
+    step = NonlinearBayesianController(model, precision=precision, belief=belief).online(compiled=False)
+    y = absurd(np.random.default_rng(4), 200, 2, np.array([np.sqrt(2.0), 0.0]))
+    y[-20:] = [np.sqrt(2.0), 0.0]
+    for row in y:
+        out = step(y=row, goal=[0.0])
+        assert np.isfinite(out.x_hat).all()
+        assert np.isfinite(out.u).all()
+        assert (np.linalg.eigvalsh(out.P) > 0).all()
+    assert abs(out.x_hat[0]) < 0.5
+
+
+def repeated(samples, y, k):
+    for i in range(3):
+        y[i] = samples[k % samples.shape[0], i]
+
+
+def test_a_long_run_of_absurd_samples_leaves_covariances_positive_definite(make_block):
+    """A hundred thousand steps; every hundredth belief is looked at."""
+    samples = absurd(np.random.default_rng(7), 5000, 3, np.zeros(3))
+    source = make_block(
+        outputs=[cosim.Port("y", (3,))], output=repeated, parameters={"samples": samples}, name="samples"
+    )
+    diagram = cosim.Diagram(STEP)
+    node = diagram.add(source)
+    goal = diagram.add(cosim.Constant(0.0), "goal")
+    controller = NonlinearBayesianController(PENDULUM, precision=GammaPrecision(), iterations=5, **SETTINGS)
+    brain = diagram.add(controller, "controller")
+    diagram.connect(node["y"], brain["y"])
+    diagram.connect([goal["y"], goal["y"]], brain["goal"])
+    names = ["controller.x_hat", "controller.P", "controller.u"]
+    result = diagram.simulate(100_000 * STEP, record=names, decimation=100)
+    assert all(np.isfinite(result[name]).all() for name in names)
+    assert (np.linalg.eigvalsh(result["controller.P"]) > 0).all()
+
+
+def test_models_and_controllers_pickle():
+    controller = NonlinearBayesianController(PENDULUM, **SETTINGS)
+    copy = pickle.loads(pickle.dumps(controller))
+    a, b = (c.online(compiled=False)(y=[0.1, 0.1, 0.05], goal=[0.2, 0.0]) for c in (controller, copy))
+    assert_alike(a, b, 0.0)
+
+
+def short(x, y):
+    y[0] = x[0]
+
+
+def beyond(x, y):
+    for i in range(3):
+        y[i] = x[2]
+
+
+def greedy(x, y):
+    x[0] = 1.0
+    look(x, y)
+
+
+def branching(x, y):
+    for i in range(3):
+        y[i] = x[0] if x[0] > 0 else 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"states": 0}, "states=0; it must be a whole number"),
+        ({"process_covariance": [1.0, 2.0, 3.0]}, "process_covariance is 3 x 1; here it must be 2 x 2"),
+        ({"process_covariance": [1.0, -1.0]}, "positive semi-definite"),
+        ({"sensor_covariance": 0.0}, "sensor_covariance is not positive definite"),
+        ({"g": short}, r"g does not write y\[1\]"),
+        ({"sensors": 2, "sensor_covariance": 1.0}, "reaches beyond its arguments"),
+        ({"g": beyond}, "reaches beyond its arguments .* x has 2"),
+        ({"g": greedy}, "writes into what it is given"),
+        ({"g": swing}, r"arguments x, u, x_next; it must be a step function g\(x, y\)"),
+        ({"f": np.sin}, r"it must be a step function f\(x, u, x_next\)"),
+        ({"f_jacobian": look_jacobian}, "f_jacobian has the arguments x, C"),
+        ({"dt": -1}, "must be positive"),
+    ],
+)
+def test_models_that_cannot_be_right(change, words):
+    with pytest.raises(ValueError, match=words):
+        replace(PENDULUM, **change)
+
+
+def test_a_function_that_branches_needs_its_derivatives():
+    with pytest.raises(KernelError, match=r"The model's g: .* branches on data.* as g_jacobian"):
+        replace(PENDULUM, g=branching)
+
+
+def infinite(x, y):
+    for i in range(3):
+        y[i] = 1.0 / x[0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"model": 3.0}, "needs a NonlinearModel"),
+        ({"precision": 3.0}, "precision learner"),
+        ({"goal_covariance": -1.0}, "goal_covariance is not positive definite"),
+        ({"goal_covariance": [[1.0, 2.0], [2.0, 1.0]]}, "goal_covariance is not positive definite"),
+        ({"initial_covariance": [1.0, -1.0]}, "initial_covariance is not positive semi-definite"),
+        ({"initial_mean": [1.0, 2.0, 3.0]}, "initial_mean has the shape"),
+        ({"control_covariance": 0.0}, "control_covariance is not positive definite"),
+        ({"goal_on": [[0.0, 0.0]]}, "flat control prior"),
+        ({"goal_on": [[1.0]]}, "goal_on is 1 x 1"),
+        ({"goal_on": "outputs"}, "for linear models"),
+        ({"belief": "kalman"}, "must be 'filtered' or 'joint'"),
+        ({"prediction": "euler"}, "'model' or 'random walk'"),
+        ({"iterations": 0}, "whole number from 1 to 1000"),
+        ({"u_min": 1.0, "u_max": 0.0}, "lies above u_max"),
+        ({"model": replace(PENDULUM, g=infinite)}, "g is not finite at x = "),
+    ],
+)
+def test_controllers_that_cannot_be_right(settings, words):
+    with pytest.raises(ModelError, match=words):
+        NonlinearBayesianController(**{"model": PENDULUM, **settings})
