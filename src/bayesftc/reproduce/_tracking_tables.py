@@ -58,11 +58,18 @@ def _errors(title: str, cells: dict[str, Any], names: list[str]) -> RenderableTy
 
 
 def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
-    lost = [f"on {kind} to {sentence_list(names)}" for kind, names in report["lost"].items()]
-    if lost:
-        yield f"Precision learning (PL) tracks significantly worse {'; '.join(lost)}."
-    else:
-        yield "Precision learning (PL) tracks significantly worse than no other technique in any scenario."
+    papers, every = list(report["merit"]), len(report["scenarios"])
+    lost = {kind: [n for n in names if n in papers] for kind, names in report["lost"].items()}
+    places = [f"on {kind} than {sentence_list(names)}" for kind, names in lost.items() if names]
+    yield (
+        f"Precision learning (PL) tracks significantly worse {'; '.join(places)}."
+        if places
+        else "Precision learning (PL) tracks significantly worse than none of the paper's other techniques in any scenario."
+    )
+    others = [name for names in report["lost"].values() for name in names if name not in papers]
+    if counts := {name: others.count(name) for name in dict.fromkeys(others)}:
+        shown = [f"{name} in {count}" for name, count in counts.items()]
+        yield f"Of the {every} scenarios, others are significantly better than PL: {sentence_list(shown)}."
     if report["grid"] is None:
         return
     settings = report["settings"]
