@@ -8,10 +8,11 @@ paper's own numbers in `bayesftc.reproduce.paper`.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from bayesftc.reproduce._arm import run as arm
     from bayesftc.reproduce._detection import run as detection
     from bayesftc.reproduce._tracking import run as tracking
 
-__all__ = ["detection", "tracking"]
+__all__ = ["arm", "detection", "tracking"]
 
 
 def __getattr__(name: str) -> Any:

@@ -19,6 +19,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce import (
+    _arm,
+    _arm_figures,
+    _arm_tables,
     _detection,
     _detection_figures,
     _detection_tables,
@@ -47,6 +50,7 @@ class Experiment:
 EXPERIMENTS = {
     e.name: e
     for e in (
+        Experiment("arm", _arm.run, _arm_tables.show, _arm_figures.figures),
         Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.figures),
         Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.figures),
     )

@@ -1,0 +1,75 @@
+"""What ``bayesftc reproduce arm`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.reproduce._tables import table
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+LABELS = {
+    "none": "no fault tolerance",
+    "implicit": "precision learning, implicit detection",
+    "explicit": "precision learning, explicit detection",
+    "deterministic": "told of the fault (predecessor's)",
+}
+JOINTS = {"faulty": "joint with the frozen encoder", "healthy": "joint with a healthy encoder"}
+
+
+def show(report: dict[str, Any]) -> Iterator[RenderableType]:
+    """Yield the errors beside the paper's, how the explicit detection did, and what unpublished settings are worth."""
+    yield _errors(report)
+    found, settings = report["detection"], report["settings"]
+    missed = "in no run" if not found["missed"] else f"in {found['missed']} of {found['n']} runs"
+    yield (
+        f"The explicit detection (Chebyshev, alpha {settings['alpha']:g}, on encoders and camera) finds the frozen encoder after "
+        f"{found['delay_mean'] * 1e3:.0f} ms on average and misses it {missed}; without a fault it sees one in "
+        f"{100 * found['healthy_share']:.2g} % of the time."
+    )
+    if report["grid"] is not None:
+        yield from _grid(report)
+
+
+def _errors(report: dict[str, Any]) -> RenderableType:
+    def cell(technique: str, joint: str) -> str:
+        ours, papers = report["mse"][technique][joint], report["paper"][technique][joint]
+        low, high = ours["ci"]
+        return f"{ours['mean']:.3g} [{low:.3g}, {high:.3g}] ({papers:.3g})"
+
+    title = (
+        f"Mean squared error of the belief about a joint (rad^2), mean over {report['settings']['runs']} runs, 95 % interval, in "
+        "brackets the paper's"
+    )
+    rows = {label: [cell(name, joint) for joint in JOINTS] for name, label in LABELS.items()}
+    return table(title, list(JOINTS.values()), rows)
+
+
+def _grid(report: dict[str, Any]) -> Iterator[RenderableType]:
+    titles = {
+        "none": (
+            "switch",
+            "camera_precision",
+            "No fault tolerance: switch of the goal (s) and precision of the camera",
+        ),
+        "implicit": (
+            "learning_rate",
+            "lower_bound",
+            "Implicit detection: learning rate and lower bound of the precision",
+        ),
+    }
+    for kind, (down, across, title) in titles.items():
+        cells = {(c[down], c[across]): c for c in report["grid"][kind]}
+        rows, columns = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+        yield table(
+            f"{title}; error of the joint with the frozen encoder / the other",
+            [f"{across.replace('_', ' ')} {column:g}" for column in columns],
+            {
+                f"{down.replace('_', ' ')} {row:g}": [
+                    f"{cells[row, column]['faulty']:.2g} / {cells[row, column]['healthy']:.2g}" for column in columns
+                ]
+                for row in rows
+            },
+        )
