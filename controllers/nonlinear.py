@@ -14,6 +14,7 @@ from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
 from bayesftc.controllers._joint import (
+    DISTANT,
     SLOPES,
     SQUARES,
     VECTORS,
@@ -62,7 +63,7 @@ def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
     """Return the step function that takes the belief to the next step, with the control that was applied."""
 
     def predict(
-        x_hat, P, applied, Q, largest, initial_mean, initial_covariance,
+        x_hat, P, applied, Q, nominal, largest, initial_mean, initial_covariance,
         following, F, B, FP, reading, C, mean, covariance,
     ):  # fmt: skip
         n = x_hat.shape[0]
@@ -71,7 +72,8 @@ def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
             for j in range(n):
                 covariance[i, j] = covariance[i, j] + Q[i, j]
         hold_variances(covariance, largest)
-        # Where the model has no finite value, nothing could be learned from any sample again: the belief begins anew there.
+        # Where the model has no finite value, or all samples would be too far away to move the belief, nothing could be learned
+        # from any sample again: the belief begins anew.
         g(mean, reading)
         g_jacobian(mean, C)
         good = absolute(mean[0]) <= MEAN_CAP
@@ -80,7 +82,8 @@ def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
             for j in range(n):
                 good = both(good, covariance[i, j] - covariance[i, j] == 0.0)
         for i in range(reading.shape[0]):
-            good = both(good, reading[i] - reading[i] == 0.0)
+            distance = reading[i] / (0.1 * DISTANT)
+            good = both(good, distance * distance < nominal[i, i])
             for j in range(n):
                 good = both(good, C[i, j] - C[i, j] == 0.0)
         for i in range(n):
@@ -163,7 +166,7 @@ def _make_step(
         carry(found, z, mean, root, T, point, X, spread_out, x_hat, P)
         limit(u, applied, u_min, u_max, u_change)
         predict(
-            x_hat, P, applied, Q, largest, initial_mean, initial_covariance,
+            x_hat, P, applied, Q, nominal, largest, initial_mean, initial_covariance,
             following, F, B, FP, reading, C, mean, covariance,
         )  # fmt: skip
 
@@ -203,7 +206,7 @@ class NonlinearBayesianController(BayesianBlock):
     u_rate : number or vector
         Largest change of the control per second; the first step is measured from 0.
     initial_mean, initial_covariance : optional
-        Belief before the first sample, by default 0 and the identity; also after a step at which the model has no finite value.
+        Belief before the first sample, by default 0 and the identity; also once it is lost where the model has no finite value.
     prediction : {"model", "random walk"}
         The prediction prior of the next sample: by f and the control that was applied; or the belief itself plus process noise.
     iterations : int

@@ -462,6 +462,29 @@ def test_absurd_samples_are_survived(belief, precision):
     assert abs(out.x_hat[0]) < 0.5
 
 
+def hold(x, u, x_next):
+    x_next[0] = x[0] + u[0]
+
+
+def escape(x, u, x_next):
+    x_next[0] = exp(x[0] + u[0])
+
+
+@pytest.mark.parametrize(("f", "far"), [(hold, 1e120), (hold, 1e160), (escape, 1e3)])
+def test_a_belief_that_is_lost_begins_anew(f, far):
+    """Sent to where squares, or the model itself, are no numbers, it is back at the first sample after."""
+    model = NonlinearModel(f, encoders, 1, 1, 2, 1e-3, 0.01, 0.1)
+    step = NonlinearBayesianController(model, control_covariance=1e6, initial_mean=0.1, u_min=-1.0, u_max=1.0).online(
+        compiled=False
+    )
+    step(y=[0.1, 0.1], goal=[0.1])
+    step._view("mean")[0] = far
+    for _ in range(3):
+        out = step(y=[0.2, 0.2], goal=[0.2])
+    assert abs(out.x_hat[0] - 0.2) < 0.1
+    assert np.isfinite(out.u).all()
+
+
 def repeated(samples, y, k):
     for i in range(3):
         y[i] = samples[k % samples.shape[0], i]
