@@ -154,3 +154,14 @@ def test_headline_beta_beats_the_baseline():
     assert len(report["streams"]) == 20
     assert all(900 < s["faults"] < 1_100 for s in report["streams"])
     assert len(report["grid"]) == 5 * 5 * 3
+
+
+def test_grid_has_larger_areas_for_larger_faults_and_faster_references():
+    small = replace(SMALL, grid_injections=(2.0, 10.0), grid_drifts=(1.0, 20.0))
+    residuals = _residuals.known(small, controllers.GammaPrecision(forgetting=0.5), Car())
+    cells = _detection._Bench(small, Car(), 2, None).grid(0, residuals)
+    known = {(c["reference"], c["injection"], c["drift"]): c["auc"] for c in cells}
+    assert len(known) == 3 * 2 * 2
+    for name in _residuals.GRID[:2]:
+        assert known["fast", 10.0, 20.0][name] > known["fast", 2.0, 1.0][name] + 0.05
+        assert known["fast", 2.0, 1.0][name] > known["constant", 2.0, 1.0][name] + 0.05

@@ -1,5 +1,6 @@
 """The tracking experiment, small: what it computes, by other ways of computing it."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -142,11 +143,14 @@ def test_tasks_keep_their_places_and_an_error_ends_the_work():
     begun = []
 
     def fail():
-        begun.append(1)
         raise ValueError("broken")
 
+    def wait():
+        begun.append(1)
+        time.sleep(0.01)
+
     with pytest.raises(ValueError, match="broken"):
-        in_parallel([fail] * 1000, jobs=1)
+        in_parallel([fail] + [wait] * 1000, jobs=2)
     assert len(begun) < 1000
 
 
@@ -175,3 +179,18 @@ def test_headline_is_the_papers_order():
     assert {c.__name__ for c in controllers.LEARNERS} - set(report["scenarios"]["freeze/sine"]) == {
         "FixedPrecision", "GammaPrecision", "EFFDI", "SERFDI",
     }  # fmt: skip
+
+
+def test_grid_has_a_table_for_each_pair_of_sizes_and_duration_and_agrees_with_the_headline(report):
+    settings = Tracking(runs=30, injections=(10.0,), drifts=(), effdi_durations=(8.0,))
+    bench = _tracking._Bench(settings, Car(), 3, 2, None)
+    papers = _tracking.techniques(settings)
+    papers = {name: papers[name] for name in FOUR}
+    grid = _tracking._grid(bench, {}, papers)
+    tables = {(t["injection"], t["drift"], t["effdi_duration"]): t for t in grid["tables"]}
+    assert set(tables) == {(i, 2.0, d) for i in (3.0, 10.0) for d in (0.4, 8.0)}
+    assert tables[3.0, 2.0, 0.4]["merit"] == report["merit"]
+    assert grid["scenarios"]["injection 3/sine"]["PL"] == report["scenarios"]["injection/sine"]["PL"]
+    # A sensor that is 10 m/s off is ignored for the whole fault by the one, and trusted again at once by the other.
+    far = grid["scenarios"]["injection 10/sine"]
+    assert far["EF-FDI 8 s"]["rmse_mean"] < far["EF-FDI"]["rmse_mean"]
