@@ -221,9 +221,11 @@ def detections(
     }
 
 
+@cache
 def _lengths() -> tuple[float, float]:
-    start = {v.name: v.start for v in fmus.plants.TWO_LINK_ARM.variables}
-    return float(start["L1"]), float(start["L2"])
+    """Return the lengths of the arm's links in metres, as the FMU has them."""
+    plant: Any = cosim.FMU(fmus.path("TwoLinkArm"))
+    return float(plant.start_value("L1")), float(plant.start_value("L2"))
 
 
 def _signals(loop: cosim.Diagram, duration: float, of: Sequence[int], record: tuple[str, ...]) -> list[cosim.Result]:
