@@ -188,7 +188,10 @@ class BayesianController(BayesianBlock):
         N, prior = G @ Q @ G.T + np.asarray(self.goal_covariance, float), self._prior_precision()
         weight = np.linalg.solve(N, GB)
         V = np.linalg.inv(N) - weight @ np.linalg.solve(prior + GB.T @ weight, weight.T)
-        predicted = np.asarray(self.initial_covariance) + Q + 1e-9 * np.trace(R) * one
+        start = np.asarray(self.initial_covariance)
+        # What is steady does not depend on the start; beside a belief that knows nothing R would be lost to rounding.
+        start = start * min(1.0, 1e6 / max(1.0, float((np.diag(C @ start @ C.T) / np.diag(R)).max())))
+        predicted = start + Q + 1e-9 * np.trace(R) * one
         largest = VARIANCE_CAP * np.trace(predicted)
         for _ in range(2000):  # the covariances' own recursion, which an undetectable model makes grow without end
             K = np.linalg.solve(C @ predicted @ C.T + R, C @ predicted).T
