@@ -143,7 +143,8 @@ class ExplicitDetection(PrecisionLearner):
         What learns; by default ``GammaPrecision()``.
     threshold : float, FittedThreshold or a sequence with one for each group
         A number is a bound on the distance by the model: from zero, with the covariance ``C P_t|t-1 C' + R`` (for one sensor:
-        standard deviations of its innovation); the default is Chebyshev's for one sensor and alpha = 0.01. A fitted threshold
+        standard deviations of its innovation). The default is the field's three; Chebyshev's inequality, which holds whatever
+        the distribution, asks ten for one sensor and alpha = 0.01, and then only large faults are seen. A fitted threshold
         has moments of its own, learned from healthy innovations (with their sign) of the group's sensors:
         ``ChebyshevThreshold().fit(healthy["controller.innovation"][:, [0, 1]])``.
     groups : sequence of sequences of int, optional
@@ -160,7 +161,7 @@ class ExplicitDetection(PrecisionLearner):
     """
 
     learning: PrecisionLearner = field(default_factory=GammaPrecision)
-    threshold: float | FittedThreshold | Sequence[float | FittedThreshold] = 10.0
+    threshold: float | FittedThreshold | Sequence[float | FittedThreshold] = 3.0
     groups: Sequence[Sequence[int]] | None = None
     hold: float = 0.4
 

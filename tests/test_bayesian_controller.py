@@ -366,9 +366,7 @@ def test_a_belief_that_knows_nothing_may_stand_before_redundant_sensors(size):
     model = controllers.LinearModel([[0.999, 0.1], [0.0, 0.98]], [[0.0], [0.1]], [[1.0, 0.0]] * 3, 1e-3, 1.0, 0.02)
     settings = {"control_covariance": 100.0, "goal_covariance": [1e3, 1.0]}
     poles = [
-        np.sort_complex(
-            controllers.BayesianController(model, initial_covariance=start, **settings).closed_loop_poles()
-        )
+        np.sort_complex(controllers.BayesianController(model, initial_covariance=start, **settings).closed_loop_poles())
         for start in (1.0, size)
     ]
     np.testing.assert_allclose(poles[1], poles[0], atol=1e-5)

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 LABELS = {
     "none": "no fault tolerance",
-    "implicit": "precision learning, implicit detection",
-    "explicit": "precision learning, explicit detection",
-    "deterministic": "told of the fault (predecessor's)",
+    "implicit": "PL, always on",
+    "explicit": "PL, on detection",
+    "deterministic": "told of the fault",
 }
-JOINTS = {"faulty": "joint with the frozen encoder", "healthy": "joint with a healthy encoder"}
+JOINTS = {"faulty": "joint with frozen encoder", "healthy": "joint with healthy encoder"}
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
@@ -37,11 +37,11 @@ def _errors(report: dict[str, Any]) -> RenderableType:
     def cell(technique: str, joint: str) -> str:
         ours, papers = report["mse"][technique][joint], report["paper"][technique][joint]
         low, high = ours["ci"]
-        return f"{ours['mean']:.3g} [{low:.3g}, {high:.3g}] ({papers:.3g})"
+        return f"{ours['mean']:.2e} ± {(high - low) / 2:.0e} ({papers:.2e})"
 
     title = (
-        f"Mean squared error of the belief about a joint (rad^2), mean over {report['settings']['runs']} runs, 95 % interval, in "
-        "brackets the paper's"
+        f"Mean squared error of the belief about a joint (rad^2), mean over {report['settings']['runs']} runs ± 95 %, in "
+        "brackets the paper's (the last row its predecessor's); PL is precision learning"
     )
     rows = {label: [cell(name, joint) for joint in JOINTS] for name, label in LABELS.items()}
     return table(title, list(JOINTS.values()), rows)

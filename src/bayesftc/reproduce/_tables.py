@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+LONGEST = 12
+"""Letters of a class name that a column's head takes on one line."""
 
 
 def table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]], *, corner: str = "") -> RenderableType:
@@ -19,10 +23,15 @@ def table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]],
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     made.add_column(corner)
     for column in columns:
-        made.add_column(Text(column), justify="right", overflow="fold")
+        made.add_column(Text(_broken(column)), justify="right", overflow="fold")
     for name, cells in rows.items():
         made.add_row(Text(name), *(Text(cell) for cell in cells))
     return Group(Text(title, style="bold"), made)
+
+
+def _broken(name: str) -> str:
+    """Return a long class name on several lines, a word on each: columns are narrow."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "\n", name) if len(name) > LONGEST else name
 
 
 def sentence_list(names: Sequence[str]) -> str:
