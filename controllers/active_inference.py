@@ -409,7 +409,10 @@ class UnbiasedActiveInference(Block):
             D, Pu = arrays["D"], np.asarray(self.control_precision)
             H = np.block([[H + D.T @ Pu @ D, -D.T @ Pu], [-Pu @ D, Pu]])
             rates = np.concatenate([rates, h * np.asarray(self.control_rate, float)])
-        largest = float(np.linalg.eigvals(rates[:, np.newaxis] * H).real.max())
+        # A step multiplies the error by 1 - z: by less than one where |z|^2 < 2 Re z (a turning prediction makes z complex).
+        z = np.linalg.eigvals(rates[:, np.newaxis] * H)
+        z = z[z.real > 1e-9]  # in other directions no rate is too large
+        largest = float((np.abs(z) ** 2 / z.real).max(initial=0.0))
         if not largest < 2.0:
             remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
             raise ModelError(
