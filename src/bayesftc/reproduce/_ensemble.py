@@ -72,8 +72,10 @@ def in_parallel(
 
     report()
     with ThreadPoolExecutor(check_jobs(jobs)) as pool:
-        futures: dict[Future[R], int] = {pool.submit(task): i for i, task in enumerate(tasks)}
-        try:
+        futures: dict[Future[R], int] = {}
+        try:  # also around the submissions: else Ctrl-C there would wait for all of them
+            for i, task in enumerate(tasks):
+                futures[pool.submit(task)] = i
             for future in as_completed(futures):
                 results[futures[future]] = future.result()
                 report()
