@@ -67,10 +67,10 @@ def test_closed_form_of_the_cruise_control():
     a, B, Vg, Vu, Q = 1 - 5 / 100 * 0.02, 0.02 / 100, 0.5, 1e5, 0.001
     model = LinearModel([[a]], [[B]], [[1.0], [1.0]], Q, 1.0, 0.02)
     controller = BayesianController(model, goal_covariance=Vg, control_covariance=Vu, initial_mean=18.0)
-    out = controller.online()(y=[18.4, 17.9], goal=[20.0])
+    out = controller.online(compiled=False)(y=[18.4, 17.9], goal=[20.0])
     mu, P = out.x_hat[0], out.P[0, 0]
     assert out.u[0] == pytest.approx(B * Vu * (20.0 - a * mu) / (B * B * Vu + Vg + Q + a * a * P), rel=1e-12)
-    deadbeat = BayesianController(model, initial_mean=18.0).online()(y=[18.4, 17.9], goal=[20.0])
+    deadbeat = BayesianController(model, initial_mean=18.0).online(compiled=False)(y=[18.4, 17.9], goal=[20.0])
     assert deadbeat.u[0] == pytest.approx((20.0 - a * deadbeat.x_hat[0]) / B, rel=1e-12)
 
 
@@ -78,11 +78,12 @@ def test_goals_on_outputs_take_each_distinct_output_once():
     model = LinearModel(np.diag([0.9, 0.8]), np.eye(2), [[1.0, 1.0], [1.0, 1.0], [0.0, 1.0]], 0.1, 1.0, 0.1)
     controller = BayesianController(model, goal_on="outputs")
     assert controller.goals == 2
-    out = controller.online()(y=[0.0, 0.0, 0.0], goal=[3.0, 1.0])
+    out = controller.online(compiled=False)(y=[0.0, 0.0, 0.0], goal=[3.0, 1.0])
     next_state = model.matrix("A") @ out.x_hat + out.u
     np.testing.assert_allclose([next_state.sum(), next_state[1]], [3.0, 1.0], atol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")  # it is, on purpose
 def test_limits_hold_and_the_prediction_uses_the_applied_control():
     model = LinearModel(
         [[1.0]], [[1.0]], [[1.0]], 1e-9, 1e9, 0.5
@@ -90,7 +91,7 @@ def test_limits_hold_and_the_prediction_uses_the_applied_control():
     controller = BayesianController(
         model, u_min=-1.0, u_max=2.0, u_rate=2.0, initial_mean=0.0, initial_covariance=1e-12
     )
-    step = controller.online()
+    step = controller.online(compiled=False)
     out = [step(y=[0.0], goal=[10.0]) for _ in range(4)]
     np.testing.assert_allclose([o.u[0] for o in out], [1.0, 2.0, 2.0, 2.0])  # at most 2.0 a second times 0.5 s, then 2
     np.testing.assert_allclose([o.x_hat[0] for o in out], [0.0, 1.0, 3.0, 5.0], atol=1e-6)
@@ -100,7 +101,7 @@ def test_limits_hold_and_the_prediction_uses_the_applied_control():
 
 def test_limits_win_over_the_rate():
     model = LinearModel([[1.0]], [[1.0]], [[1.0]], 0.1, 1.0, 0.02)
-    step = BayesianController(model, u_min=-100.0, u_max=-10.0, u_rate=1.0).online()
+    step = BayesianController(model, u_min=-100.0, u_max=-10.0, u_rate=1.0).online(compiled=False)
     assert [step(y=[0.0], goal=[5.0]).u[0] for _ in range(3)] == [-10.0, -10.0, -10.0]
 
 
@@ -108,7 +109,7 @@ def test_limits_win_over_the_rate():
 @pytest.mark.parametrize("limit", [np.inf, 1000.0])
 def test_a_missing_goal_holds_the_control_under_a_flat_prior(belief, limit):
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, 0.02)
-    step = BayesianController(model, belief=belief, u_min=-limit, u_max=limit, initial_mean=20.0).online()
+    step = BayesianController(model, belief=belief, u_min=-limit, u_max=limit, initial_mean=20.0).online(compiled=False)
     before = step(y=[20.0, 20.0], goal=[20.0])
     for missing in (np.nan, np.inf):
         out = step(y=[20.0, 20.0], goal=[missing])
@@ -121,9 +122,9 @@ def test_a_missing_goal_holds_the_control_under_a_flat_prior(belief, limit):
 def test_a_missing_goal_leaves_the_control_to_its_prior_and_the_other_goals():
     model = LinearModel(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), 0.1, 1.0, 0.1)
     options = {"control_covariance": 2.0, "control_mean": [0.3, -0.7], "goal_covariance": [[1.0, 0.5], [0.5, 2.0]]}
-    out = BayesianController(model, **options).online()(y=[1.0, 2.0], goal=[np.nan, 5.0])
+    out = BayesianController(model, **options).online(compiled=False)(y=[1.0, 2.0], goal=[np.nan, 5.0])
     only = BayesianController(model, **{**options, "goal_on": [[0.0, 1.0]], "goal_covariance": 2.0})
-    np.testing.assert_allclose(out.u, only.online()(y=[1.0, 2.0], goal=[5.0]).u, rtol=1e-12)
+    np.testing.assert_allclose(out.u, only.online(compiled=False)(y=[1.0, 2.0], goal=[5.0]).u, rtol=1e-12)
     assert out.u[0] == pytest.approx(0.3)
 
 
@@ -135,7 +136,7 @@ def test_a_singular_belief_is_conditioned_on_the_goal_where_it_is_not_certain():
     def belief(covariance):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
-            return BayesianController(model, initial_covariance=covariance, **options).online()(
+            return BayesianController(model, initial_covariance=covariance, **options).online(compiled=False)(
                 y=[1.5, 2.5], goal=[0.0, 0.0]
             )
 
@@ -151,7 +152,7 @@ def test_a_singular_belief_is_conditioned_on_the_goal_where_it_is_not_certain():
 def test_an_unstable_plant_is_found_again_after_a_blackout(scales):
     """Thousands of steps without a sample: the belief knows nothing then, and is right again after one sample."""
     model = LinearModel([[1.2, 0.3], [0.0, 0.9]], np.eye(2), np.eye(2), 0.01, scales, 0.1)
-    step = BayesianController(model).online()
+    step = BayesianController(model).online(compiled=False)
     for blackout in (150, 1000, 5000):
         for _ in range(blackout):
             out = step(y=[None, None], goal=[0.0, 0.0])
@@ -210,7 +211,7 @@ def test_a_constant_that_no_control_moves_is_no_reason_to_warn():
 def test_a_blackout_makes_no_false_certainty():
     """Two unstable states, unseen for long: seeing one of them afterwards says nothing of the other."""
     model = LinearModel([[1.2, 0.3], [0.0, 1.1]], np.eye(2), np.eye(2), 0.01, 1.0, 0.1)
-    step = BayesianController(model).online()
+    step = BayesianController(model).online(compiled=False)
     for _ in range(1000):
         step(y=[None, None], goal=[0.0, 0.0])
     out = step(y=[0.0, None], goal=[0.0, 0.0])
@@ -241,7 +242,7 @@ def test_an_unstable_mode_that_no_sensor_sees_is_warned_about():
 
 def simulate_with_load(controller, load, steps=4000):
     """The car on a slope: a constant force that the model does not know. Returns the mean error over the last quarter."""
-    rng, step = np.random.default_rng(0), controller.online()
+    rng, step = np.random.default_rng(0), controller.online(compiled=False)
     x, errors = 20.0, []
     for _ in range(steps):
         out = step(y=x + 0.1 * rng.normal(size=2), goal=[20.0])
@@ -284,7 +285,7 @@ def test_controllers_and_models_pickle():
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-5, 0.01, 0.02)
     controller = BayesianController(model, precision=controllers.GammaPrecision(forgetting=0.9))
     copy = pickle.loads(pickle.dumps(controller))
-    a, b = controller.online()(y=[1.0, 2.0], goal=[3.0]), copy.online()(y=[1.0, 2.0], goal=[3.0])
+    a, b = controller.online(compiled=False)(y=[1.0, 2.0], goal=[3.0]), copy.online()(y=[1.0, 2.0], goal=[3.0])
     assert all(np.array_equal(a[name], b[name], equal_nan=True) for name in a)
 
 
