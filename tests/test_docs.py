@@ -99,3 +99,30 @@ def test_exit_codes_are_distinct_and_documented():
     assert len({kind.exit_code for kind in kinds}) == len(kinds)
     for kind in kinds:
         assert re.search(rf"^\| {kind.exit_code} \|.*`{kind.__name__}` \|$", text, re.M), kind.__name__
+
+
+def reference():
+    """Return the page of all public names, each with the first sentence of its docstring; ``python tests/test_docs.py`` writes it."""
+    rows = {}
+    for name, thing in PUBLIC.items():
+        module, short = name.removeprefix("bayesftc.").rsplit(".", 1)
+        summary = " ".join((inspect.getdoc(thing) or "").split("\n\n")[0].split())
+        if not (inspect.isclass(thing) or inspect.isroutine(thing) or inspect.ismodule(thing)):
+            summary = f"The {type(thing).__name__} of all kinds that scenario files and tests choose from."
+        rows.setdefault(module, []).append(f"| `{short}` | {summary.replace('|', chr(92) + '|')} |")
+    head = "# All public names\n\nWhat each takes, in which units and shapes, and what it raises: `help(bayesftc.cosim.FMU)`.\n"
+    tables = (
+        "\n".join([f"\n## bayesftc.{m}\n", "| name | what it is |", "|---|---|", *sorted(r, key=str.lower)])
+        for m, r in rows.items()
+    )
+    return head + "\n".join(tables) + "\n"
+
+
+def test_reference_page_has_every_public_name_and_its_summary():
+    assert (ROOT / "docs" / "reference.md").read_text(encoding="utf-8") == reference(), (
+        "write it anew: python tests/test_docs.py"
+    )
+
+
+if __name__ == "__main__":
+    (ROOT / "docs" / "reference.md").write_text(reference(), encoding="utf-8")
