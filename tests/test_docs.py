@@ -102,7 +102,7 @@ def test_exit_codes_are_distinct_and_documented():
 
 
 def reference():
-    """Return the page of all public names, each with the first sentence of its docstring; ``python tests/test_docs.py`` writes it."""
+    """Return the page of all public names and what their docstrings begin with; ``python tests/test_docs.py`` writes it."""
     rows = {}
     for name, thing in PUBLIC.items():
         module, short = name.removeprefix("bayesftc.").rsplit(".", 1)
