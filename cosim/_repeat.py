@@ -13,7 +13,7 @@ from bayesftc.cosim.errors import SimulationError
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
-from bayesftc.cosim.simulation import BREATH, _advance, _engine, _explain, _open
+from bayesftc.cosim.simulation import BREATH, advance, choose_engine, explain, open_run
 from bayesftc.cosim.timebase import whole_steps
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def repeat(
     short = False
     for seed in seeds:
         with ExitStack() as stack:
-            run = _open(schedule, stack, check_seed(seed), selection, steps, 1)
+            run = open_run(schedule, stack, check_seed(seed), selection, steps, 1)
             # What an FMU's instance calls its own lies in memory; only another binary would have other functions.
             addresses = [a for i in run.instances.values() for a in (i.output_address, i.update_address)]
             machine: Engine
@@ -58,14 +58,14 @@ def repeat(
                 first.seed, first.recording, first.instances = run.seed, run.recording, run.instances
                 run = first
             else:
-                machine = _engine("auto", run)
+                machine = choose_engine("auto", run)
                 known = (machine, run, addresses) if isinstance(machine, CompiledEngine) else None
             began = time.perf_counter()
             if short:  # over before anyone would notice: no pauses, for which threads would wait for each other
                 failure = machine.advance(0, steps, first=True)[1]
-                stopped = _explain(failure, run) if failure else None
+                stopped = explain(failure, run) if failure else None
             else:
-                stopped = _advance(machine, steps, run, None, None)[1]
+                stopped = advance(machine, steps, run, None, None)[1]
                 short = time.perf_counter() - began < BREATH
         result = Result(run.recording, selection.columns, schedule.step, units=selection.units, stopped=stopped)
         if stopped:

@@ -1,4 +1,7 @@
-"""Runs a diagram: opens its FMUs, chooses the engine, records, and lets Ctrl-C, progress and time limits in between."""
+"""Runs a diagram: opens its FMUs, chooses the engine, records, and lets Ctrl-C, progress and time limits in between.
+
+`simulate` is one run. Its parts, `open_run`, `choose_engine`, `advance` and `explain`, are for what makes many (`_repeat`).
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -84,9 +87,9 @@ def simulate(
         raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
     selection = select_signals(schedule, record)
     with ExitStack() as stack:
-        run = _open(schedule, stack, check_seed(seed), selection, steps, decimation)
-        machine = _engine(engine, run)
-        last, stopped = _advance(machine, steps, run, progress, time_limit)
+        run = open_run(schedule, stack, check_seed(seed), selection, steps, decimation)
+        machine = choose_engine(engine, run)
+        last, stopped = advance(machine, steps, run, progress, time_limit)
     metadata = {
         "seed": run.seed,
         "duration": float(steps * schedule.step),
@@ -109,7 +112,14 @@ def simulate(
     return result
 
 
-def _open(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection, steps: int, decimation: int) -> Run:
+def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection, steps: int, decimation: int) -> Run:
+    """Return a run at its beginning, whose FMUs the stack will close and whose recording is still empty.
+
+    Raises
+    ------
+    ModelError
+        If the recording does not fit into memory.
+    """
     instances = {}
     memory = schedule.initial.copy()
     for i, node in enumerate(schedule.nodes):
@@ -130,7 +140,16 @@ def _open(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection,
     return Run(schedule, seed, memory, instances, selection.places, recording, decimation)
 
 
-def _engine(wanted: str, run: Run) -> Engine:
+def choose_engine(wanted: str, run: Run) -> Engine:
+    """Return the engine of that name for a run; ``auto`` is compiled where every block allows it.
+
+    Raises
+    ------
+    ModelError
+        If there is no engine of that name.
+    KernelError
+        If a block that calls back into Python was to be compiled.
+    """
     if wanted not in {"auto", "compiled", "interpreted"}:
         raise ModelError(f"engine is {wanted!r}; it must be 'auto', 'compiled' or 'interpreted'.")
     if wanted == "compiled" and not run.schedule.compiled:
@@ -145,7 +164,7 @@ def _engine(wanted: str, run: Run) -> Engine:
     return CompiledEngine(run)
 
 
-def _advance(
+def advance(
     engine: Engine, steps: int, run: Run, progress: Progress | None, time_limit: float | None
 ) -> tuple[int, str | None]:
     """Run in pieces of about `BREATH` seconds; return the last complete step and why the run stopped early, if it did."""
@@ -157,7 +176,7 @@ def _advance(
         last, failure = engine.advance(begin, end, first=begin == 0)
         now = time.perf_counter()
         if failure:
-            return last, _explain(failure, run)
+            return last, explain(failure, run)
         if progress:
             progress(last, steps)
         if end == steps:
@@ -172,7 +191,8 @@ def _advance(
         begin = end
 
 
-def _explain(failure: Failure, run: Run) -> str:
+def explain(failure: Failure, run: Run) -> str:
+    """Return the sentence that says when, where and why a run stopped."""
     node = run.schedule.nodes[failure.node]
     t = float(failure.k * run.schedule.step)
     when = f"at t = {t:g} s (step {failure.k})"
@@ -199,4 +219,4 @@ def _signal_at(block: Block, offset: int) -> str:
     return "output"
 
 
-__all__: list[Any] = ["simulate"]
+__all__ = ["advance", "choose_engine", "explain", "open_run", "simulate"]
