@@ -1,8 +1,7 @@
-"""Blocks and functions that run inside another block: their arguments renamed, one step function written that calls them."""
+"""Blocks and functions that run inside another block: their arguments renamed, and the statements that call them."""
 
 from __future__ import annotations
 
-import linecache
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,7 +12,7 @@ import numpy as np
 
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
-from bayesftc.cosim.errors import KernelError, ModelError
+from bayesftc.cosim.errors import ModelError
 
 PREFIX = "law_"
 
@@ -110,20 +109,6 @@ def run_once(embedded: Embedded, name: str, arrays: Mapping[str, Floats]) -> Non
     names = embedded.calls[name].removeprefix(f"{name}(").removesuffix(")").split(", ")
     with np.errstate(all="ignore"):
         embedded.functions[name](*[values[n] for n in names])
-
-
-def write_step(name: str, arguments: Mapping[str, Any], text: str, functions: Mapping[str, Any]) -> Kernel:
-    """Return the step function with these argument names and this text as its body, which calls these functions."""
-    body = "".join(f"    {line}\n" for line in text.strip("\n").split("\n"))
-    source = f"def {name}({', '.join(arguments)}):\n{body}"
-    file = f"<{name}>"
-    names: dict[str, Any] = {**functions, "__name__": __name__}
-    exec(compile(source, file, "exec"), names)
-    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # so that a debugger shows it
-    made = names[name]
-    if not isinstance(made, FunctionType):
-        raise KernelError(f"{name} came out as no function.")
-    return made
 
 
 def _arrays(values: Mapping[str, Any]) -> dict[str, Floats]:

@@ -12,12 +12,13 @@ import numpy as np
 
 from bayesftc.controllers import _descent
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, frozen
-from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once, write_step
+from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.laws import PID, Proportional, ProportionalDerivative
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import ERROR_CAP, NAN, FixedPrecision, PrecisionLearner
+from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import select
@@ -245,12 +246,11 @@ class UnbiasedActiveInference(Block):
         functions |= {**law.functions, "learn": learner.step, "report": learner.report, "inner_steps": self.inner_steps}
         functions |= {name: getattr(_descent, name) for name in _DESCENT_FUNCTIONS} | {"select": select, "NAN": NAN}
         functions["first"] = sum(port.size for port in self._own_outputs)
-        text = self._text({**law.calls, **calls})
-        return Definition(
-            write_step("unbiased_active_inference", dict.fromkeys(names), text, functions),
-            state=state,
-            parameters=parameters,
+        lines = self._text({**law.calls, **calls}).strip("\n").split("\n")
+        step_function = function_from_text(
+            "unbiased_active_inference", names, lines, functions | {"__name__": __name__}
         )
+        return Definition(step_function, state=state, parameters=parameters)
 
     def _text(self, calls: dict[str, str]) -> str:
         """Return the body of the step function."""

@@ -7,17 +7,16 @@ says all; and the Jacobian is a step function like any other: plain Python, comp
 
 from __future__ import annotations
 
-import linecache
 import math
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from types import FunctionType
 from typing import Any
 
 import numpy as np
 
 from bayesftc.cosim import ops
 from bayesftc.cosim._tracing import rebound
+from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Kernel, argument_names
 from bayesftc.cosim.errors import KernelError
 
@@ -112,16 +111,9 @@ def _tuple(shape: Shape) -> tuple[int, ...]:
 
 
 def _compiled(function: Kernel, arguments: Sequence[str], lines: Sequence[str]) -> Kernel:
-    name = f"jacobian_of_{function.__name__}"
-    text = f"def {name}({', '.join(arguments)}):\n" + "".join(f"    {line}\n" for line in lines)
-    file = f"<{name}>"
     names: dict[str, Any] = {n: getattr(ops, n) for n in ops.NAMES} | {"inf": math.inf, "nan": math.nan}
     names["__name__"] = function.__module__
-    exec(compile(text, file, "exec"), names)
-    linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)  # so that a debugger can show it
-    made = names[name]
-    assert isinstance(made, FunctionType)
-    return made
+    return function_from_text(f"jacobian_of_{function.__name__}", arguments, lines, names)
 
 
 def _text(value: Any) -> str:
