@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dis
+from functools import lru_cache
 from types import CodeType
 
 from bayesftc.cosim.block import Block, Definition, Kernel, argument_names
@@ -68,7 +69,8 @@ def _check_stores(kernel: Kernel, block: Block, definition: Definition, title: s
         )
 
 
-def stored_into(code: CodeType) -> set[str]:
+@lru_cache(maxsize=1024)  # a campaign builds many diagrams of the same few functions
+def stored_into(code: CodeType) -> frozenset[str]:
     """Return the names of local variables into whose elements `code` stores.
 
     It follows the operand stack along the text of the function. What is stored by a function that it calls, or under another
@@ -94,7 +96,7 @@ def stored_into(code: CodeType) -> set[str]:
                 stack[-1], stack[-depth] = stack[-depth], stack[-1]
         else:
             _apply(stack, dis.stack_effect(instruction.opcode, instruction.arg, jump=False))
-    return found
+    return frozenset(found)
 
 
 def _apply(stack: list[str | None], effect: int) -> None:
