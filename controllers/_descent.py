@@ -1,13 +1,10 @@
-"""Step functions of active inference: prediction errors, precisions, free energy, its gradient, and the step along it."""
+"""Step functions of active inference: prediction errors, precisions, free energy, its gradient, and a step along it."""
 
-from bayesftc.controllers._linalg import cholesky, multiply, solve_columns
-from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
+from bayesftc.controllers._linalg import cholesky, solve_columns
+from bayesftc.cosim.ops import both, log, maximum, minimum, select, sqrt
 
 MEAN_CAP = 1e150
 """Largest magnitude of a state's belief; its square is still a double."""
-
-STEP_LIMIT = 1.9
-"""Where a gradient step times the free energy's curvature exceeds this, the step is shortened; from 2 on it may diverge."""
 
 LOG_2_PI = 1.8378770664093453
 
@@ -80,52 +77,6 @@ def add_control_gradient(pull_u, D, gradient):
     for j in range(gradient.shape[0]):
         for i in range(D.shape[0]):
             gradient[j] = gradient[j] - D[i, j] * pull_u[i]
-
-
-def row_sum(j, weights, weighted, J):
-    """Return the sum of magnitudes of row j of ``J' (weights J)``; ``weighted`` is that product."""
-    total = 0.0 * weights[0, 0]
-    for k in range(J.shape[1]):
-        t = 0.0 * total
-        for i in range(J.shape[0]):
-            t = t + J[i, j] * weighted[i, k]
-        total = total + absolute(t)
-    return total
-
-
-def _shortened(curvature):
-    """Return 1, or where that is too far the step that ends at the minimum instead of beyond it."""
-    return select(curvature > STEP_LIMIT, 1.0 / curvature, 1.0)
-
-
-def shortening(G, P, curvature, rate, PG):
-    """Return by what to shorten the belief's gradient step so that it stays stable, at most 1.
-
-    The curvature is bounded by the largest row sum of ``rate (G' P G + curvature)``.
-    """
-    multiply(P, G, PG)
-    worst = 0.0 * rate[0]
-    for j in range(rate.shape[0]):
-        worst = maximum(rate[j] * (row_sum(j, P, PG, G) + curvature[j]), worst)
-    return _shortened(worst)
-
-
-def shortening_with_control(G, P, curvature, rate, PG, D, Pu, rate_u, PD):
-    """Return the same for belief and control together, whose errors D, the law's derivative, couples."""
-    multiply(P, G, PG)
-    multiply(Pu, D, PD)
-    worst = 0.0 * rate[0]
-    pulled = 0.0 * rate[0]
-    for j in range(rate.shape[0]):
-        worst = maximum(rate[j] * (row_sum(j, P, PG, G) + curvature[j]), worst)
-        pulled = maximum(rate[j] * row_sum(j, Pu, PD, D), pulled)
-    driven = 0.0 * rate[0]
-    for i in range(rate_u.shape[0]):
-        total = 0.0 * driven
-        for j in range(rate_u.shape[0]):
-            total = total + absolute(Pu[i, j])
-        driven = maximum(rate_u[i] * total, driven)
-    return _shortened(worst + pulled + driven)
 
 
 def descend(fraction, rate, gradient, mean):

@@ -5,76 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from textwrap import indent
 from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers import _descent
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, frozen
+from bayesftc.controllers._curvature import check_stable, largest_step
+from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
 from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once
-from bayesftc.controllers._linalg import apply
+from bayesftc.controllers._measured import jacobian_of, measured, nominal_covariance, weights_of
 from bayesftc.controllers.laws import PID, Proportional, ProportionalDerivative
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import ERROR_CAP, NAN, FixedPrecision, PrecisionLearner
+from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, PrecisionLearner
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import select
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import rational_step
 
 Law = Proportional | ProportionalDerivative | PID | Block | Callable[..., None]
-
-# The step function. What stands in braces is written for each controller: the calls of its modalities' functions and of its law.
-_STEP = """
-{measure}
-read(y, expected, limit, e, present)
-for i in range(e.shape[0]):
-    innovation[i] = select(present[i] > 0.5, y[i] - expected[i], NAN)
-learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
-report(memory, settings, nominal, first, outputs)
-log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_determinant[0]
-for s in range(inner_steps):
-    if s > 0:
-        {measure_again}
-        read(y, expected, limit, e, present)
-    {differentiate}
-    prior_error(mean, predicted, eps_x)
-    energy = quadratic(e, weights, weighted) + quadratic(eps_x, Px, pull_x)
-    belief_gradient(weighted, G, pull_x, slope)
-    {descent}
-    free_energy[0] = free_energy_of(energy, log_determinant, used, means)
-{decide}
-act(control, applied, u)
-{law_update}
-predict_state(mean, applied, A, B, predicted)
-place(mean, 0, x_hat)
-"""
-
-_DESCENT_BY_GRADIENT = """
-{law_output}
-{law_derivative}
-prior_error(control, wanted, eps_u)
-energy = energy + quadratic(eps_u, Pu, pull_u)
-add_control_gradient(pull_u, D, slope)
-fraction = shortening_with_control(G, weights, curvature, rate, PG, D, Pu, rate_u, PD)
-descend(fraction, rate, slope, mean)
-descend(fraction, rate_u, pull_u, control)
-"""
-
-_DESCENT_OF_THE_BELIEF = """
-fraction = shortening(G, weights, curvature, rate, PG)
-descend(fraction, rate, slope, mean)
-"""
-
-_DECISION_BY_LAW = """
-{law_output}
-place(wanted, 0, control)
-for i in range(eps_u.shape[0]):
-    eps_u[i] = 0.0 * control[i]
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +52,9 @@ class UnbiasedActiveInference(Block):
     each sensor's `Modality.precision` at nominal trust, however small its noise. A sensor that the learner leaves out, or
     whose sample is missing, has the precision zero and no part in the log-determinant.
 
-    Errors are held within a million nominal standard deviations. Where learned precisions or the measurement functions'
-    slopes make the curvature (bounded by its largest row sum) too large for the rates, a step is shortened to stay stable.
+    Errors are held within a million nominal standard deviations. Where learned precisions or the slopes of measurement
+    functions and law make the curvature too large for the rates, a step is shortened to stay stable, at nominal trust and the
+    initial mean's slopes never (`bayesftc.controllers._curvature` has the rule; it is the same in all units).
 
     Parameters
     ----------
@@ -179,7 +130,8 @@ class UnbiasedActiveInference(Block):
             object.__setattr__(self, name, value)
         self._check_prior()
         self.precision.learner(self._learned_model())  # settings that do not fit fail here, not in the loop
-        self._check_stability()
+        remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
+        check_stable(*self._nominal_curvature(), remedy)
 
     @property
     def default_name(self) -> str:
@@ -220,74 +172,41 @@ class UnbiasedActiveInference(Block):
         """See `Block.define`."""
         (n, _, p), m, h = self._dimensions, self._sensors, float(step)
         learner, law = self.precision.learner(self._learned_model()), self._embedded()
-        functions, calls, modality_state, modality_parameters = self._measurement()
+        sensing, nominal = measured(self.modalities, n), nominal_covariance(self.modalities)
         A, B = self._prediction()
-        nominal, gain = self._nominal(), np.concatenate([np.asarray(s.precision) for s in self.modalities])
         sigma = np.sqrt(np.diag(nominal))
         Px, Pu = np.asarray(self.state_precision), np.asarray(self.control_precision)
+        curvature, rates = self._nominal_curvature()
+        largest, squarings = largest_step(curvature, rates)
+        q = len(rates)
         parameters = {
-            "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": gain, "settings": learner.settings,
-            "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),
+            "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self.modalities),
+            "settings": learner.settings, "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
             "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
-            "curvature": np.abs(self._prior_curvature()).sum(axis=1), **law.parameters, **modality_parameters,
+            "prior_curvature": self._prior_curvature(), "root_rate": np.sqrt(rates), "largest": largest,
+            **law.parameters, **sensing.parameters,
         }  # fmt: skip
         shapes = {
             "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "L": (m, m), "inverse": (m, m),
             "weights": (m, m), "weighted": (m,), "G": (m, n), "PG": (m, n), "pull_x": (n,), "slope": (n,), "wanted": (p,),
             "control": (p,), "applied": (p,), "pull_u": (p,), "D": (p, n), "PD": (p, n),
+            "H": (q, q), "scaled": (q, q), "squared": (q, q),
         }  # fmt: skip
         state = {
             "mean": self.initial_mean, "predicted": self.initial_mean, "memory": learner.memory,
             "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in shapes.items()},
-            **law.state, **modality_state,
+            **law.state, **sensing.state,
         }  # fmt: skip
         names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
-        functions |= {**law.functions, "learn": learner.step, "report": learner.report, "inner_steps": self.inner_steps}
-        functions |= {name: getattr(_descent, name) for name in _DESCENT_FUNCTIONS} | {"select": select, "NAN": NAN}
-        functions["first"] = sum(port.size for port in self._own_outputs)
-        lines = self._text({**law.calls, **calls}).strip("\n").split("\n")
-        step_function = function_from_text(
-            "unbiased_active_inference", names, lines, functions | {"__name__": __name__}
-        )
+        functions = {
+            **FUNCTIONS, **law.functions, **sensing.functions, "learn": learner.step, "report": learner.report,
+            "inner_steps": self.inner_steps, "squarings": squarings, "__name__": __name__,
+            "first": sum(port.size for port in self._own_outputs),
+        }  # fmt: skip
+        lines = step_lines({**law.calls, **sensing.calls}, descends=self.control == "gradient")
+        step_function = function_from_text("unbiased_active_inference", names, lines, functions)
         return Definition(step_function, state=state, parameters=parameters)
-
-    def _text(self, calls: dict[str, str]) -> str:
-        """Return the body of the step function."""
-        descends = self.control == "gradient"
-        descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
-        return _STEP.format(
-            measure=calls["measure"],
-            measure_again=indent(calls["measure"], " " * 8).lstrip(),
-            differentiate=indent(calls["differentiate"], " " * 4).lstrip(),
-            descent=indent(descent, " " * 4).lstrip(),
-            decide="" if descends else _DECISION_BY_LAW.format_map(calls).strip("\n"),
-            law_update=calls.get("law_update", ""),
-        )
-
-    def _measurement(self) -> tuple[dict[str, Any], dict[str, str], dict[str, Floats], dict[str, Floats]]:
-        """Return what evaluates all modalities: functions, calls, scratch, and the matrices of those that are linear."""
-        n = self._dimensions[0]
-        functions: dict[str, Any] = {}
-        measure, differentiate, first = [], [], 0
-        state, parameters = {}, {}
-        for i, modality in enumerate(self.modalities):
-            derivative, name = modality.derivative(n), f"modality{i}"
-            state[f"{name}_y"] = np.zeros(modality.samples)
-            if derivative is None:
-                parameters[f"{name}_G"] = modality.jacobian_at(np.zeros(n))
-                functions["apply"] = apply
-                measure.append(f"apply({name}_G, mean, {name}_y)")
-            else:
-                functions[f"{name}_function"], functions[f"{name}_derivative"] = modality.function, derivative
-                state[f"{name}_G"] = np.zeros((modality.samples, n))
-                measure.append(f"{name}_function(mean, {name}_y)")
-                differentiate.append(f"{name}_derivative(mean, {name}_G)")
-            measure.append(f"place({name}_y, {first}, expected)")
-            differentiate.append(f"place_rows({name}_G, {first}, G)")
-            first += modality.samples
-        calls = {"measure": "\n".join(measure), "differentiate": "\n".join(differentiate)}
-        return functions, calls, state, parameters
 
     @property
     def _dimensions(self) -> tuple[int, int, int]:
@@ -300,14 +219,6 @@ class UnbiasedActiveInference(Block):
 
     def _embedded(self) -> Embedded:
         return embed(self.law, self._dimensions, self.sample_time, differentiate=self.control == "gradient")
-
-    def _nominal(self) -> Floats:
-        nominal, first = np.zeros((self._sensors, self._sensors)), 0
-        for modality in self.modalities:
-            last = first + modality.samples
-            nominal[first:last, first:last] = np.asarray(modality.covariance)
-            first = last
-        return nominal
 
     def _prediction(self) -> tuple[Floats, Floats]:
         n, _, p = self._dimensions
@@ -326,8 +237,8 @@ class UnbiasedActiveInference(Block):
     def _learned_model(self) -> LinearModel:
         """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""
         A, B = self._prediction()
-        G = np.vstack([s.jacobian_at(np.asarray(self.initial_mean)) for s in self.modalities])
-        return LinearModel(A, B, G, np.zeros_like(A), self._nominal(), self.sample_time)
+        G = jacobian_of(self.modalities, np.asarray(self.initial_mean))
+        return LinearModel(A, B, G, np.zeros_like(A), nominal_covariance(self.modalities), self.sample_time)
 
     def _sizes(self) -> tuple[int, int, int]:
         known = law_sizes(self.law)
@@ -387,13 +298,12 @@ class UnbiasedActiveInference(Block):
                     f"The model has {self.model.states} states and {self.model.controls} controls; the law has {n} and {p}."
                 )
 
-    def _check_stability(self) -> None:
-        """Compare the eigenvalues of rates times curvature, at nominal trust and the initial mean, with the limit of 2."""
+    def _nominal_curvature(self) -> tuple[Floats, Floats]:
+        """Return the curvature of the free energy at nominal trust and the initial mean, and the rates per sample."""
         (n, goals, p), h = self._dimensions, float(self.sample_time)
         mean = np.asarray(self.initial_mean)
-        G = np.vstack([s.jacobian_at(mean) for s in self.modalities])
-        nominal, gain = self._nominal(), np.concatenate([np.asarray(s.precision) for s in self.modalities])
-        S = np.diag(np.sqrt(gain * np.diag(nominal)))
+        G, nominal = jacobian_of(self.modalities, mean), nominal_covariance(self.modalities)
+        S = np.diag(np.sqrt(weights_of(self.modalities) * np.diag(nominal)))
         H: Any = G.T @ S @ np.linalg.inv(nominal) @ S @ G + self._prior_curvature()
         rates = h * np.asarray(self.belief_rate)
         arrays = {"mean": np.array(mean), "goal": np.zeros(goals), "wanted": np.full(p, np.nan), "D": np.zeros((p, n))}
@@ -409,21 +319,7 @@ class UnbiasedActiveInference(Block):
             D, Pu = arrays["D"], np.asarray(self.control_precision)
             H = np.block([[H + D.T @ Pu @ D, -D.T @ Pu], [-Pu @ D, Pu]])
             rates = np.concatenate([rates, h * np.asarray(self.control_rate, float)])
-        # A step multiplies the error by 1 - z: by less than one where |z|^2 < 2 Re z (a turning prediction makes z complex).
-        z = np.linalg.eigvals(rates[:, np.newaxis] * H)
-        z = z[z.real > 1e-9]  # in other directions no rate is too large
-        largest = float((np.abs(z) ** 2 / z.real).max(initial=0.0))
-        if not largest < 2.0:
-            remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
-            raise ModelError(
-                f"The descent is unstable: rate times curvature of the free energy has an eigenvalue of {largest:.3g} at the "
-                f"initial mean, and must stay below 2. Lower {remedy} or the precisions of the modalities."
-            )
+        return H, rates
 
-
-_DESCENT_FUNCTIONS = (
-    "act", "add_control_gradient", "belief_gradient", "descend", "free_energy_of", "place", "place_rows", "predict_state",
-    "prior_error", "quadratic", "read", "shortening", "shortening_with_control", "weigh",
-)  # fmt: skip
 
 __all__ = ["UnbiasedActiveInference"]
