@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import t as student_t
+from scipy.stats import ttest_ind
 
 from bayesftc import controllers, cosim, reproduce
 from bayesftc.cosim.random import numbers
 from bayesftc.reproduce import _tracking, paper
-from bayesftc.reproduce._ensemble import chunks, in_parallel, seeds
-from bayesftc.reproduce._merit import merit, outcomes, total
+from bayesftc.reproduce._ensemble import Ensemble, chunks, in_parallel, seeds
+from bayesftc.reproduce._merit import merit, total
+from bayesftc.reproduce._statistics import outcomes
 from bayesftc.reproduce.settings import Car, Tracking
 
 FOUR = ("EF-FDI", "No FT", "PL", "SER FT")
@@ -85,10 +86,10 @@ def test_oracle_is_as_good_as_one_kalman_filter_says(report):
 def test_an_error_is_the_root_mean_square_of_a_run_by_hand():
     """The first run of a scenario again, with a Kalman filter and deadbeat control written out."""
     settings = replace(Tracking(), runs=2)
-    bench = _tracking._Bench(settings, Car(), 3, 1, None)
+    bench = _tracking._Bench(settings, Car(), Ensemble(3))
     learner = controllers.FixedPrecision()
     scenario = _tracking.Scenario("injection", "sine", settings.injection)
-    error = bench.errors("x", [scenario], {"No FT": learner})[scenario]["No FT"][0]
+    error = bench.measure("x", [scenario], {"No FT": learner}).runs[scenario]["No FT"].rmse[0]
     seed = seeds(3, "injection/sine", 1)[0]
     q = np.sqrt(1e-3) * numbers(seed, "disturbance_noise.noise", 1001)
     eta = [numbers(seed, "sensors.noise", 1001, channel=i) for i in range(2)]
@@ -105,20 +106,29 @@ def test_an_error_is_the_root_mean_square_of_a_run_by_hand():
     assert error == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
 
 
-def test_outcomes_are_those_of_welchs_formula():
+def test_outcomes_are_those_of_welchs_test():
     rng = np.random.default_rng(0)
-    decided = []
-    for shift in np.linspace(-0.6, 0.6, 25):
-        a, b = rng.normal(0.0, 1.0, 40), rng.normal(shift, 0.4, 60)
-        va, vb = a.var(ddof=1) / 40, b.var(ddof=1) / 60
-        freedom = (va + vb) ** 2 / (va**2 / 39 + vb**2 / 59)
-        t = (a.mean() - b.mean()) / np.sqrt(va + vb)
-        p = 2 * student_t.sf(abs(t), freedom)
-        wanted = 0 if p >= 0.05 else (1 if t < 0 else -1)
-        one = int(outcomes(a, b, 0.05))
-        assert one == wanted
-        decided.append(one)
-    assert set(decided) == {-1, 0, 1}
+    a = rng.normal(0.0, 1.0, (25, 40))
+    b = rng.normal(np.linspace(-0.6, 0.6, 25)[:, None], 0.4, (25, 60))
+    for scale in (1.0, 1e-120):
+        decided = outcomes(scale * a, scale * b, 0.05)
+        test = ttest_ind(a, b, axis=1, equal_var=False)
+        assert decided.tolist() == np.where(test.pvalue < 0.05, -np.sign(test.statistic), 0).tolist()
+        assert set(decided) == {-1, 0, 1}
+        assert outcomes(scale * b, scale * a, 0.05).tolist() == (-decided).tolist()
+
+
+@pytest.mark.filterwarnings("error")
+def test_samples_without_scatter_differ_if_their_means_do_by_more_than_rounding():
+    ones, wobble = np.ones(50), 1.0 + np.finfo(float).eps * (np.arange(50) % 3)
+    assert outcomes(ones, ones, 0.05) == 0
+    assert outcomes(np.zeros(50), np.zeros(50), 0.05) == 0
+    assert (
+        outcomes(wobble, ones, 0.05) == 0
+    )  # significant by the letter: every run is above 1, by less than can be computed
+    assert outcomes(0.3 * ones, 0.1 * wobble + 0.2, 0.05) == 0
+    assert outcomes(ones, 2.0 * ones, 0.05) == 1
+    assert outcomes(ones, wobble - 1e-9, 0.05) == -1
 
 
 def test_merit_counts_scenarios_for_the_column_against_the_row():
@@ -127,7 +137,6 @@ def test_merit_counts_scenarios_for_the_column_against_the_row():
     table = merit([{"a": good, "b": bad}, {"a": good, "b": bad}, {"a": bad, "b": good}], ["a", "b"], 0.05)
     assert table == {"a": {"a": 0, "b": -1}, "b": {"a": 1, "b": 0}}
     assert total(table) == {"a": 1, "b": -1}
-    assert outcomes(np.ones(5), np.ones(5), 0.05) == 0
 
 
 def test_seeds_of_two_purposes_never_meet():
@@ -162,10 +171,16 @@ def test_threshold_of_effdi_is_its_quantile_without_fault():
     assert np.quantile(statistic, 0.999) == pytest.approx(Tracking().effdi_threshold, abs=0.05)
 
 
-@pytest.mark.parametrize("wrong", [{"jobs": 0}, {"jobs": 1.5}, {"jobs": True}, {"runs": 1}, {"runs": "many"}])
-def test_numbers_that_cannot_be(wrong):
-    with pytest.raises(cosim.ModelError, match=next(iter(wrong))):
-        reproduce.tracking(**wrong)
+@pytest.mark.parametrize(
+    "wrong",
+    [{"jobs": 0}, {"jobs": 1.5}, {"jobs": True}, {"runs": 1}, {"runs": "many"}, {"seed": -1}, {"seed": 0.5}],
+    ids=str,
+)
+@pytest.mark.parametrize("experiment", reproduce.__all__)
+def test_numbers_that_cannot_be(experiment, wrong):
+    ((name, value),) = wrong.items()
+    with pytest.raises(cosim.ModelError, match=rf"{name} is {value!r}; it must be"):
+        getattr(reproduce, experiment)(**wrong)
 
 
 @pytest.mark.slow
@@ -183,7 +198,7 @@ def test_headline_is_the_papers_order():
 
 def test_grid_has_a_table_for_each_pair_of_sizes_and_duration_and_agrees_with_the_headline(report):
     settings = Tracking(runs=30, injections=(10.0,), drifts=(), effdi_durations=(8.0,))
-    bench = _tracking._Bench(settings, Car(), 3, 2, None)
+    bench = _tracking._Bench(settings, Car(), Ensemble(3, 2))
     papers = _tracking.techniques(settings)
     papers = {name: papers[name] for name in FOUR}
     grid = _tracking._grid(bench, {}, papers)

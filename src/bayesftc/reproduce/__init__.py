@@ -1,8 +1,8 @@
 """The paper's experiments, our numbers beside its own: ``bayesftc reproduce``, or from Python.
 
-``reproduce.tracking(seed=0, jobs=2)`` runs experiment 2 and returns what ``tracking.json`` holds as plain data;
-``reproduce.detection`` does the same for experiment 3. Settings and their reasons stand in `bayesftc.reproduce.settings`, the
-paper's own numbers in `bayesftc.reproduce.paper`.
+``reproduce.arm`` is experiment 1, ``reproduce.tracking`` experiment 2, ``reproduce.detection`` experiment 3; each returns what
+its JSON file holds, as plain data: ``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons stand in
+`bayesftc.reproduce.settings`, the paper's own numbers in `bayesftc.reproduce.paper`.
 """
 
 from typing import TYPE_CHECKING, Any

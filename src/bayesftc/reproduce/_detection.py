@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
 from math import exp, log
@@ -16,9 +16,10 @@ from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce import _residuals, paper
 from bayesftc.reproduce._car import closed_loop
-from bayesftc.reproduce._ensemble import Progress, check_jobs, chunks, in_parallel, prepare, seeds
+from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks, seeds
 from bayesftc.reproduce._residuals import Residual, Stream
 from bayesftc.reproduce._roc import auc as area, curve, rates
+from bayesftc.reproduce._statistics import interval
 from bayesftc.reproduce.settings import Car, Detection
 
 HEADLINE = "fast"
@@ -65,14 +66,14 @@ def run(
     Raises
     ------
     ModelError
-        If a number of jobs or streams cannot be, or no factor in the given range lets the baseline reach its AUC.
+        If a seed, a number of jobs or a number of streams cannot be one, or no factor in the given range lets the baseline
+        reach its AUC.
     """
-    settings, car = settings or Detection(), car or Car()
-    settings = settings if runs is None else replace(settings, streams=runs)
-    bench = _Bench(settings, car, check_jobs(jobs), progress)
+    settings, car = (settings or Detection()).of_size(runs), car or Car()
+    bench = _Bench(settings, car, Ensemble(seed, jobs, progress))
     factor, baseline = bench.factor()
     faults = Faults(settings.injection * factor, settings.drift * factor)
-    own = seeds(seed, "detection/streams", settings.streams)
+    own = bench.ensemble.seeds("detection/streams", settings.streams)
     beta, tried = bench.choose(faults, own)
     residuals = _residuals.known(settings, beta, car) if beyond else _residuals.papers(settings, beta)
     judged = bench.judge(faults, own, residuals)
@@ -101,24 +102,18 @@ def run(
             "true_positive_rate": {name: np.mean([s[name][1] for s in judged], axis=0).tolist() for name in residuals},
         },
         "choice": tried,
-        "grid": bench.grid(seed, residuals) if beyond else None,
-        "paper": {"auc": paper.AUC, **paper.AUC},
+        "grid": bench.grid(residuals) if beyond else None,
+        "paper": paper.AUC,
     }
 
 
-def interval(values: Floats, level: float = 0.95) -> list[float]:
-    """Return the confidence interval of the mean of independent values, by Student's t distribution."""
-    from scipy.stats import t
-
-    half = t.ppf(0.5 + level / 2, len(values) - 1) * values.std(ddof=1) / len(values) ** 0.5
-    return [float(values.mean() - half), float(values.mean() + half)]
-
-
+@dataclass(frozen=True)
 class _Bench:
     """Runs streams of random faults through closed loops."""
 
-    def __init__(self, settings: Detection, car: Car, jobs: int, progress: Progress | None):
-        self.settings, self.car, self.jobs, self.progress = settings, car, jobs, progress
+    settings: Detection
+    car: Car
+    ensemble: Ensemble
 
     def factor(self) -> tuple[float, float]:
         """Return the factor on the faults' sizes with which the baseline has the paper's AUC, and the AUC, by bisection."""
@@ -149,7 +144,7 @@ class _Bench:
             for rho, shape in product(s.forgettings, s.prior_shapes)
         ]
         cases = [(faults, _residuals.beta(learner)) for learner in learners]
-        means = self._areas("Choosing beta's memory", cases, own, self._parts()[0]).mean(axis=1)
+        means = self._areas("Choosing beta's memory", cases, own, self.parts()[0]).mean(axis=1)
         tried = [
             {"forgetting": learner.forgetting, "prior_shape": learner.prior_shape, "training_auc": float(mean)}
             for learner, mean in zip(learners, means, strict=True)
@@ -160,15 +155,15 @@ class _Bench:
         self, faults: Faults, own: Sequence[int], residuals: Mapping[str, Residual]
     ) -> list[dict[str, tuple[Any, ...]]]:
         """Return for each stream the test AUC of each residual with its curve, and the number of faults."""
-        loops = {learner: self._loop(faults, learner) for r in residuals.values() for learner in r.learners}
-        prepare(list(loops.values()), self.progress)
+        loops = {learner: self.loop(faults, learner) for r in residuals.values() for learner in r.learners}
+        self.ensemble.prepare(list(loops.values()))
         tasks = [partial(self._judge_stream, loops, residuals, seed) for seed in own]
-        return in_parallel(tasks, self.jobs, self.progress, "Judging residuals")
+        return self.ensemble.run(tasks, "Judging residuals")
 
-    def grid(self, seed: int, residuals: Mapping[str, Residual]) -> list[dict[str, Any]]:
+    def grid(self, residuals: Mapping[str, Residual]) -> list[dict[str, Any]]:
         """Return the AUC of the two residuals of the paper over sizes of the faults and references, on whole streams."""
         s = self.settings
-        own = seeds(seed, "detection/grid", s.grid_streams)
+        own = self.ensemble.seeds("detection/grid", s.grid_streams)
         cells = [Faults(i, d, r) for r, i, d in product(("fast", "slow", "constant"), s.grid_injections, s.grid_drifts)]
         names = _residuals.GRID
         cases = [(cell, residuals[name]) for cell in cells for name in names]
@@ -180,8 +175,8 @@ class _Bench:
 
     def _areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int], rows: slice) -> Floats:
         """Return the AUC over some rows of each stream, for residuals of one feature: cases x streams."""
-        loops = [self._loop(faults, residual.learners[0]) for faults, residual in cases]
-        prepare(loops, self.progress)
+        loops = [self.loop(faults, residual.learners[0]) for faults, residual in cases]
+        self.ensemble.prepare(loops)
 
         def group(loop: cosim.Diagram, residual: Residual, few: Sequence[int]) -> list[float]:
             streams = self._streams(loop, few)
@@ -192,7 +187,7 @@ class _Bench:
             for loop, (_, residual) in zip(loops, cases, strict=True)
             for few in chunks(own, GROUP)
         ]
-        parts = in_parallel(tasks, self.jobs, self.progress, what)
+        parts = self.ensemble.run(tasks, what)
         return np.concatenate(parts).reshape(len(cases), len(own))
 
     def _judge_stream(
@@ -203,7 +198,7 @@ class _Bench:
     ) -> dict[str, tuple[Any, ...]]:
         streams = {learner: next(self._streams(loop, [seed])) for learner, loop in loops.items()}
         faulty = next(iter(streams.values())).faulty
-        training, test = self._parts()
+        training, test = self.parts()
         few = slice(training.start, training.stop, self.settings.training_stride)
         found: dict[str, tuple[Any, ...]] = {"faults": (int((np.diff(faulty.astype(int), axis=0) > 0).sum()),)}
         for name, residual in residuals.items():
@@ -217,7 +212,7 @@ class _Bench:
     def _whole(self) -> slice:
         return slice(self.settings.skipped, None)
 
-    def _parts(self) -> tuple[slice, slice]:
+    def parts(self) -> tuple[slice, slice]:
         """Return the rows of the training part and of the test part, with the gap between them."""
         s = self.settings
         cut = int(s.training_share * s.steps)
@@ -228,7 +223,7 @@ class _Bench:
         for result in repeat(loop, self.settings.steps * self.car.step, own, [*_residuals.SIGNALS, *active]):
             yield Stream(result, np.column_stack([result[name] for name in active]) > 0.5)
 
-    def _loop(self, faults: Faults, learner: controllers.PrecisionLearner) -> cosim.Diagram:
+    def loop(self, faults: Faults, learner: controllers.PrecisionLearner) -> cosim.Diagram:
         s = self.settings
         kinds = (cosim.Freeze(), cosim.Injection(magnitude=faults.injection), cosim.Drift(slope=faults.drift))
         chain = [

@@ -5,11 +5,13 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.random import check_seed
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram import Diagram
@@ -25,7 +27,7 @@ def seeds(seed: int, purpose: str, count: int) -> list[int]:
     They are hashed from the experiment's seed and the purpose, so that runs for one purpose (a scenario, finding a setting)
     never share noise with those for another.
     """
-    sequence = np.random.SeedSequence((seed, zlib.crc32(purpose.encode())))
+    sequence = np.random.SeedSequence((check_seed(seed), zlib.crc32(purpose.encode())))
     return [int(s) for s in sequence.generate_state(count, np.uint64) >> np.uint64(1)]
 
 
@@ -34,14 +36,6 @@ def check_jobs(jobs: int) -> int:
     if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
         raise ModelError(f"jobs is {jobs!r}; it must be a whole number of threads, at least 1.")
     return jobs
-
-
-def prepare(loops: Sequence[Diagram], progress: Progress | None = None) -> None:
-    """Make one step with each loop, so that all is compiled before threads would wait for each other's compiling."""
-    for i, loop in enumerate(loops):
-        if progress:
-            progress("Preparing", i, len(loops))
-        loop.simulate(loop.step, record=[])
 
 
 def in_parallel(
@@ -83,6 +77,49 @@ def in_parallel(
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     return [results[i] for i in range(len(tasks))]
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """What all runs of an experiment have in common.
+
+    Parameters
+    ----------
+    seed : int
+        Of all noise.
+    jobs : int
+        Number of threads.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If the seed or the number of threads cannot be one.
+    """
+
+    seed: int
+    jobs: int = 1
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+        check_jobs(self.jobs)
+
+    def seeds(self, purpose: str, count: int) -> list[int]:
+        """Return seeds for one purpose, see `seeds`."""
+        return seeds(self.seed, purpose, count)
+
+    def prepare(self, loops: Sequence[Diagram]) -> None:
+        """Make one step with each loop, so that all is compiled before threads would wait for each other's compiling."""
+        for i, loop in enumerate(loops):
+            if self.progress:
+                self.progress("Preparing", i, len(loops))
+            loop.simulate(loop.step, record=[])
+
+    def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
+        """Run all tasks, see `in_parallel`."""
+        return in_parallel(tasks, self.jobs, self.progress, what)
 
 
 def chunks(items: Sequence[int], size: int) -> list[Sequence[int]]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._car import closed_loop
-from bayesftc.reproduce._ensemble import Progress, check_jobs, chunks, in_parallel, prepare, seeds
-from bayesftc.reproduce._merit import merit, outcomes, total
+from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
+from bayesftc.reproduce._merit import merit, total
+from bayesftc.reproduce._statistics import outcomes
 from bayesftc.reproduce.settings import Car, Tracking
 
 Errors = dict[str, Floats]
@@ -54,6 +55,33 @@ class Scenario:
     def name(self) -> str:
         """Name with the size."""
         return self.kind if self.size is None else f"{self.fault} {self.size:g}/{self.reference}"
+
+
+class Runs(NamedTuple):
+    """The runs of one technique in one scenario.
+
+    Attributes
+    ----------
+    rmse : ndarray of shape (runs,)
+        Root-mean-square tracking error of each run, in m/s.
+    absolute : ndarray of shape (steps,)
+        Mean over the runs of the absolute tracking error at each step, in m/s.
+    """
+
+    rmse: Floats
+    absolute: Floats
+
+
+class Measured(NamedTuple):
+    """Runs by scenario and technique, and how many closed-loop steps they took in how many seconds."""
+
+    runs: dict[Scenario, dict[str, Runs]]
+    steps: int
+    seconds: float
+
+    def errors(self) -> dict[Scenario, Errors]:
+        """Return the error of each run by scenario and technique."""
+        return {s: {name: runs.rmse for name, runs in of.items()} for s, of in self.runs.items()}
 
 
 def techniques(settings: Tracking) -> dict[str, controllers.PrecisionLearner]:
@@ -98,24 +126,25 @@ def run(
     Raises
     ------
     ModelError
-        If a number of jobs or runs cannot be.
+        If a seed, a number of jobs or a number of runs cannot be one.
     """
-    settings, car = settings or Tracking(), car or Car()
-    settings = settings if runs is None else replace(settings, runs=runs)
-    bench = _Bench(settings, car, seed, check_jobs(jobs), progress)
+    settings, car = (settings or Tracking()).of_size(runs), car or Car()
+    bench = _Bench(settings, car, Ensemble(seed, jobs, progress))
     known = techniques(settings)
     papers = {name: known[name] for name in PAPERS}
     known = known if beyond else papers
     headline = [Scenario(fault, r, size) for (fault, size), r in product(_headline(settings).items(), REFERENCES)]
-    cells = bench.errors("The paper's table", headline, papers)
-    speed = bench.speed()
-    further = bench.errors("Further techniques", headline, {n: known[n] for n in known if n not in papers})
-    oracle = bench.errors("The oracle", headline, {ORACLE: controllers.FixedPrecision()})
+    table = bench.measure("The paper's table", headline, papers)
+    speed = _speed(table, jobs)
+    others = bench.measure("Further techniques", headline, {n: known[n] for n in known if n not in papers})
+    told = bench.measure("The oracle", headline, {ORACLE: controllers.FixedPrecision()}, told=True)
+    cells, further, oracle = table.errors(), others.errors(), told.errors()
     everything = {s: cells[s] | further[s] for s in headline}
     of_papers, of_all = (
         merit(list(errors.values()), names, settings.significance)
         for errors, names in ((cells, PAPERS), (everything, tuple(known)))
     )
+    curves = [part.runs[s] for part in (table, others, told) for s in headline if s.kind == CURVES]
     return {
         "settings": {
             "seed": seed,
@@ -131,62 +160,46 @@ def run(
         "merit_of_all": of_all,
         "total_merit_of_all": total(of_all),
         "lost": _lost(headline, everything, settings.significance),
-        "mean_absolute_error": bench.curves,
+        "mean_absolute_error": {name: r.absolute.tolist() for runs in curves for name, r in runs.items()},
         "grid": _grid(bench, cells, papers) if beyond else None,
         "speed": speed,
     }
 
 
+@dataclass(frozen=True)
 class _Bench:
-    """Runs techniques on scenarios; remembers how long that took, and the mean error over time of one scenario."""
+    """Runs techniques on scenarios."""
 
-    def __init__(self, settings: Tracking, car: Car, seed: int, jobs: int, progress: Progress | None):
-        self.settings, self.car, self.seed, self.jobs, self.progress = settings, car, seed, jobs, progress
-        self.curves: dict[str, list[float]] = {}
-        self._steps, self._seconds = 0, 1.0
+    settings: Tracking
+    car: Car
+    ensemble: Ensemble
 
-    def errors(
+    def measure(
         self,
         what: str,
         scenarios: Sequence[Scenario],
         learners: Mapping[str, controllers.PrecisionLearner],
         *,
-        beside: bool = False,
-    ) -> dict[Scenario, Errors]:
-        """Return the tracking error of every run of every technique on every scenario; `beside`: for the grid alone."""
+        told: bool = False,
+    ) -> Measured:
+        """Return all runs of every technique on every scenario; if `told`, the faulty sensor's samples are missing."""
         s = self.settings
         cells = list(product(scenarios, learners))
-        loops = [self._loop(scenario, learners[name], told=name == ORACLE) for scenario, name in cells]
-        prepare(loops, self.progress)
-        groups = [chunks(seeds(self.seed, scenario.kind, s.runs), CHUNK) for scenario, _ in cells]
+        loops = [self.loop(scenario, learners[name], told=told) for scenario, name in cells]
+        self.ensemble.prepare(loops)
+        groups = [chunks(self.ensemble.seeds(scenario.kind, s.runs), CHUNK) for scenario, _ in cells]
         tasks = [partial(_run, loop, s.duration, g) for loop, mine in zip(loops, groups, strict=True) for g in mine]
         began = time.perf_counter()
-        done = iter(in_parallel(tasks, self.jobs, self.progress, what))
-        self._seconds = time.perf_counter() - began
-        self._steps = len(cells) * s.runs * round(s.duration / self.car.step)
-        errors: dict[Scenario, Errors] = {scenario: {} for scenario in scenarios}
+        done = iter(self.ensemble.run(tasks, what))
+        seconds = time.perf_counter() - began
+        runs: dict[Scenario, dict[str, Runs]] = {scenario: {} for scenario in scenarios}
         for (scenario, name), mine in zip(cells, groups, strict=True):
             parts = [next(done) for _ in mine]
-            errors[scenario][name] = np.concatenate([rmse for rmse, _ in parts])
-            if (scenario.kind, scenario.size) == (CURVES, s.injection) and not beside:
-                self.curves[name] = np.divide(sum(a for _, a in parts), s.runs).tolist()
-        return errors
+            mean = np.divide(sum(absolute for _, absolute in parts), s.runs)
+            runs[scenario][name] = Runs(np.concatenate([rmse for rmse, _ in parts]), mean)
+        return Measured(runs, len(cells) * s.runs * round(s.duration / self.car.step), seconds)
 
-    def speed(self) -> dict[str, float]:
-        """Return the closed-loop steps per second of the last errors, and those of a loop with fmpy and filterpy."""
-        from bayesftc.bench.full_loop import user_rate
-
-        ours, users = self._steps / self._seconds, user_rate(USER_STEPS)
-        return {
-            "steps": self._steps,
-            "seconds": self._seconds,
-            "jobs": self.jobs,
-            "steps_per_second": ours,
-            "user_loop_steps_per_second": users,
-            "ratio": ours / users,
-        }
-
-    def _loop(self, scenario: Scenario, learner: controllers.PrecisionLearner, *, told: bool) -> cosim.Diagram:
+    def loop(self, scenario: Scenario, learner: controllers.PrecisionLearner, *, told: bool) -> cosim.Diagram:
         s = self.settings
         when: dict[str, Any] = {"sensor": s.faulty_sensor, "start": s.fault_start, "stop": s.fault_stop}
         size = 0.0 if scenario.size is None else scenario.size
@@ -215,13 +228,27 @@ def _run(loop: cosim.Diagram, duration: float, own_seeds: Sequence[int]) -> tupl
     return np.sqrt(np.mean(errors**2, axis=1)), np.abs(errors).sum(axis=0)
 
 
+def _speed(measured: Measured, jobs: int) -> dict[str, float]:
+    """Return the closed-loop steps per second of our runs, and those of a loop with fmpy and filterpy."""
+    from bayesftc.bench.full_loop import user_rate
+
+    ours, users = measured.steps / measured.seconds, user_rate(USER_STEPS)
+    return {
+        "steps": measured.steps,
+        "seconds": measured.seconds,
+        "jobs": jobs,
+        "steps_per_second": ours,
+        "user_loop_steps_per_second": users,
+        "ratio": ours / users,
+    }
+
+
 def _headline(settings: Tracking) -> dict[str, float | None]:
     return {"freeze": None, "injection": settings.injection, "drift": settings.drift}
 
 
 def _summary(errors: Floats) -> dict[str, float]:
-    sd = float(errors.std(ddof=1)) if len(errors) > 1 else float("nan")
-    return {"rmse_mean": float(errors.mean()), "rmse_sd": sd, "n": len(errors)}
+    return {"rmse_mean": float(errors.mean()), "rmse_sd": float(errors.std(ddof=1)), "n": len(errors)}
 
 
 def _lost(
@@ -245,8 +272,9 @@ def _grid(
     sizes = [("injection", size) for size in injections] + [("drift", size) for size in drifts]
     scenarios = [Scenario(fault, r, size) for (fault, size), r in product([("freeze", None), *sizes], REFERENCES)]
     others = {f"EF-FDI {d:g} s": _effdi(s, d) for d in s.effdi_durations}
-    errors = bench.errors("Faults of other sizes", [c for c in scenarios if c not in known], papers) | dict(known)
-    longer = bench.errors("EF-FDI of other durations", scenarios, others, beside=True)
+    sized = bench.measure("Faults of other sizes", [c for c in scenarios if c not in known], papers)
+    errors = sized.errors() | dict(known)
+    longer = bench.measure("EF-FDI of other durations", scenarios, others).errors()
     tables = []
     for injection, drift, column in product(injections, drifts, ("EF-FDI", *others)):
         chosen = [c for c in scenarios if c.size in {None, injection if c.fault == "injection" else drift}]

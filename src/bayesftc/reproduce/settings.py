@@ -5,9 +5,9 @@ A setting is written once, here; the ``settings`` of the JSON files, with the re
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import pi
-from typing import Any
+from typing import Any, ClassVar, Literal, Self
 
 from bayesftc.controllers.baselines import EFFDI_QUANTILE_999
 from bayesftc.cosim.errors import ModelError
@@ -28,7 +28,7 @@ def check_size(name: str, value: object, least: int, why: str) -> None:
 
 
 class Settings:
-    """Base of the settings of an experiment."""
+    """Base of all settings."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return all settings by name, and under ``why`` the reason for each."""
@@ -39,6 +39,35 @@ class Settings:
 
 def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, tuple) else value
+
+
+@dataclass(frozen=True)
+class Repeated(Settings):
+    """Base of the settings of an experiment, which is repeated so that its results have an interval."""
+
+    REPEATED: ClassVar[str] = "runs"
+    """The setting that says how often."""
+
+    def __post_init__(self) -> None:
+        self._check(self.REPEATED, getattr(self, self.REPEATED))
+
+    def of_size(self, runs: int | None) -> Self:
+        """Return the settings with another number of repetitions, or as they are.
+
+        Raises
+        ------
+        ModelError
+            If there are not at least two.
+        """
+        if runs is None:
+            return self
+        self._check("runs", runs)
+        changes: dict[str, Any] = {self.REPEATED: runs}
+        return replace(self, **changes)
+
+    @staticmethod
+    def _check(name: str, value: object) -> None:
+        check_size(name, value, 2, "so that means have an interval and can be compared")
 
 
 @dataclass(frozen=True)
@@ -57,7 +86,7 @@ class Car(Settings):
 
 
 @dataclass(frozen=True)
-class Arm(Settings):
+class Arm(Repeated):
     """Experiment 1: a robot arm under active inference loses the encoder of its first joint."""
 
     runs: int = chosen(100, "not published ('a sample of test runs')")
@@ -87,7 +116,7 @@ class Arm(Settings):
         50.0,
         "N m, to both sides (the public code's clamp has one, a slip): a little more than the largest torque of gravity",
     )
-    control: str = chosen(
+    control: Literal["gradient", "law"] = chosen(
         "law",
         "the control's mean is f*, as in the public code: with these gains its gradient needs a control precision below 1e-4",
     )
@@ -101,6 +130,11 @@ class Arm(Settings):
     )
     alpha: float = chosen(
         0.01, "not published: bound on the rate of false alarms of the explicit detection, each modality judged alone"
+    )
+    detection_groups: tuple[tuple[int, ...], ...] = chosen(
+        ((0, 1), (4, 5)),
+        "samples that the explicit detection judges together: the encoders, and the camera. The errors of the velocity "
+        "encoders say above all that the arm accelerates, which a random walk does not predict",
     )
     hold: float = chosen(0.4, "s below the threshold until a fault is over: the mean time to recovery of experiment 3")
     threshold_runs: int = chosen(6, "healthy runs on seeds of their own, from which the thresholds are learned")
@@ -117,12 +151,9 @@ class Arm(Settings):
     learning_rates: tuple[float, ...] = chosen((3e-4, 1e-3, 3e-3, 1e-2), "a sample: k from 0.3 to 10 per second")
     lower_bounds: tuple[float, ...] = chosen((1e-1, 1e-2, 1e-3, 1e-4), "relative to nominal")
 
-    def __post_init__(self) -> None:
-        check_size("runs", self.runs, 2, "so that their mean has an interval")
-
 
 @dataclass(frozen=True)
-class Tracking(Settings):
+class Tracking(Repeated):
     """Experiment 2: how well each technique tracks while a sensor fails."""
 
     runs: int = chosen(100, f"{PAPER} text: 100 experiments for each of 9 scenarios, so 900 for each technique")
@@ -153,13 +184,12 @@ class Tracking(Settings):
     drifts: tuple[float, ...] = chosen((0.5, 1.0, 5.0), "m/s per second")
     effdi_durations: tuple[float, ...] = chosen((2.0, 8.0), "s: the last is the fault's true length")
 
-    def __post_init__(self) -> None:
-        check_size("runs", self.runs, 2, "so that errors can be compared")
-
 
 @dataclass(frozen=True)
-class Detection(Settings):
+class Detection(Repeated):
     """Experiment 3: how well a residual tells whether a sensor is faulty."""
+
+    REPEATED = "streams"
 
     streams: int = chosen(20, "not published: as many independent repetitions, so that the mean has an interval")
     steps: int = chosen(
@@ -177,14 +207,17 @@ class Detection(Settings):
     factor_seed: int = chosen(0, "f is found once, whatever the seed of the streams that are judged")
     factor_range: tuple[float, float] = chosen((0.5, 4.0), "where f is looked for")
     factor_tolerance: float = chosen(1e-3, "relative accuracy of f: an AUC within .0003")
-    offset: float = chosen(20.0, "not published, m/s: mean of all references")
+    offset: float = chosen(Tracking.constant, "not published, m/s: mean of all references, as in tracking")
     fast: tuple[float, float] = chosen(
         (20.0, 2.0), "not published: amplitude (m/s) and period (s) of the headline's sine"
     )
     slow: tuple[float, float] = chosen(
-        (5.0, 8.0), "amplitude and period of the grid's slow sine, the tracking experiment's"
+        (Tracking.sine_amplitude, Tracking.sine_period),
+        "amplitude (m/s) and period (s) of the grid's slow sine: as in tracking",
     )
-    ser_threshold: float = chosen(3.0, "not published, standard deviations of the innovation: as in tracking")
+    ser_threshold: float = chosen(
+        Tracking.ser_threshold, "not published, standard deviations of the innovation: as in tracking"
+    )
     training_share: float = chosen(0.8, f"{PAPER} text: a split by time, 80 % for training, 20 % for the test")
     skipped: int = chosen(200, "steps at the start that are left out, while the belief settles")
     gap: int = chosen(
@@ -197,7 +230,7 @@ class Detection(Settings):
     forgettings: tuple[float, ...] = chosen((0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9), "a memory of 1.4 to 10 samples")
     prior_shapes: tuple[float, ...] = chosen((0.05, 0.1, 0.2, 0.5, 1.0, 2.0), "a prior that counts as 0.1 to 4 samples")
     plain_forgetting: float = chosen(
-        0.95, "the further residual 'beta (PL of tracking)' has the tracking experiment's memory"
+        Tracking.forgetting, "the further residual 'beta (PL of tracking)' has the tracking experiment's memory"
     )
     # The grid.
     grid_streams: int = chosen(2, "about 2000 faults for each cell")
@@ -205,5 +238,5 @@ class Detection(Settings):
     grid_drifts: tuple[float, ...] = chosen((1.0, 2.0, 5.0, 10.0, 20.0), "m/s per second")
 
     def __post_init__(self) -> None:
-        check_size("streams", self.streams, 2, "so that their mean has an interval")
+        super().__post_init__()
         check_size("steps", self.steps, 5_000, "to see enough faults")
