@@ -25,6 +25,24 @@ def frozen(array: Floats) -> Floats:
     return copy
 
 
+def as_numbers(name: str, value: object, example: str) -> Floats:
+    """Return `value` as an array of any shape.
+
+    Raises
+    ------
+    ModelError
+        If it holds text or anything else that is no number, or rows of different lengths; `example` is what to give instead.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+        text = np.asarray(value).dtype.kind in "US"
+    except (TypeError, ValueError):
+        text = True
+    if text:
+        raise ModelError(f"{name} is {value!r}; {example}.")
+    return array
+
+
 def as_matrix(name: str, value: object, rows: int | None = None, columns: int | None = None) -> Floats:
     """Return `value` as a finite matrix of the given size; numbers become 1 x 1, vectors one column.
 
@@ -33,10 +51,7 @@ def as_matrix(name: str, value: object, rows: int | None = None, columns: int | 
     ModelError
         If it has another size or is not finite.
     """
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ModelError(f"{name} is no matrix of numbers; give its rows, as [[1, 0.1], [0, 1]].") from None
+    array = as_numbers(name, value, "it must be a matrix of numbers: give its rows, as [[1, 0.1], [0, 1]]")
     if array.ndim < 2:
         array = array.reshape(-1, 1)
     if array.ndim != 2 or not array.size:
@@ -68,7 +83,7 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
     ModelError
         If it is not symmetric or not positive (semi-)definite.
     """
-    array = np.asarray(value, dtype=np.float64)
+    array = as_numbers(name, value, "it must be a number, a list of numbers for a diagonal, or rows of numbers")
     if array.ndim == 0:
         array = array * np.eye(size)
     elif array.ndim == 1 and array.shape == (size,):
@@ -101,7 +116,7 @@ def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Fl
     ModelError
         If it has another length, or is not finite where it must be.
     """
-    array = np.asarray(value, dtype=np.float64)
+    array = as_numbers(name, value, "it must be a number or a list of numbers")
     if array.ndim == 0:
         array = np.full(size, float(array))
     if array.shape != (size,):

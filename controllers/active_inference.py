@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Literal
@@ -58,7 +58,7 @@ class UnbiasedActiveInference(Block):
 
     Parameters
     ----------
-    modalities : sequence of Modality
+    modalities : Modality or sequence of Modality
         What the sensors measure; if there are none, the model's C and sensor covariance.
     law : block or function
         The control law f*: a block with the inputs ``x_hat`` and ``goal`` and the output ``u``, such as `Proportional`, `PID`
@@ -96,7 +96,7 @@ class UnbiasedActiveInference(Block):
         unstable (an eigenvalue of rate times curvature of 2 or more; the sentence gives the largest).
     """
 
-    modalities: Sequence[Modality] = ()
+    modalities: Modality | Sequence[Modality] = ()
     law: Law | None = None
     dt: float | str | Fraction | None = None
     belief_rate: float | Sequence[float] = 1.0
@@ -147,7 +147,7 @@ class UnbiasedActiveInference(Block):
     @property
     def measurement_matrix(self) -> Floats | None:
         """What each sensor reads of ``x_hat``; None where a modality is no matrix."""
-        rows = [modality.matrix for modality in self.modalities]
+        rows = [modality.matrix for modality in self._groups]
         return None if any(row is None for row in rows) else frozen(np.vstack(rows))  # type: ignore[arg-type]
 
     @property
@@ -172,7 +172,7 @@ class UnbiasedActiveInference(Block):
         """See `Block.define`."""
         (n, _, p), m, h = self._dimensions, self._sensors, float(step)
         learner, law = self.precision.learner(self._learned_model()), self._embedded()
-        sensing, nominal = measured(self.modalities, n), nominal_covariance(self.modalities)
+        sensing, nominal = measured(self._groups, n), nominal_covariance(self._groups)
         A, B = self._prediction()
         sigma = np.sqrt(np.diag(nominal))
         Px, Pu = np.asarray(self.state_precision), np.asarray(self.control_precision)
@@ -180,7 +180,7 @@ class UnbiasedActiveInference(Block):
         largest, squarings = largest_step(curvature, rates)
         q = len(rates)
         parameters = {
-            "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self.modalities),
+            "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self._groups),
             "settings": learner.settings, "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
             "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
@@ -214,8 +214,12 @@ class UnbiasedActiveInference(Block):
         return int(n), int(goals), int(p)
 
     @property
+    def _groups(self) -> tuple[Modality, ...]:
+        return self.modalities  # type: ignore[return-value]
+
+    @property
     def _sensors(self) -> int:
-        return sum(modality.samples for modality in self.modalities)
+        return sum(modality.samples for modality in self._groups)
 
     def _embedded(self) -> Embedded:
         return embed(self.law, self._dimensions, self.sample_time, differentiate=self.control == "gradient")
@@ -237,8 +241,8 @@ class UnbiasedActiveInference(Block):
     def _learned_model(self) -> LinearModel:
         """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""
         A, B = self._prediction()
-        G = jacobian_of(self.modalities, np.asarray(self.initial_mean))
-        return LinearModel(A, B, G, np.zeros_like(A), nominal_covariance(self.modalities), self.sample_time)
+        G = jacobian_of(self._groups, np.asarray(self.initial_mean))
+        return LinearModel(A, B, G, np.zeros_like(A), nominal_covariance(self._groups), self.sample_time)
 
     def _sizes(self) -> tuple[int, int, int]:
         known = law_sizes(self.law)
@@ -246,21 +250,23 @@ class UnbiasedActiveInference(Block):
             raise ModelError(
                 "With a function as law give sizes=(states, goals, controls), which a function does not say."
             )
-        given: Any = known if self.sizes is None else tuple(self.sizes)
-        if len(given) != 3 or any(isinstance(s, bool) or s != int(s) or s < 1 for s in given):
+        sizes: Any = known if self.sizes is None else self.sizes
+        given = tuple(sizes) if isinstance(sizes, Sequence) and not isinstance(sizes, str) else ()
+        if len(given) != 3 or any(isinstance(s, bool) or not isinstance(s, int | np.integer) or s < 1 for s in given):
             raise ModelError(f"sizes is {self.sizes!r}; it must be three whole numbers (states, goals, controls).")
         if known is not None and known != given:
             raise ModelError(f"The law has {known} states, goals and controls, but sizes={given}; leave sizes out.")
         return given  # type: ignore[no-any-return]
 
     def _modalities(self) -> tuple[Modality, ...]:
-        modalities = tuple(self.modalities)
+        given: Any = self.modalities
+        modalities = (given,) if isinstance(given, Modality) else tuple(given) if isinstance(given, Iterable) else ()
         if not modalities and self.model is not None:
             covariance = self.model.matrix("sensor_covariance")
             modalities = (Modality("sensors", matrix=self.model.matrix("C"), covariance=covariance),)
         if not modalities or not all(isinstance(s, Modality) for s in modalities):
             raise ModelError(
-                f"modalities must be Modality objects, at least one, not {modalities!r}; or give a model that says what is "
+                f"modalities must be Modality objects, at least one, not {given!r}; or give a model that says what is "
                 "measured."
             )
         return modalities
@@ -274,6 +280,8 @@ class UnbiasedActiveInference(Block):
                 raise ModelError(
                     f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(map(repr, choices))}."
                 )
+        if not isinstance(self.model, LinearModel | None):
+            raise ModelError(f"model must be a LinearModel, not {self.model!r}.")
         if self.model is None and self.dt is None:
             raise ModelError("Give the controller's sample time dt= in seconds.")
         if self.dt is not None and self.model is not None and rational_step(self.dt) != self.model.step:
@@ -302,8 +310,8 @@ class UnbiasedActiveInference(Block):
         """Return the curvature of the free energy at nominal trust and the initial mean, and the rates per sample."""
         (n, goals, p), h = self._dimensions, float(self.sample_time)
         mean = np.asarray(self.initial_mean)
-        G, nominal = jacobian_of(self.modalities, mean), nominal_covariance(self.modalities)
-        S = np.diag(np.sqrt(weights_of(self.modalities) * np.diag(nominal)))
+        G, nominal = jacobian_of(self._groups, mean), nominal_covariance(self._groups)
+        S = np.diag(np.sqrt(weights_of(self._groups) * np.diag(nominal)))
         H: Any = G.T @ S @ np.linalg.inv(nominal) @ S @ G + self._prior_curvature()
         rates = h * np.asarray(self.belief_rate)
         arrays = {"mean": np.array(mean), "goal": np.zeros(goals), "wanted": np.full(p, np.nan), "D": np.zeros((p, n))}

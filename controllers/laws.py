@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from numbers import Real
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_matrix, as_vector
+from bayesftc.controllers._checks import Matrix, as_matrix, as_numbers, as_vector
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import both, either, maximum, minimum, select
@@ -96,6 +98,8 @@ class Proportional(Block):
     def __post_init__(self) -> None:
         object.__setattr__(self, "gain", self._gain("gain"))
         object.__setattr__(self, "states", self._needs * self.goals if self.states is None else self.states)
+        if isinstance(self.states, bool) or not isinstance(self.states, int | np.integer):
+            raise ModelError(f"{type(self).__name__} has states={self.states!r}; it must be a whole number.")
         if self._states < self._needs * self.goals:
             raise ModelError(
                 f"{type(self).__name__} reads {self._needs * self.goals} states for {self.goals} goals, but has "
@@ -106,6 +110,11 @@ class Proportional(Block):
             object.__setattr__(self, name, tuple(value.tolist()))
         if (np.asarray(self.u_min) > np.asarray(self.u_max)).any():
             raise ModelError(f"{type(self).__name__} has u_min={self.u_min} above u_max={self.u_max}; exchange them.")
+        if float("inf") in self.u_min or float("-inf") in self.u_max:  # type: ignore[operator]
+            raise ModelError(
+                f"{type(self).__name__} has u_min={self.u_min} and u_max={self.u_max}, which no control can keep; take a finite "
+                "limit, or -inf for no lower and inf for no upper one."
+            )
 
     @property
     def controls(self) -> int:
@@ -140,7 +149,11 @@ class Proportional(Block):
 
     def _gain(self, name: str) -> tuple[tuple[float, ...], ...]:
         """Return a gain as rows: that of the error as it is given, the others of its size."""
-        value: Any = np.asarray(getattr(self, name), dtype=np.float64)
+        value: Any = as_numbers(
+            f"The {name} of {type(self).__name__}",
+            getattr(self, name),
+            "it must be a number, a list of numbers for a diagonal, or rows of numbers",
+        )
         size = (None, None) if name == "gain" else (self.controls, self.goals)
         if value.ndim == 0 and size[0] is not None:
             value = value * np.eye(*size)
@@ -215,12 +228,13 @@ class PID(ProportionalDerivative):
         object.__setattr__(self, "integral_limit", tuple(limit.tolist()))
         if (limit < 0).any():
             raise ModelError(f"PID has integral_limit={self.integral_limit}; it must not be negative.")
-        if self.anti_windup not in {"clamping", "back-calculation", "both", "none"}:
+        if self.anti_windup not in ("clamping", "back-calculation", "both", "none"):
             raise ModelError(
                 f"PID has anti_windup={self.anti_windup!r}; it must be 'clamping', 'back-calculation', 'both' or 'none'."
             )
-        if not (np.isfinite(self.tracking_time) and self.tracking_time > 0):
-            raise ModelError(f"PID has tracking_time={self.tracking_time!r}; it must be a positive number of seconds.")
+        time = self.tracking_time
+        if isinstance(time, bool) or not isinstance(time, Real) or not (math.isfinite(time) and time > 0):
+            raise ModelError(f"PID has tracking_time={time!r}; it must be a positive number of seconds.")
 
     @property
     def _needs(self) -> int:  # type: ignore[override]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector
 from bayesftc.cosim.block import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import ModelError
@@ -62,7 +62,10 @@ class Modality:
         if self.matrix is not None:
             if self.jacobian is not None:
                 raise ModelError(f"{self._title} has a matrix and a jacobian; the matrix is its jacobian.")
-            matrix = as_matrix(f"The matrix of {self._title}", np.atleast_2d(np.asarray(self.matrix, float)))
+            rows = np.atleast_2d(
+                as_numbers(f"The matrix of {self._title}", self.matrix, "give a row of states for each sensor")
+            )
+            matrix = as_matrix(f"The matrix of {self._title}", rows)
             if self.size not in {None, len(matrix)}:
                 raise ModelError(f"{self._title} has size={self.size}, but its matrix has {len(matrix)} rows.")
             object.__setattr__(self, "matrix", matrix)

@@ -587,6 +587,16 @@ def test_a_model_alone_says_what_is_measured():
         ({"initial_mean": [0.0, np.nan]}, "finite"),
         ({"dt": None}, "sample time"),
         ({"precision": "gamma"}, "precision learner"),
+        ({"belief_rate": "fast"}, "belief_rate is 'fast'; it must be a number or a list"),
+        ({"control_rate": [20.0, None]}, "control_rate"),
+        ({"state_precision": "high"}, "state_precision is 'high'"),
+        ({"inner_steps": "2"}, "whole number"),
+        ({"sizes": "abc"}, "three whole numbers"),
+        ({"sizes": 3}, "three whole numbers"),
+        ({"sizes": (2.5, 1, 1)}, "three whole numbers"),
+        ({"modalities": "position"}, "must be Modality objects"),
+        ({"modalities": 3}, "must be Modality objects"),
+        ({"model": "car"}, "must be a LinearModel"),
         ({"precision": controllers.EFFDI(duration=0.017)}, "EFFDI"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else value,
@@ -607,11 +617,19 @@ def test_bad_settings_are_said_in_a_sentence(options, words):
         ({"matrix": [[1.0]], "std": 1.0, "size": 2}, "has 1 rows"),
         ({"function": bend, "std": 1.0}, "how many samples"),
         ({"function": print, "size": 1, "std": 1.0}, "plain Python function"),
+        ({"matrix": "identity", "std": 1.0}, "row of states for each sensor"),
+        ({"matrix": [[1.0]], "std": "small"}, "std of the modality 'camera' is 'small'"),
     ],
 )
 def test_a_modality_says_what_it_lacks(options, words):
     with pytest.raises(ModelError, match=words):
         Modality("camera", **options)
+
+
+def test_a_single_modality_needs_no_list():
+    sensor = Modality("all", matrix=[[1.0, 0.0], [0.0, 1.0]], std=0.1)
+    one, listed = small(modalities=sensor), small(modalities=[sensor])
+    assert one.modalities == listed.modalities == (sensor,)
 
 
 def test_a_turning_prediction_whose_pull_would_throw_the_belief_outwards_is_refused():
