@@ -14,7 +14,7 @@ from bayesftc.controllers._curvature import check_stable, largest_step
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
 from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once
 from bayesftc.controllers._measured import jacobian_of, measured, nominal_covariance, weights_of
-from bayesftc.controllers.laws import PID, Proportional, ProportionalDerivative
+from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, PrecisionLearner
@@ -24,7 +24,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import rational_step
 
-Law = Proportional | ProportionalDerivative | PID | Block | Callable[..., None]
+Law = ControlLaw | Block | Callable[..., None]
 
 
 @dataclass(frozen=True, eq=False)

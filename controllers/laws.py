@@ -67,7 +67,12 @@ def _integrate(x_hat, goal, gain, derivative_gain, integral_gain, integral_limit
 
 
 @dataclass(frozen=True)
-class Proportional(Block):
+class ControlLaw(Block):
+    """Base of the laws that a scenario names by their ``kind``, which are listed in `bayesftc.controllers.registry`."""
+
+
+@dataclass(frozen=True)
+class Proportional(ControlLaw):
     """``u = gain (goal - x)``, where x are the first states, as many as the goal has elements.
 
     Inputs ``x_hat`` (states) and ``goal``; output ``u``. A goal that is NaN counts as reached.

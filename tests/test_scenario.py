@@ -1,5 +1,6 @@
 """Scenario files: what they may say, what comes of it, and what is said of a file that is wrong."""
 
+import re
 import tomllib
 from dataclasses import MISSING, fields
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.registry import LEARNERS
+from bayesftc.controllers.registry import LAWS, LEARNERS
 from bayesftc.cosim.errors import (
     ConnectionError,
     FMUError,
@@ -188,6 +189,13 @@ WRONG = {
     "far kind": (('"Freeze"', "7"), ScenarioError, ["faults[0].kind", "known kinds: ", "Freeze", "Injection"]),
     "no kind": (('kind = "Freeze"\n', ""), ScenarioError, ["faults[0]", "lacks 'kind'", "'Freeze'"]),
     "no section": (("[reference]", "[model.x]"), ScenarioError, ["lacks the section [reference]"]),
+    "no model": (("[model]", "[noise.model]"), ScenarioError, ["lacks the section [model]", "BayesianController needs"]),
+    "text for settings": (
+        ("calibration = {", "calibration = 'mine' # {"), ScenarioError, ["precision.calibration", "a table with the settings of"],
+    ),
+    "text for list": (
+        ('kind = "Freeze"', 'kind = "RandomFaults"\nkinds = ["drift"] #'), ScenarioError, ["kinds", '[{ kind = "Drift" }]'],
+    ),
     "no key": (("amplitude = 5.0\n", ""), ScenarioError, ["'reference'", "amplitude", "Sine", "a number"]),
     "no plant": (('fmu = "CruiseControl"', "#"), ScenarioError, ["'plant'", "fmu = ", "A, B, C"]),
     "one bracket": (("[[faults]]", "[faults]"), ScenarioError, ["'faults'", "[[faults]]"]),
@@ -329,3 +337,69 @@ def test_three_sensors_on_two_variables(write):
         text = THREE_ON_TWO.replace("matrix = [[1, 0], [0, 1], [1, 0]]", matrix)
         with pytest.raises(ModelError, match=error):
             load_scenario(write(text=text))
+
+
+ACTIVE = """
+[simulation]
+duration = 1
+engine = "interpreted"
+dt = 0.02
+[plant]
+fmu = "CruiseControl"
+control = "force"
+measured = "v"
+[sensors]
+count = 2
+std = 1.0
+[reference]
+kind = "Constant"
+value = 5
+[controller]
+kind = "UnbiasedActiveInference"
+belief_rate = 5
+control = "law"
+law = { kind = "Proportional", gain = 2000 }
+precision = { kind = "GammaPrecision" }
+[[controller.modalities]]
+name = "speed"
+matrix = [[1], [1]]
+std = 1.0
+"""
+
+
+@pytest.mark.parametrize("brackets", ["[[controller.modalities]]", "[controller.modalities]"])
+def test_active_inference_needs_no_model(write, brackets):
+    """Its modalities say what is measured, the simulation says how often; one modality may be a table of its own."""
+    scenario = load_scenario(write(text=ACTIVE.replace("[[controller.modalities]]", brackets)))
+    assert scenario.controller.model is None
+    assert float(scenario.controller.sample_time) == 0.02
+    assert scenario.simulate(duration=0.2)["controller.x_hat"].shape == (11, 1)
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda c: c.__name__)
+def test_every_law_can_be_said(write, law):
+    text = ACTIVE.replace("Proportional", law.__name__).replace("gain = 2000", "gain = 2000, states = 2")
+    controller = load_scenario(write(text=text.replace("[[1], [1]]", "[[1, 0], [1, 0]]"))).controller
+    assert type(controller.law) is law
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            '{ kind = "Proportional", gain = 2000 }',
+            '"PID"',
+            "controller.law' is 'PID'; it must be a table such as { kind = \"PID\" }",
+        ),
+        (
+            '{ kind = "GammaPrecision" }',
+            '{ kind = "ExplicitDetection", learning = "gamma_precision" }',
+            "controller.precision.learning' is 'gamma_precision'; it must be a table such as { kind = \"GammaPrecision\" }",
+        ),
+    ],
+    ids=["law", "learner"],
+)
+def test_what_has_a_kind_is_a_table(write, old, new, words):
+    assert old in ACTIVE
+    with pytest.raises(ScenarioError, match=re.escape(words)):
+        load_scenario(write(text=ACTIVE.replace(old, new)))

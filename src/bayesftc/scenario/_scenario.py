@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.result import Result
 
 SECTIONS = ("simulation", "plant", "noise", "sensors", "faults", "reference", "model", "controller")
-REQUIRED = ("simulation", "plant", "reference", "model", "controller")
+REQUIRED = ("simulation", "plant", "reference", "controller")
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,9 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
         simulation=simulation,
         plant=plant,
         wiring=wiring,
-        controller=sections.controller(content["controller"], content["model"], root / "controller", root, simulation),
+        controller=sections.controller(
+            content["controller"], content.get("model"), root / "controller", root, simulation
+        ),
         reference=sections.reference(content["reference"], root / "reference"),
         sensors=sections.sensors(content["sensors"], root / "sensors", wiring) if "sensors" in content else None,
         faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],

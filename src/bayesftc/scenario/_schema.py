@@ -90,13 +90,13 @@ def convert(value: object, hint: Any, place: Place) -> Any:
     if isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
         return tuple(convert(item, hint, place / i) for i, item in enumerate(value))
     plain = _writable(hint)
-    if plain is NoneType:
+    if plain is NoneType and not _dataclasses(hint):
         raise place.error("cannot be said in a scenario file; leave it out, or build this loop in a Python script.")
     try:
         return _adapter(plain).validate_python(_tuples(value), strict=True)
     except ValidationError:
         shown = str(value).lower() if isinstance(value, bool) else repr(value)
-        raise place.error(f"is {shown}; it must be {_wanted(hint)}.") from None
+        raise place.error(f"is {shown}; it must be {_wanted(hint, value)}.") from None
 
 
 @cache
@@ -125,12 +125,13 @@ def _dataclasses(hint: Any) -> list[type[Any]]:
 
 def registered(base: type[Any]) -> tuple[type[Any], ...]:
     """Return the classes that may stand where `base` is asked for, or none if it has no list of its own."""
+    from bayesftc.controllers.laws import ControlLaw
     from bayesftc.controllers.precision import PrecisionLearner
-    from bayesftc.controllers.registry import LEARNERS
+    from bayesftc.controllers.registry import LAWS, LEARNERS
     from bayesftc.cosim.faults import FAULTS, Fault, RandomFaults
 
     single = tuple(fault for fault in FAULTS if fault is not RandomFaults)  # a mixture cannot be a part of a mixture
-    lists: dict[type[Any], tuple[type[Any], ...]] = {PrecisionLearner: LEARNERS, Fault: single}
+    lists: dict[type[Any], tuple[type[Any], ...]] = {PrecisionLearner: LEARNERS, ControlLaw: LAWS, Fault: single}
     return lists.get(base, ())
 
 
@@ -148,13 +149,37 @@ def _writable(hint: Any) -> Any:
     return NoneType
 
 
-def _wanted(hint: Any) -> str:
-    """Return in words what TOML value a type wants: ``a number or a list of numbers``."""
+def _wanted(hint: Any, value: object = None) -> str:
+    """Return in words what TOML value a type wants: ``a number or a list of numbers``.
+
+    `value` is what stood there instead; where it names the class of a table, the table is written with it.
+    """
     words: list[str] = []
-    for word in _words(_writable(hint)):
+    for word in [*_words(_writable(hint)), *_tables(hint, value)]:
         if word not in words:
             words.append(word)
     return " or ".join(filter(None, (", ".join(words[:-1]), *words[-1:]))) or "a table"
+
+
+def _tables(hint: Any, value: object) -> list[str]:
+    """Return what table a type wants, if it speaks of dataclasses."""
+    classes = _dataclasses(hint)
+    if not classes:
+        return []
+    of_many = _is_sequence(hint)
+    if len(classes) == 1:
+        return [f"{'a list of tables' if of_many else 'a table'} with the settings of {classes[0].__name__}"]
+    names = {_folded(cls.__name__): cls.__name__ for cls in classes}
+    first = value[0] if isinstance(value, Sequence) and not isinstance(value, str) and value else value
+    table = f'{{ kind = "{names.get(_folded(str(first)), classes[0].__name__)}" }}'
+    return [f"a list of tables such as [{table}]" if of_many else f"a table such as {table}"]
+
+
+def _is_sequence(hint: Any) -> bool:
+    origin = get_origin(hint)
+    if origin in {Union, UnionType}:
+        return any(map(_is_sequence, get_args(hint)))
+    return isinstance(origin, type) and issubclass(origin, Sequence)
 
 
 def _words(hint: Any) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +15,7 @@ from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.sensors import Sensors
 from bayesftc.cosim.timebase import rational_step
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._schema import as_table, build, build_one_of
+from bayesftc.scenario._schema import as_table, build, build_one_of, choose
 
 SOURCES: tuple[type[Block], ...] = tuple(getattr(sources, name) for name in sources.__all__ if name != "Source")
 
@@ -29,7 +29,7 @@ class Simulation:
     duration : float or str
         Seconds.
     dt : float or str, optional
-        Base step in seconds, and the model's where that gives none; by default the model's.
+        Base step in seconds, and the model's or controller's where those give none; by default the model's or controller's.
     seed, engine, record, decimation
         As for `simulate`.
     """
@@ -127,12 +127,21 @@ def fault_list(value: object, place: Place) -> list[faults.Fault]:
 
 
 def controller(table: object, model: object, place: Place, root: Place, simulation: Simulation) -> Block:
-    """Return the controller of ``[controller]`` with the model of ``[model]``."""
-    rest = dict(as_table(table, place))
-    given: dict[str, Any] = {"model": _model(model, root / "model", simulation)}
+    """Return the controller of ``[controller]`` with the model of ``[model]``, None if the file has no such section."""
+    cls, rest = choose(CONTROLLERS, table, place)
+    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+    given: dict[str, Any] = {}
+    if model is not None:
+        given["model"] = _model(model, root / "model", simulation)
+    elif "model" in known and known["model"].default is MISSING:
+        raise root.error(
+            f"lacks the section [model], which {cls.__name__} needs; add [model] with A, B, C, ... below it."
+        )
+    elif "dt" in known and simulation.dt is not None:
+        rest.setdefault("dt", simulation.dt)
     if "precision" in rest:
         given["precision"] = build_one_of(LEARNERS, rest.pop("precision"), place / "precision")
-    return build_one_of(CONTROLLERS, rest, place, **given)  # type: ignore[no-any-return]
+    return build(cls, rest, place, given=given)  # type: ignore[no-any-return]
 
 
 def _model(table: object, place: Place, simulation: Simulation) -> LinearModel:
