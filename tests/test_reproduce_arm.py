@@ -155,7 +155,7 @@ def test_grid_tables_and_figure():
     shown = list(_arm_tables.show(report))
     assert len(shown) == 4
     assert any("misses it in no run" in part for part in shown if isinstance(part, str))
-    figure = _arm_figures.figures(report)["arm_trajectories"]
+    figure = _arm_figures.trajectories(report)
     assert len(figure.axes) == 6
     for axis in figure.axes:
         assert [line.get_label() for line in axis.lines] == ["goal", "angle", "belief"]

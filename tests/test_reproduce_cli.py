@@ -1,11 +1,9 @@
 """``bayesftc reproduce``: tables, files, and every way in which it can end."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 from typer.testing import CliRunner
@@ -24,12 +22,18 @@ def bayesftc_(tmp_path, monkeypatch):
 
 
 def test_tracking_prints_its_table_and_writes_its_files(bayesftc_, tmp_path):
+    earlier = tmp_path / "here" / "there"
+    earlier.mkdir(parents=True)
+    for name in ("tracking_grid.png", "tracking_errors.png", "detection_roc.png", "tracking_notes.txt"):
+        (earlier / name).write_text("of an earlier run")
     done = bayesftc_("reproduce", "tracking", *FEW, "--seed", 5, "--out", "here/there")
     assert done.exit_code == 0, done.output
     for text in ("total merit", "(21)", "EF-FDI", "freeze/constant", "steps per second", "tracking.json"):
         assert text in done.stdout
-    written = {p.name for p in (tmp_path / "here" / "there").iterdir()}
-    assert written == {"tracking.json", "tracking_error_over_time.png", "tracking_errors.png"}
+    # A run with --paper-only draws no grid, and one of another experiment nothing of this one.
+    kept, written = {"detection_roc.png", "tracking_notes.txt"}, {p.name for p in earlier.iterdir()}
+    assert written == kept | {"tracking.json", "tracking_error_over_time.png", "tracking_errors.png"}
+    assert {name for name in written if (earlier / name).read_bytes() == b"of an earlier run"} == kept
     report = json.loads((tmp_path / "here" / "there" / "tracking.json").read_text())
     assert report["settings"]["seed"] == 5
     assert report["settings"]["runs"] == 2
@@ -79,27 +83,32 @@ def test_every_experiment_says_what_its_list_demands():
         _ = reproduce.nothing
 
 
+TELLING = """
+import sys
+from contextlib import contextmanager
+from bayesftc.__main__ import main
+from bayesftc.cli import reproduce
+
+@contextmanager
+def tell(name, *, shown):
+    yield lambda what, done, of: print(what, done, flush=True)
+
+reproduce._progress = tell
+main()
+"""
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_ctrl_c_stops_at_once_and_leaves_nothing(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "bayesftc",
-        "reproduce",
-        "tracking",
-        "--paper-only",
-        "--runs",
-        "200000",
-        "--jobs",
-        "2",
-    ]
-    process = subprocess.Popen(
-        [*command, "--out", "out"], cwd=tmp_path, stderr=subprocess.PIPE, env={**os.environ}, text=True
-    )
-    time.sleep(6)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)  # all the runs would take many times as long
+    arguments = ["reproduce", "tracking", "--paper-only", "--runs", "20000", "--jobs", "2", "--out", "out"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen([sys.executable, "-c", TELLING, *arguments], cwd=tmp_path, text=True, **pipes)
+    try:
+        assert any(line == "The paper's table 1\n" for line in process.stdout)  # the first task is done
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)  # all the runs would take minutes
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert "Stopped by Ctrl-C" in errors
     assert not (tmp_path / "out").exists()

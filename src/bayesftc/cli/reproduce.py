@@ -35,7 +35,8 @@ def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any
     name : str
         Of the experiment, or ``all``.
     out : pathlib.Path or None
-        Folder for ``<experiment>.json`` and the figures; each experiment's are written when it is done.
+        Folder for ``<experiment>.json`` and the figures; each experiment's are written when it is done, in place of those
+        of an earlier run.
     options : mapping
         ``seed``, ``jobs`` (None: one for each core), ``runs``, ``beyond``, as the experiments take them.
     json, quiet : bool
@@ -47,7 +48,7 @@ def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any
     jobs = options["jobs"]
     options = {**options, "seed": check_seed(options["seed"]), "jobs": check_jobs(_cores() if jobs is None else jobs)}
     if out is not None:
-        output.check_folder(out, [f"{e.name}.json" for e in chosen])
+        output.check_folder(out, [name for e in chosen for name in _names(e)])
     reports = {}
     for experiment in chosen:
         with _progress(experiment.name, shown=sys.stderr.isatty() and not quiet and not json) as progress:
@@ -65,16 +66,24 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def _names(experiment: Experiment) -> list[str]:
+    """Return the names of all files that an experiment may write."""
+    return [f"{experiment.name}.json", *(f"{name}.png" for name in experiment.figures)]
+
+
 def _write(folder: Path, experiment: Experiment, report: Report) -> list[str]:
-    """Write the report and the figures, all or none; return their names."""
+    """Write the report and the figures, all or none, remove what an earlier run drew and this one did not; return their names."""
     files = {f"{experiment.name}.json": (output.as_json(report) + "\n").encode()}
-    for name, figure in experiment.figures(report).items():
-        picture = io.BytesIO()
-        figure.savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
-        files[f"{name}.png"] = picture.getvalue()
+    for name, draw in experiment.figures.items():
+        if (figure := draw(report)) is not None:
+            picture = io.BytesIO()
+            figure.savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+            files[f"{name}.png"] = picture.getvalue()
     with output.staged(folder) as stage:
         for name, content in files.items():
             (stage / name).write_bytes(content)
+        for name in set(_names(experiment)) - set(files):  # all else is whole by now, and about to move into place
+            (folder / name).unlink(missing_ok=True)
     return list(files)
 
 

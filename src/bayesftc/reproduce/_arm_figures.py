@@ -16,11 +16,6 @@ if TYPE_CHECKING:
 SHOWN = ("none", "implicit", "explicit")
 
 
-def figures(report: dict[str, Any]) -> dict[str, Figure]:
-    """Return the figures by name."""
-    return {"arm_trajectories": trajectories(report)}
-
-
 def trajectories(report: dict[str, Any]) -> Figure:
     """Return both joints' angles over time with belief and goal, for the paper's three controllers."""
     settings = report["settings"]
@@ -46,3 +41,6 @@ def trajectories(report: dict[str, Any]) -> Figure:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     made.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return made
+
+
+FIGURES = {"arm_trajectories": trajectories}

@@ -6,42 +6,39 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.reproduce._drawing import COLOURS, figure, heat_map, legend, tidy
+from bayesftc.cosim.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.reproduce._drawing import FURTHER_STYLE, figure, heat_map, legend, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-def figures(report: dict[str, Any]) -> dict[str, Figure]:
-    """Return the figures by name."""
-    made = {"detection_roc": roc(report)}
-    if report["grid"] is not None:
-        made["detection_grid"] = grid(report)
-    return made
+RANKS_LIKE_BETA = "precision"
+"""The learned precision ranks as beta does, for no sample is missing and so all shapes are the same: its curve is beta's."""
 
 
 def roc(report: dict[str, Any]) -> Figure:
     """Return the receiver operating characteristics on the test parts, the paper's two residuals in front."""
-    made = figure(8.4, 5.0)
+    made = figure(7.8, 4.8)
     axis = made.subplots()
-    false = report["roc"]["false_positive_rate"]
-    names = sorted(report["auc"], key=report["auc"].__getitem__, reverse=True)
-    for i, name in enumerate(n for n in names if n not in report["paper"]):
-        style: dict[str, Any] = {"color": COLOURS[(i + 2) % len(COLOURS)], "ls": ("--", "-.", ":")[i % 3], "lw": 1.0}
-        axis.plot(false, report["roc"]["true_positive_rate"][name], label=_label(report, name), **style)
-    for name, colour in (("SER", COLOURS[1]), ("beta", COLOURS[0])):
-        axis.plot(false, report["roc"]["true_positive_rate"][name], color=colour, lw=2.6, label=_label(report, name))
-    axis.plot([0, 1], [0, 1], color="0.5", ls=":", lw=1.2, label="guessing: AUC 0.5")
+    false, auc = report["roc"]["false_positive_rate"], report["auc"]
+    further = sorted(
+        (n for n in auc if n not in {*report["paper"], RANKS_LIKE_BETA}), key=auc.__getitem__, reverse=True
+    )
+    for name in further:
+        axis.plot(false, report["roc"]["true_positive_rate"][name], **FURTHER_STYLE)
+    front = {"beta": {"color": BLUE, "lw": 2.8}, "SER": {"color": SENSOR_COLOURS[0], "lw": 2.2}}
+    for name, style in front.items():
+        axis.plot(false, report["roc"]["true_positive_rate"][name], label=_label(report, name), **style)  # type: ignore[arg-type]
+    axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="guessing: AUC 0.5")
     axis.set_xlim(0, 1)
     axis.set_ylim(0, 1.005)
-    axis.set_aspect("equal")
+    axis.set_aspect("equal", anchor="W")
     axis.set_xlabel("false positive rate (share of healthy samples)")
     axis.set_ylabel("true positive rate (share of faulty samples)")
     axis.set_title(f"Test parts of {len(report['streams'])} streams, two sensors pooled", fontsize=10, loc="left")
     tidy(axis)
-    handles, labels = axis.get_legend_handles_labels()
-    order = [*range(len(labels) - 2, len(labels) - 4, -1), *range(len(labels) - 3), len(labels) - 1]
-    legend(axis, handles=[handles[i] for i in order], labels=[labels[i] for i in order])
+    named = [*(_label(report, name) for name in front), "guessing: AUC 0.5"]
+    legend(axis, named, "further residuals, with their AUC:", [f"{auc[name]:.3f}  {name}" for name in further])
     return made
 
 
@@ -50,8 +47,10 @@ def _label(report: dict[str, Any], name: str) -> str:
     return f"{name}: AUC {report['auc'][name]:.3f}{paper}"
 
 
-def grid(report: dict[str, Any]) -> Figure:
-    """Return heat maps over faults and references: the AUC of SER, that of beta, and their difference."""
+def grid(report: dict[str, Any]) -> Figure | None:
+    """Return heat maps over faults and references, if they were run: the AUC of SER, that of beta, and their difference."""
+    if report["grid"] is None:
+        return None
     cells = report["grid"]
     references = list(dict.fromkeys(c["reference"] for c in cells))
     injections, drifts = (sorted({c[name] for c in cells}) for name in ("injection", "drift"))
@@ -72,7 +71,9 @@ def grid(report: dict[str, Any]) -> Figure:
         for axis, name, matrix in ((row[0], "SER", base), (row[1], "beta", ours)):
             image = heat_map(axis, matrix, *marks, "{:.3f}", vmin=least, vmax=1.0)
             axis.set_title(f"{name}, {reference} reference", fontsize=10, loc="left")
-        change = heat_map(row[2], ours - base, *marks, "{:+.3f}", cmap="PuOr_r", vmin=-largest, vmax=largest)
+        change = heat_map(
+            row[2], np.round(ours - base, 3) + 0.0, *marks, "{:+.3f}", cmap="PuOr_r", vmin=-largest, vmax=largest
+        )
         row[2].set_title(f"beta - SER, {reference} reference", fontsize=10, loc="left")
         row[0].set_ylabel("injection (m/s)")
     for axis in axes[-1]:
@@ -82,3 +83,6 @@ def grid(report: dict[str, Any]) -> Figure:
         bar.set_label(text, fontsize=9)
         bar.outline.set_visible(False)
     return made
+
+
+FIGURES = {"detection_roc": roc, "detection_grid": grid}

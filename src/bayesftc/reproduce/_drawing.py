@@ -8,24 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.plotting import BLACK, BLUE, LINES, SENSOR_COLOURS
+from bayesftc.cosim.plotting import BLACK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = (BLUE, *SENSOR_COLOURS, "#999999")
 ORACLE_STYLE: dict[str, Any] = {"color": BLACK, "ls": ":", "lw": 1.4}
-
-
-def line_style(i: int) -> dict[str, Any]:
-    """Return colour and style of the i-th line; the first is broad, so that it shows where the next one lies on it."""
-    width = (3.2, 1.5, 2.2, 1.8)[i] if i < 4 else 1.2
-    return {
-        "color": COLOURS[i % len(COLOURS)],
-        "ls": (*LINES[:2], "-", "-.")[i] if i < 4 else LINES[1 + i % 3],
-        "lw": width,
-    }
+FURTHER_STYLE: dict[str, Any] = {"color": "0.6", "ls": "-", "lw": 0.9}
+"""Of everything that is not in the paper: there is too much of it for colours of its own."""
 
 
 def figure(width: float, height: float) -> Figure:
@@ -47,9 +38,34 @@ def tidy(axis: Axes) -> None:
         axis.spines[side].set_visible(False)
 
 
-def legend(axis: Axes, **options: Any) -> None:
-    """Put the legend beside the axis, where it covers nothing."""
-    axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9, borderaxespad=0, **options)
+def legend(axis: Axes, lines: Sequence[str], title: str = "", group: Sequence[str] = ()) -> None:
+    """Put the legend beside the axis, where it covers nothing.
+
+    Parameters
+    ----------
+    axis : Axes
+        Where the lines are.
+    lines : sequence of str
+        Labels of the lines that are named one by one, in the order of the legend.
+    title : str
+        Stands beside a single line in `FURTHER_STYLE`, for all lines that look like it.
+    group : sequence of str
+        Their names, below the title.
+    """
+    from matplotlib.lines import Line2D
+
+    known = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    entries = [(known[label], label) for label in lines]
+    if group:
+        entries += [(Line2D([], [], **FURTHER_STYLE), title), (Line2D([], [], ls="none"), "\n".join(group))]
+    handles, labels = zip(*entries, strict=True)
+    beside: dict[str, Any] = {
+        "loc": "upper left",
+        "bbox_to_anchor": (1.01, 1.0),
+        "borderaxespad": 0,
+        "alignment": "left",
+    }
+    axis.legend(handles, labels, frameon=False, fontsize=9, **beside)
 
 
 def heat_map(

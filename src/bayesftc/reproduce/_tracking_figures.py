@@ -6,21 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.reproduce._drawing import ORACLE_STYLE, figure, heat_map, legend, line_style, tidy
+from bayesftc.cosim.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.reproduce._drawing import FURTHER_STYLE, ORACLE_STYLE, figure, heat_map, legend, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SMOOTHED = 0.2
 """Seconds over which the error over time is averaged, so that lines can be told apart."""
-
-
-def figures(report: dict[str, Any]) -> dict[str, Figure]:
-    """Return the figures by name."""
-    made = {"tracking_error_over_time": error_over_time(report), "tracking_errors": errors(report)}
-    if report["grid"] is not None:
-        made["tracking_grid"] = grid(report)
-    return made
+STYLES: dict[str, dict[str, Any]] = {
+    "PL": {"color": BLUE, "lw": 2.8, "zorder": 5},
+    "SER FT": {"color": SENSOR_COLOURS[0], "lw": 2.2, "zorder": 4},
+    # One lies on the other: the upper one is dashed.
+    "No FT": {"color": SENSOR_COLOURS[1], "lw": 1.8, "ls": (0, (4, 3)), "zorder": 4},
+    "EF-FDI": {"color": SENSOR_COLOURS[4], "lw": 3.6, "zorder": 3},
+}
+"""Of the paper's techniques."""
 
 
 def error_over_time(report: dict[str, Any]) -> Figure:
@@ -30,11 +31,14 @@ def error_over_time(report: dict[str, Any]) -> Figure:
     axis = made.subplots()
     step = settings["car"]["step"]
     width = max(1, round(SMOOTHED / step))
-    for i, (name, curve) in enumerate(report["mean_absolute_error"].items()):
-        values = np.asarray(curve)
+    during = slice(round(settings["fault_start"] / step), round(settings["fault_stop"] / step))
+    curves = {name: np.asarray(curve) for name, curve in report["mean_absolute_error"].items()}
+    further = [name for name in curves if name not in STYLES and name != "oracle"]
+    styles = {**STYLES, "oracle": ORACLE_STYLE, **dict.fromkeys(further, FURTHER_STYLE)}
+    for name, values in curves.items():
         smooth = np.convolve(values, np.full(width, 1 / width), mode="valid")
         time = step * (1 + np.arange(len(smooth)) + 0.5 * (width - 1))
-        axis.plot(time, smooth, label=name, **(ORACLE_STYLE if name == "oracle" else line_style(i)))
+        axis.plot(time, smooth, label=name, **styles[name])
     axis.axvspan(settings["fault_start"], settings["fault_stop"], color="#D55E00", alpha=0.12, lw=0, label="fault")
     axis.set_yscale("log")
     axis.set_xlim(0, settings["duration"])
@@ -47,7 +51,12 @@ def error_over_time(report: dict[str, Any]) -> Figure:
     )
     _plain_logarithms(axis.yaxis)
     tidy(axis)
-    legend(axis)
+    legend(
+        axis,
+        [*(name for name in STYLES if name in curves), "oracle", "fault"],
+        "further techniques, from largest\nto least error in the fault:",
+        sorted(further, key=lambda name: -curves[name][during].mean()),
+    )
     return made
 
 
@@ -62,8 +71,10 @@ def errors(report: dict[str, Any]) -> Figure:
     return _map(np.array(values), [*names, "oracle"], columns, title, (9.5, 1.4 + 0.42 * len(values)))
 
 
-def grid(report: dict[str, Any]) -> Figure:
-    """Return the heat map of the paper's techniques over faults of all sizes."""
+def grid(report: dict[str, Any]) -> Figure | None:
+    """Return the heat map of the paper's techniques over faults of all sizes, if they were run."""
+    if report["grid"] is None:
+        return None
     cells = report["grid"]["scenarios"]
     names = list(next(iter(cells.values())))
     values = np.array([[cells[kind][n]["rmse_mean"] for n in names] for kind in cells])
@@ -92,3 +103,6 @@ def _plain_logarithms(axis: Any) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+FIGURES = {"tracking_error_over_time": error_over_time, "tracking_errors": errors, "tracking_grid": grid}

@@ -7,8 +7,9 @@ To add one you must:
    ``paper`` among others: what the JSON file holds. ``runs`` makes the experiment smaller, for a quick look (None: the
    settings' size); ``beyond=False`` leaves out what is not in the paper. The same seed must give the same bits for
    any number of jobs: `_ensemble` has what that takes;
-3. write ``show(report)``, which yields what is printed (strings and tables), and ``figures(report)``, which returns
-   matplotlib figures by name; both know the report alone;
+3. write ``show(report)``, which yields what is printed (strings and tables), and for each figure a function that returns it
+   as a matplotlib figure, or None where the report has nothing to draw; all know the report alone. The figures' names are
+   those of their files: a run removes those that an earlier one has left in its folder, and no other file;
 4. name it in `EXPERIMENTS`, and in ``__all__`` of the package.
 """
 
@@ -44,15 +45,15 @@ class Experiment:
     name: str
     run: Callable[..., Report]
     show: Callable[[Report], Iterable[RenderableType]]
-    figures: Callable[[Report], Mapping[str, Figure]]
+    figures: Mapping[str, Callable[[Report], Figure | None]]
 
 
 EXPERIMENTS = {
     e.name: e
     for e in (
-        Experiment("arm", _arm.run, _arm_tables.show, _arm_figures.figures),
-        Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.figures),
-        Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.figures),
+        Experiment("arm", _arm.run, _arm_tables.show, _arm_figures.FIGURES),
+        Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.FIGURES),
+        Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.FIGURES),
     )
 }
 """All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""
