@@ -126,5 +126,21 @@ def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Fl
     return frozen(array)
 
 
+def refuse_missing(name: str, rows: Floats) -> None:
+    """Refuse rows of samples in which a number is missing; `name` is what the user calls them.
+
+    Raises
+    ------
+    ModelError
+        If one is NaN or infinite.
+    """
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad):
+        raise ModelError(
+            f"{name} has {len(bad)} rows with a NaN or inf, the first at index {bad[0]}; leave missing samples "
+            f"out: {name}[np.isfinite({name}).all(axis=1)]."
+        )
+
+
 def _size(shape: tuple[int, ...]) -> str:
     return " x ".join(map(str, shape))

@@ -16,6 +16,7 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.utils.multiclass import check_classification_targets, type_of_target
 from sklearn.utils.validation import validate_data
 
+from bayesftc.controllers._checks import refuse_missing
 from bayesftc.controllers.gamma import Calibration
 from bayesftc.controllers.monitor import FaultMonitor, LogisticMap
 from bayesftc.cosim.block import Floats
@@ -83,7 +84,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
                 f"FaultClassifier has threshold={self.threshold!r}; it is a probability and must lie between 0 and 1."
             )
         rows, y = validate_data(self, X, y, dtype=np.float64, ensure_all_finite=False)
-        _refuse_missing(rows)
+        refuse_missing("X", rows)
         check_classification_targets(y)
         if type_of_target(y) == "multiclass":
             raise ModelError(
@@ -117,7 +118,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         """
         self._check_trained()
         rows = validate_data(self, X, dtype=np.float64, reset=False, ensure_all_finite=False)
-        _refuse_missing(rows)
+        refuse_missing("X", rows)
         return np.asarray(self.estimator_.predict_proba(rows))
 
     def predict(self, X: ArrayLike) -> np.ndarray[Any, Any]:
@@ -231,12 +232,3 @@ def _default() -> Pipeline:
 
 def _is_logarithm(step: object) -> bool:
     return isinstance(step, FunctionTransformer) and step.func is np.log and not step.kw_args
-
-
-def _refuse_missing(X: Floats) -> None:
-    bad = np.flatnonzero(~np.isfinite(X).all(axis=1))
-    if len(bad):
-        raise ModelError(
-            f"{len(bad)} rows of residuals have a NaN or inf, the first at index {bad[0]}; leave missing samples out: "
-            "X[np.isfinite(X).all(axis=1)]."
-        )

@@ -4,10 +4,13 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.distance import mahalanobis
 
-from bayesftc.controllers import ChebyshevThreshold, FittedThreshold
+from bayesftc import cosim
+from bayesftc.controllers import ChebyshevThreshold, FittedThreshold, FixedPrecision
 from bayesftc.cosim.errors import ModelError
+from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
 NOISE = {
     "normal": lambda rng, shape: rng.normal(size=shape),
@@ -91,11 +94,11 @@ def healthy(shape=(1000, 2)):
         (healthy((100, 1)), None, "needs at least 101 healthy samples, but there are 100"),
         (healthy((200, 2)), None, "needs at least 201 healthy samples"),
         (np.where(np.arange(2000).reshape(1000, 2) == 801, np.nan, healthy()), None, "the first at index 400"),
-        (np.where(np.arange(2000).reshape(1000, 2) == 801, np.inf, healthy()), None, "NaN or infinite"),
+        (np.where(np.arange(2000).reshape(1000, 2) == 801, np.inf, healthy()), None, "NaN or inf"),
         (healthy() @ [[1.0, 2.0], [0.0, 0.0]], None, "singular"),
         (np.full(1000, 3.0), None, "singular"),
-        (frozen(healthy()), None, "Residual 1 has the same value 20 times in a row from sample 300 on"),
-        (jumped(healthy()), None, "40 of 1000 samples of residual 0, from sample 400 on"),
+        (frozen(healthy()), None, "number 1 has the same value 20 times in a row from sample 300 on"),
+        (jumped(healthy()), None, "number 0 has 40 of 1000 samples, from sample 400 on"),
         (healthy(), np.arange(1000) == 7, "1 of the 1000 samples are labelled faulty"),
         (healthy(), [False], "one label for each of 1000 samples"),
         (healthy((10, 10, 10)), None, "a row for each sample"),
@@ -104,6 +107,73 @@ def healthy(shape=(1000, 2)):
 def test_what_cannot_be_learned_from(samples, faulty, words):
     with pytest.raises(ModelError, match=words):
         ChebyshevThreshold(0.01).fit(samples, faulty)
+
+
+KINDS = (
+    cosim.Freeze(),
+    cosim.Injection(magnitude=5.0),
+    cosim.Injection(magnitude=20.0),
+    cosim.Drift(slope=5.0),
+    cosim.NoiseIncrease(std=10.0),
+)
+
+
+def car(reference, share=0.0, kind=0):
+    """Innovations of the shipped car's two sensors over 2000 steps; one structure, so compiled once for all tests."""
+    start, length = (12.0, 40.0 * share) if share else (1e6, 1.0)
+    weights = [float(i == kind) for i in range(len(KINDS))]
+    always = {"mean_time_to_fault": None, "mean_time_to_recovery": None, "start": start, "stop": start + length}
+    fault = cosim.RandomFaults(kinds=KINDS, weights=weights, **always)
+    return cruise_control(FixedPrecision(), fault=fault, reference=reference)
+
+
+REFERENCES = [
+    cosim.Sine(amplitude=0.0, period=8.0, offset=20.0),
+    cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
+    cosim.Sine(amplitude=20.0, period=2.0, offset=20.0),
+]
+
+
+def innovations(loop, seed):
+    return loop.simulate(39.98, seed=seed, record=["controller.innovation"])["controller.innovation"]
+
+
+@pytest.mark.parametrize("alpha", [0.2, 0.01])
+@pytest.mark.parametrize("reference", REFERENCES, ids=["constant", "slow", "fast"])
+def test_faults_in_a_loop_are_refused_at_any_alpha_and_healthy_runs_are_not(reference, alpha):
+    for seed in range(3):
+        both = innovations(car(reference), seed)
+        ChebyshevThreshold(alpha).fit(both)
+        for kind in range(len(KINDS)):
+            for share in (0.15, 0.4, 0.6):
+                faulty = innovations(car(reference, share, kind), seed)
+                for residuals in (faulty, faulty[:, 0]):
+                    with pytest.raises(ModelError, match=r"is not alike throughout|robust standard|in a row"):
+                        ChebyshevThreshold(alpha).fit(residuals)
+
+
+def coloured(rng, count, decay, square=False):
+    noise = rng.normal(size=count + 1000) ** (2 if square else 1)
+    return lfilter([1.0], [1.0, -decay], noise)[1000:]
+
+
+def test_coloured_residuals_are_no_fault():
+    """Correlated noise, rates that forget, and a lag that swings with the reference."""
+    rng = np.random.default_rng(6)
+    for count in (400, 1000, 3000):
+        for decay in (0.3, 0.7, 0.9):
+            for square in (False, True):
+                for _ in range(20):
+                    ChebyshevThreshold(0.1).fit(coloured(rng, count, decay, square))
+    swing = np.sin(2 * np.pi * np.arange(3000) / 400)
+    for amplitude in (0.5, 1.0, 3.0, 10.0):
+        for _ in range(10):
+            ChebyshevThreshold(0.1).fit(rng.normal(size=3000) + amplitude * swing)
+
+
+def test_a_fault_that_lasts_for_the_whole_record_is_not_seen():
+    """What nothing in the record can show."""
+    assert ChebyshevThreshold(0.05).fit(healthy((1000, 1)) + 50.0).mean == pytest.approx([50.0], abs=0.1)
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.05, 0.01])
