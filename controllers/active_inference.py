@@ -145,10 +145,14 @@ class UnbiasedActiveInference(Block):
         return rational_step(dt, "The controller's sample time")
 
     @property
-    def measurement_matrix(self) -> Floats | None:
-        """What each sensor reads of ``x_hat``; None where a modality is no matrix."""
-        rows = [modality.matrix for modality in self._groups]
-        return None if any(row is None for row in rows) else frozen(np.vstack(rows))  # type: ignore[arg-type]
+    def measurement_matrix(self) -> Floats:
+        """What each sensor reads of ``x_hat``, a row of NaN where that is no linear function."""
+        return frozen(np.vstack([modality.rows(self._dimensions[0]) for modality in self._groups]))
+
+    @property
+    def goal_matrix(self) -> Floats | None:
+        """What each element of the goal is of ``x_hat``; None where the law does not say."""
+        return getattr(self.law, "goal_matrix", None)
 
     @property
     def inputs(self) -> tuple[Port, ...]:

@@ -132,6 +132,11 @@ class Proportional(ControlLaw):
         return int(np.asarray(self.gain).shape[1])
 
     @property
+    def goal_matrix(self) -> Floats:
+        """What each element of the goal is of ``x_hat``: the first states (goals x states)."""
+        return np.eye(self.goals, self._states)
+
+    @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``x_hat`` and ``goal``."""
         return Port("x_hat", (self._states,)), Port("goal", (self.goals,))

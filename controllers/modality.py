@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector
+from bayesftc.controllers._linear_rows import linear_rows
 from bayesftc.cosim.block import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import ModelError
@@ -122,6 +123,13 @@ class Modality:
             raise ModelError(
                 f"The function of {self._title} does not fit {states} states and {self.samples} samples: {error}."
             ) from None
+
+    def rows(self, states: int) -> Floats:
+        """Return what each sensor reads of the state (samples x states); NaN where that is no linear function."""
+        if self.matrix is not None:
+            return np.asarray(self.matrix, dtype=np.float64)
+        assert self.function is not None
+        return linear_rows(self.function, self.samples, states)
 
     def jacobian_at(self, mean: Floats) -> Floats:
         """Return the Jacobian at a state (samples x states)."""

@@ -5,7 +5,7 @@ from bayesftc.controllers.baselines import EFFDI, SERFDI
 from bayesftc.controllers.bayesian import BayesianController
 from bayesftc.controllers.explicit import ExplicitDetection
 from bayesftc.controllers.gamma import GammaPrecision
-from bayesftc.controllers.laws import PID, ControlLaw, Proportional, ProportionalDerivative
+from bayesftc.controllers.laws import PID, Proportional, ProportionalDerivative
 from bayesftc.controllers.nonlinear import NonlinearBayesianController
 from bayesftc.controllers.point_mass import PointMassPrecision
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
@@ -17,7 +17,7 @@ from bayesftc.cosim.block import Block
 CONTROLLERS: tuple[type[Block], ...] = (BayesianController, NonlinearBayesianController, UnbiasedActiveInference)
 """What can stand between sensors and plant: a block with the inputs ``y`` and ``goal`` and the output ``u``."""
 
-LAWS: tuple[type[ControlLaw], ...] = (Proportional, ProportionalDerivative, PID)
+LAWS: tuple[type[Block], ...] = (Proportional, ProportionalDerivative, PID)
 """To add a law, write a block with the inputs ``x_hat`` and ``goal`` and the output ``u``, and name it here."""
 
 LEARNERS: tuple[type[PrecisionLearner], ...] = (

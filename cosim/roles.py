@@ -65,9 +65,11 @@ class QuantitySignals:
     reference : array or None
         The element of the goal for this very quantity; None if there is none, or if it was not recorded.
     belief : array or None
-        The controller's estimate of it: ``C x_hat``.
+        The controller's estimate of it: ``C x_hat``; None if that was not recorded, or if there is none.
     has_goal : bool
         Whether there is an element of the goal for it.
+    has_belief : bool
+        Whether the controller says what linear function of ``x_hat`` it is.
     """
 
     name: str
@@ -77,6 +79,7 @@ class QuantitySignals:
     reference: Floats | None
     belief: Floats | None
     has_goal: bool
+    has_belief: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +119,7 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
     """
     reader = _Reader(diagram, result)
     seen, brain = _sensors(diagram), _controller(diagram)
-    # A controller may say what its estimate and its goal are of the state; without that, there are no figures of them.
+    # A controller may say what its sensors read of its estimate x_hat (a row of NaN: nothing linear), and what its goal is of it.
     C, G = (getattr(brain.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
     y = brain.block.port("y")
     chains = [faults_before(diagram, brain, i) for i in range(y.size)]
@@ -233,14 +236,16 @@ def _quantities(
         used = [weight * signal for weight, signal in zip(row, inputs, strict=True) if weight and signal is not None]
         truth = np.sum(used, axis=0) if used and len(used) == np.count_nonzero(row) else None
         name, unit = _label(reader.diagram, seen, row, members[0])
-        belief, goal = None, number if G is None and goals == len(groups) else None
-        if C is not None:
-            read = C[members[0]]
-            belief = None if x_hat is None else x_hat @ read
-            matches = [] if G is None else [g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, read)]
-            goal = matches[0] if matches else goal
+        # Sensors of one quantity read the same; a controller may know one of them by a function that is not linear.
+        read = next((C[i] for i in members if np.isfinite(C[i]).all()), None) if C is not None else None
+        belief = None if x_hat is None or read is None else x_hat @ read
+        goal = number if goals == len(groups) and (C is None or G is None) else None  # unless said otherwise, in order
+        if read is not None and G is not None:
+            goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, read)), None)
         reference = None if goal is None else reader.source(brain, "goal", goal)
-        found.append(QuantitySignals(name, unit, tuple(members), truth, reference, belief, goal is not None))
+        found.append(
+            QuantitySignals(name, unit, tuple(members), truth, reference, belief, goal is not None, read is not None)
+        )
     return tuple(found)
 
 

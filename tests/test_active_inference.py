@@ -540,7 +540,9 @@ def test_the_arm_with_three_modalities():
         modalities, law, 1e-3, 200.0, control="law", initial_mean=(-1.5, 0.0, 0.0, 0.0)
     )
 
-    assert controller.measurement_matrix is None
+    linear = np.vstack([np.eye(4), np.eye(4), np.full((2, 4), np.nan)])  # the encoders also where a function reads them
+    np.testing.assert_array_equal(controller.measurement_matrix, linear)
+    np.testing.assert_array_equal(controller.goal_matrix, np.eye(4)[:2])
     assert controller.port("y").size == 10
     with pytest.raises(ModelError, match=r"an eigenvalue of \d"):
         replace(controller, belief_rate=2000.0)

@@ -8,6 +8,7 @@ from sklearn.metrics import roc_auc_score
 from bayesftc import cosim
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.metrics import auc, detection, errors_by_phase, figures, periods, rmse
+from bayesftc.cosim.ops import sin
 from bayesftc.cosim.roles import SensorSignals, loop_signals
 from bayesftc.examples.cruise_control.block_diagram import by_hand
 from bayesftc.examples.cruise_control.cruise_control import LEARNERS, cruise_control
@@ -220,6 +221,67 @@ def test_a_sensor_of_a_mixture():
     assert mixture.name == "sensor 1"
     np.testing.assert_allclose(mixture.truth, 0.5 * result["plant.position"] + 2 * result["plant.speed"])
     assert position.name == "position"
+
+
+def slipping(x, y):
+    y[0] = x[1] + 0.1 * sin(x[1])
+
+
+def seen_in_part_by_functions():
+    """Active inference of the same plant; of its speed it knows a function that is not linear."""
+    from bayesftc import controllers
+
+    modalities = [
+        controllers.Modality("position", matrix=[[1.0, 0.0]], std=0.1),
+        controllers.Modality("speed", 1, slipping, std=0.1),
+    ]
+    law = controllers.ProportionalDerivative(1.0, derivative_gain=0.5)
+    controller = controllers.UnbiasedActiveInference(modalities, law, 0.1, 5.0, control="law")
+    plant = two_outputs()["plant"].block
+    return cosim.closed_loop(
+        plant=plant, controller=controller, control="u", measured=["position", "speed"], reference=1.0
+    )
+
+
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")
+def test_what_is_measured_by_a_function_has_no_belief_and_what_the_goal_is_for_has_tracking():
+    from types import SimpleNamespace
+
+    from bayesftc.cli.run import _notes
+
+    loop = seen_in_part_by_functions()
+    result = loop.simulate(2.0, engine="interpreted")
+    signals = loop_signals(loop, result)
+    position, speed = signals.quantities
+    np.testing.assert_array_equal(position.belief, result["controller.x_hat"][:, 0])
+    assert (position.has_goal, position.has_belief, speed.has_goal, speed.has_belief) == (True, True, False, False)
+    found = figures(signals)
+    assert found.tracking["position"].overall == pytest.approx(rmse(result["plant.position"] - 1.0))
+    assert np.isnan([found.belief["speed"].overall, found.tracking["speed"].overall]).all()
+    notes = " ".join(_notes(SimpleNamespace(controller=loop["controller"].block), signals))
+    assert "speed has no tracking error" in notes
+    assert "speed has no error of the belief" in notes
+    assert "record" not in notes
+    assert "position" not in notes
+    partly = loop_signals(loop, loop.simulate(1.0, engine="interpreted", record=["plant.*"]))
+    assert "position were not all recorded" in " ".join(
+        _notes(SimpleNamespace(controller=loop["controller"].block), partly)
+    )
+
+
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")
+def test_a_controller_that_says_nothing_of_its_sensors_has_goals_in_order(make_block):
+    def act(y, goal, u):
+        u[0] = goal[0] - y[0]
+
+    ports = {"inputs": [cosim.Port("y", (1,)), cosim.Port("goal")], "outputs": [cosim.Port("u")]}
+    loop = cosim.closed_loop(
+        plant=two_outputs()["plant"].block, controller=make_block(output=act, **ports), control="u",
+        measured="position", reference=1.0, dt=0.1,
+    )  # fmt: skip
+    (position,) = loop_signals(loop, loop.simulate(1.0, engine="interpreted")).quantities
+    assert (position.has_goal, position.has_belief) == (True, False)
+    np.testing.assert_array_equal(position.reference, np.ones(11))
 
 
 def test_what_is_no_closed_loop():

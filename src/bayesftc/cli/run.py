@@ -103,12 +103,20 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
     why = getattr(getattr(scenario.controller, "precision", None), "why_no_probability", None)
     notes = [f"There is no fault probability: {why}"] if why else []
     for quantity in signals.quantities:
-        if quantity.truth is None or quantity.belief is None or (quantity.has_goal and quantity.reference is None):
+        wanted = [quantity.truth]
+        wanted += [quantity.belief] if quantity.has_belief else []
+        wanted += [quantity.reference] if quantity.has_goal else []
+        if any(values is None for values in wanted):
             notes.append(
                 f"The signals of {quantity.name} were not all recorded; take 'record' out of the scenario for all figures."
             )
-        elif quantity.reference is None:
+        if not quantity.has_goal:
             notes.append(f"{quantity.name} has no tracking error: no element of the goal is for it.")
+        if not quantity.has_belief:
+            notes.append(
+                f"{quantity.name} has no error of the belief: it is no linear function of the controller's states, or the "
+                "controller does not say which (measurement_matrix)."
+            )
         for what, values, figures_of in (
             ("true value", quantity.truth, "errors"),
             ("reference", quantity.reference, "tracking error"),
