@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
+from control import ss
 from hypothesis import given, settings, strategies as st
 from scipy import linalg, stats
 
@@ -567,6 +568,37 @@ def test_a_model_alone_says_what_is_measured():
     )
     result = loop.simulate(6.0, seed=1, engine="interpreted")
     assert result["plant.v"][-1] == pytest.approx(25.0, abs=1.0)
+
+
+def oscillator(precision, **prior):
+    """A lightly damped plant whose damping is the control's, with an encoder of two that is wrong from 4 s on."""
+    frequency, C = 2 * np.pi, np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    M = linalg.expm(H * np.array([[0, 1, 0], [-(frequency**2), -0.02 * frequency, 1], [0, 0, 0]]))
+    A, B = M[:2, :2], M[:2, 2:]
+    if prior["state_prior"] == "kalman":
+        prior["model"] = controllers.LinearModel(A, B, C, 1e-4, 0.02**2, H)
+    controller = UnbiasedActiveInference(
+        Modality("all", matrix=C, std=0.02), controllers.ProportionalDerivative(40.0, derivative_gain=4.0), H, 50.0,
+        control="law", precision=precision, **prior,
+    )  # fmt: skip
+    plant = cosim.StateSpace(ss(A, B, np.eye(2), 0, H, inputs=["force"], outputs=["position", "speed"]))
+    return cosim.closed_loop(
+        plant=plant, controller=controller, control="force", measured=["position", "speed"],
+        sensors=cosim.Sensors(count=4, std=0.02, signals=2, matrix=C.tolist()),
+        faults=[cosim.Injection(sensor=0, magnitude=1.0, start=4.0)], reference=1.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("precision", [controllers.GammaPrecision(), controllers.PointMassPrecision()], ids=repr)
+def test_a_prediction_that_is_followed_in_full_keeps_a_lightly_damped_plant(precision):
+    """As the class says: a belief that lags looks like a fault to the learner, which makes it lag more."""
+    errors = {}
+    for prior, weight in (("random walk", 1.0), ("euler", 2.0), ("kalman", 2.0)):  # H * 50 * 2 = 1: in full
+        loop = oscillator(precision, state_prior=prior, state_precision=weight)
+        result = loop.simulate(8.0, seed=1, engine="interpreted")
+        errors[prior] = np.sqrt(np.mean((result["controller.x_hat"][:, 0] - result["plant.position"]) ** 2))
+    assert errors["kalman"] < 0.02  # the noise of one encoder
+    assert min(errors["random walk"], errors["euler"]) > 10 * errors["kalman"]
 
 
 @pytest.mark.parametrize(
