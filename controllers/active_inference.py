@@ -55,10 +55,10 @@ class UnbiasedActiveInference(Block):
     To a learner, a belief that lags behind the plant looks like faulty sensors, and a belief that trusts them less lags more.
     A random walk or Euler's prior, which do not know the control, can so lose a lightly damped plant. They lost an oscillator
     of 1 Hz (damping ratio 0.01, two encoders and two tachometers, a step of the goal under a PD law) without a fault as well as
-    with one of the encoders faulty: it still swung after 20 s, 17 to 214 standard deviations of a sensor off the belief (rms). With
-    ``state_prior="kalman"``, one inner step and ``dt * belief_rate * state_precision = 1``, where the belief follows the
-    prediction in full, it came to rest as with fixed precisions. At half that it did so only under the softer of two laws, with the
-    noisier of two kinds of sensors.
+    with one of the encoders faulty: it still swung after 20 s, with the belief 17 to 214 standard deviations of a sensor away
+    (root mean square). With ``state_prior="kalman"``, one inner step and ``dt * belief_rate * state_precision = 1``, where the
+    belief follows the prediction in full, it came to rest as with fixed precisions; at half that only under the softer of two
+    laws, with the noisier of two kinds of sensors.
 
     Errors are held within a million nominal standard deviations. Where learned precisions or the slopes of measurement
     functions and law make the curvature too large for the rates, a step is shortened to stay stable, at nominal trust and the
