@@ -1,5 +1,6 @@
 """What several test modules share."""
 
+import io
 import json
 import os
 import subprocess
@@ -77,3 +78,24 @@ def python():
         return json.loads(done.stdout.splitlines()[-1])
 
     return run
+
+
+@pytest.fixture(scope="session")
+def printed():
+    """Return what an experiment prints on a terminal of 80 columns, which no row of a table may exceed, on one line."""
+    from rich.console import Console
+    from rich.measure import Measurement
+
+    def text(parts):
+        console, found = Console(width=80, record=True, file=io.StringIO()), []
+        for part in parts:
+            if isinstance(part, str):
+                found.append(part)
+                continue
+            title, table = part.renderables
+            assert Measurement.get(console, console.options.update(width=500), table).maximum <= 80, title
+            console.print(part)
+            found.append(console.export_text())
+        return "\n".join(found)
+
+    return text

@@ -8,7 +8,7 @@ import pytest
 from sklearn.metrics import roc_auc_score, roc_curve
 
 from bayesftc import controllers, cosim, reproduce
-from bayesftc.reproduce import _detection, _residuals
+from bayesftc.reproduce import _detection, _detection_figures, _detection_tables, _residuals
 from bayesftc.reproduce._ensemble import Ensemble, seeds
 from bayesftc.reproduce._roc import auc, curve, rates
 from bayesftc.reproduce._statistics import interval
@@ -21,12 +21,25 @@ SMALL = Detection(
     forgettings=(0.5, 0.95),
     prior_shapes=(0.1, 2.0),
     grid_streams=1,
+    grid_injections=(2.0, 10.0),
+    grid_drifts=(1.0, 20.0),
 )
+
+
+class Twin(controllers.GammaPrecision):
+    """A further learner whose step function is compiled already."""
+
+
+def run(jobs):
+    """Return a small report with the residuals of one further learner."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(controllers, "LEARNERS", (controllers.GammaPrecision, Twin, controllers.SERFDI))
+        return reproduce.detection(seed=1, jobs=jobs, runs=3, settings=SMALL)
 
 
 @pytest.fixture(scope="module")
 def report():
-    return reproduce.detection(seed=1, jobs=2, runs=3, beyond=False, settings=SMALL)
+    return run(jobs=2)
 
 
 def test_report_has_what_the_file_promises(report):
@@ -44,13 +57,15 @@ def test_report_has_what_the_file_promises(report):
 
 
 def test_same_bits_for_any_number_of_jobs(report):
-    assert reproduce.detection(seed=1, jobs=1, runs=3, beyond=False, settings=SMALL) == report
+    assert run(jobs=1) == report
 
 
 def test_the_streams_depend_on_the_seed_and_the_factor_does_not(report):
     other = reproduce.detection(seed=2, jobs=2, runs=3, beyond=False, settings=SMALL)
     assert other["settings"]["f"] == report["settings"]["f"]
     assert {s["seed"] for s in other["streams"]}.isdisjoint(s["seed"] for s in report["streams"])
+    assert set(other["auc"]) == {"SER", "beta"}
+    assert other["grid"] is None
 
 
 def test_factor_lets_the_baseline_reach_its_auc_on_streams_that_are_not_judged(report):
@@ -159,12 +174,55 @@ def test_headline_beta_beats_the_baseline():
     assert len(report["grid"]) == 5 * 5 * 3
 
 
-def test_grid_has_larger_areas_for_larger_faults_and_faster_references():
-    small = replace(SMALL, grid_injections=(2.0, 10.0), grid_drifts=(1.0, 20.0))
-    residuals = _residuals.known(small, controllers.GammaPrecision(forgetting=0.5), Car())
-    cells = _detection._Bench(small, Car(), Ensemble(0, 2)).grid(residuals)
-    known = {(c["reference"], c["injection"], c["drift"]): c["auc"] for c in cells}
+def test_grid_has_larger_areas_for_larger_faults_and_faster_references(report):
+    known = {(c["reference"], c["injection"], c["drift"]): c["auc"] for c in report["grid"]}
     assert len(known) == 3 * 2 * 2
     for name in _residuals.GRID[:2]:
         assert known["fast", 10.0, 20.0][name] > known["fast", 2.0, 1.0][name] + 0.05
         assert known["fast", 2.0, 1.0][name] > known["constant", 2.0, 1.0][name] + 0.05
+
+
+def test_tables_fit_a_terminal_and_count_who_wins(report, printed):
+    text = printed(_detection_tables.show(report))
+    for words in (f"f = {report['settings']['f']:.3f}", "SER, smoothed", "beta (Twin)", "0.873", "0.907", "drift 20"):
+        assert words in text
+    low, high = report["difference"]["ci"]
+    assert ("it excludes no difference" in text) == (low > 0 or high < 0)
+    areas = {"fast": (0.9, 0.8), "slow": (0.8, 0.801), "constant": (0.6, 0.65)}
+    sizes = product(areas, Detection().grid_injections, Detection().grid_drifts)
+    cells = [
+        {"reference": r, "injection": i, "drift": d, "auc": dict(zip(("beta", "SER"), areas[r], strict=True))}
+        for r, i, d in sizes
+    ]
+    text = printed(
+        _detection_tables.show({**report, "grid": cells, "difference": {"mean": 0.001, "ci": [-0.001, 0.003]}})
+    )
+    assert "it does not exclude no difference" in text
+    assert ".900/.800" in text
+    assert (
+        "On the slow reference beta is above SER by more than 0.002 in 0 of 25 cells, and below it by as much in 0."
+        in text
+    )
+    assert (
+        "On the constant reference beta is above SER by more than 0.002 in 0 of 25 cells, and below it by as much in 25."
+        in text
+    )
+    assert "Beta loses most, by 0.050, on the constant reference" in text
+
+
+def test_figures_show_every_residual_once(report):
+    axis = _detection_figures.roc(report).axes[0]
+    # The precision ranks as beta does and is left out; the last line is that of guessing.
+    assert report["auc"]["precision"] == report["auc"]["beta"]
+    assert len(axis.lines) == len(report["auc"]) - 1 + 1
+    front = {line.get_label(): line for line in axis.lines if line.get_label().startswith(("beta", "SER"))}
+    assert [label.split(":")[0] for label in front] == ["beta", "SER"]
+    for label, line in front.items():
+        assert line.get_ydata().tolist() == report["roc"]["true_positive_rate"][label.split(":")[0]]
+    assert "beta (Twin)" in axis.get_legend().get_texts()[-1].get_text()
+    maps = _detection_figures.grid(report).axes[:9]
+    assert all(len(axis.texts) == 4 for axis in maps)
+    differences = [float(text.get_text()) for axis in maps[2::3] for text in axis.texts]
+    wanted = [c["auc"]["beta"] - c["auc"]["SER"] for c in report["grid"]]
+    assert differences == pytest.approx(wanted, abs=6e-4)
+    assert _detection_figures.grid({**report, "grid": None}) is None

@@ -9,7 +9,7 @@ from scipy.stats import ttest_ind
 
 from bayesftc import controllers, cosim, reproduce
 from bayesftc.cosim.random import numbers
-from bayesftc.reproduce import _tracking, paper
+from bayesftc.reproduce import _tracking, _tracking_figures, _tracking_tables, paper
 from bayesftc.reproduce._ensemble import Ensemble, chunks, in_parallel, seeds
 from bayesftc.reproduce._merit import merit, total
 from bayesftc.reproduce._statistics import outcomes
@@ -18,9 +18,21 @@ from bayesftc.reproduce.settings import Car, Tracking
 FOUR = ("EF-FDI", "No FT", "PL", "SER FT")
 
 
+class Twin(controllers.GammaPrecision):
+    """A further learner whose step function is compiled already."""
+
+
+def run(seed, jobs):
+    """Return the report of few runs with one further learner and a grid of two sizes and two durations."""
+    settings = Tracking(runs=30, injections=(10.0,), drifts=(), effdi_durations=(8.0,))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(controllers, "LEARNERS", (Twin,))
+        return reproduce.tracking(seed=seed, jobs=jobs, settings=settings)
+
+
 @pytest.fixture(scope="module")
 def report():
-    return reproduce.tracking(seed=3, jobs=2, runs=30, beyond=False)
+    return run(seed=3, jobs=2)
 
 
 def without_speed(report):
@@ -32,7 +44,7 @@ def test_report_has_what_the_file_promises(report):
     assert {"settings", "scenarios", "merit", "total_merit", "oracle", "paper", "speed", "grid"} <= set(report)
     assert set(report["scenarios"]) == set(report["oracle"]) == kinds
     for techniques in report["scenarios"].values():
-        assert tuple(techniques) == FOUR
+        assert tuple(techniques) == (*FOUR, "Twin")
         for cell in techniques.values():
             assert set(cell) == {"rmse_mean", "rmse_sd", "n"}
             assert cell["n"] == 30
@@ -42,16 +54,30 @@ def test_report_has_what_the_file_promises(report):
 
 def test_settings_in_the_report_are_those_of_the_objects_with_a_reason_for_each(report):
     settings = report["settings"]
-    for name, value in vars(Tracking(runs=30)).items():
-        assert settings[name] == (list(value) if isinstance(value, tuple) else value)
+    for name, value in vars(Tracking()).items():
+        small = name in {"runs", "injections", "drifts", "effdi_durations"}
+        assert (settings[name] == (list(value) if isinstance(value, tuple) else value)) != small
         assert len(settings["why"][name]) > 5
     assert settings["car"]["drag"] == Car().drag
     assert "forgetting=0.95" in settings["techniques"]["PL"]
 
 
 def test_same_bits_for_any_number_of_jobs(report):
-    assert without_speed(reproduce.tracking(seed=3, jobs=1, runs=30, beyond=False)) == without_speed(report)
-    assert reproduce.tracking(seed=4, jobs=2, runs=30, beyond=False)["scenarios"] != report["scenarios"]
+    assert without_speed(run(seed=3, jobs=1)) == without_speed(report)
+
+
+def test_another_seed_is_other_noise_and_the_papers_part_is_the_same_alone(report):
+    other = reproduce.tracking(seed=4, jobs=2, runs=30, beyond=False)
+    assert other["scenarios"].keys() == report["scenarios"].keys()
+    assert other["scenarios"]["injection/sine"]["PL"] != report["scenarios"]["injection/sine"]["PL"]
+    alone = reproduce.tracking(seed=3, jobs=2, runs=30, beyond=False)
+    assert alone["grid"] is None
+    for name in ("merit", "total_merit", "oracle"):
+        assert alone[name] == report[name]
+    assert alone["scenarios"] == {k: {n: c[n] for n in FOUR} for k, c in report["scenarios"].items()}
+    assert set(report["mean_absolute_error"]) == {*FOUR, "Twin", "oracle"}
+    for name, curve in alone["mean_absolute_error"].items():
+        assert curve == report["mean_absolute_error"][name]
 
 
 def test_merit_is_antisymmetric_and_its_columns_add_up(report):
@@ -197,11 +223,7 @@ def test_headline_is_the_papers_order():
 
 
 def test_grid_has_a_table_for_each_pair_of_sizes_and_duration_and_agrees_with_the_headline(report):
-    settings = Tracking(runs=30, injections=(10.0,), drifts=(), effdi_durations=(8.0,))
-    bench = _tracking._Bench(settings, Car(), Ensemble(3, 2))
-    papers = _tracking.techniques(settings)
-    papers = {name: papers[name] for name in FOUR}
-    grid = _tracking._grid(bench, {}, papers)
+    grid = report["grid"]
     tables = {(t["injection"], t["drift"], t["effdi_duration"]): t for t in grid["tables"]}
     assert set(tables) == {(i, 2.0, d) for i in (3.0, 10.0) for d in (0.4, 8.0)}
     assert tables[3.0, 2.0, 0.4]["merit"] == report["merit"]
@@ -209,3 +231,54 @@ def test_grid_has_a_table_for_each_pair_of_sizes_and_duration_and_agrees_with_th
     # A sensor that is 10 m/s off is ignored for the whole fault by the one, and trusted again at once by the other.
     far = grid["scenarios"]["injection 10/sine"]
     assert far["EF-FDI 8 s"]["rmse_mean"] < far["EF-FDI"]["rmse_mean"]
+
+
+def test_tables_fit_a_terminal_and_say_what_is_not_as_in_the_paper(report, printed):
+    text = printed(_tracking_tables.show(report))
+    for row in (
+        "total merit",
+        "freeze/constant",
+        "Twin",
+        "injection     drift 2",
+        "PL : SER FT",
+        "million closed-loop steps",
+    ):
+        assert row in text
+    changed = {
+        **report,
+        "total_merit": {"EF-FDI": -17, "No FT": -11, "PL": 21, "SER FT": 7},
+        "total_merit_of_all": {"EF-FDI": -20, "No FT": -10, "PL": 5, "SER FT": 0, "Twin": 25},
+        "lost": {"freeze/sine": ["No FT", "Twin"]},
+        "grid": {
+            **report["grid"],
+            "tables": [{**t, "total_merit": dict.fromkeys(FOUR, 0)} for t in report["grid"]["tables"]],
+        },
+    }
+    text = printed(_tracking_tables.show(changed))
+    assert "EF-FDI (-17) and No FT (-11) stand in reverse order to the paper's (-10 and -22)." in text
+    assert "total merits are Twin 25, PL 5, SER FT 0, No FT -10 and EF-FDI -20. Twin is ahead of PL." in text
+    assert "PL) tracks significantly worse on freeze/sine than No FT." in text
+    assert "others are significantly better than PL: Twin in 1." in text
+    assert "PL has the highest total merit in all 4 tables" in text
+    changed["total_merit"] = paper.TOTAL_MERIT
+    changed["grid"]["tables"][0]["total_merit"] = {"EF-FDI": 0, "No FT": 0, "PL": 1, "SER FT": 2}
+    text = printed(_tracking_tables.show(changed))
+    assert "reverse order" not in text
+    assert "in 1 of the 4 tables" in text
+    assert "1 : 2 *" in text
+    assert "* SER FT ahead of PL." in text
+
+
+def test_figures_show_every_technique(report):
+    figures = {name: draw(report) for name, draw in _tracking_figures.FIGURES.items()}
+    (axis,) = figures["tracking_error_over_time"].axes
+    colours = {line.get_label(): line.get_color() for line in axis.lines}
+    assert set(colours) == {*FOUR, "Twin", "oracle"}
+    assert len(set(colours.values())) == 6
+    legend = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert {*FOUR, "oracle", "fault", "Twin"} < set(legend)
+    cells = [text.get_text() for text in figures["tracking_errors"].axes[0].texts]
+    assert cells[0] == f"{report['scenarios']['freeze/constant']['EF-FDI']['rmse_mean']:.2f}"
+    assert len(cells) == 6 * 9
+    assert len(figures["tracking_grid"].axes[0].texts) == 5 * (3 + 2 * 3 + 3)
+    assert _tracking_figures.grid({**report, "grid": None}) is None

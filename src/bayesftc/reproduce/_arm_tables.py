@@ -48,28 +48,33 @@ def _errors(report: dict[str, Any]) -> RenderableType:
 
 
 def _grid(report: dict[str, Any]) -> Iterator[RenderableType]:
-    titles = {
-        "none": (
-            "switch",
-            "camera_precision",
-            "No fault tolerance: switch of the goal (s) and precision of the camera",
-        ),
-        "implicit": (
-            "learning_rate",
-            "lower_bound",
-            "Implicit detection: learning rate and lower bound of the precision",
-        ),
+    forms = {
+        "switch": "{:g} s",
+        "camera_precision": "precision {:g}",
+        "learning_rate": "{:g}",
+        "lower_bound": "bound {:g}",
     }
-    for kind, (down, across, title) in titles.items():
+    titles = {
+        "none": "No fault tolerance: switch of the goal and precision of the camera",
+        "implicit": "PL, always on: learning rate and lower bound of the precision",
+    }
+    for kind, title in titles.items():
+        down, across = (name for name in report["grid"][kind][0] if name in forms)
         cells = {(c[down], c[across]): c for c in report["grid"][kind]}
         rows, columns = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
         yield table(
-            f"{title}; error of the joint with the frozen encoder / the other",
-            [f"{across.replace('_', ' ')} {column:g}" for column in columns],
+            f"{title}; error of the joint with the frozen encoder / the other, 1e-6 rad^2",
+            [forms[across].format(column) for column in columns],
             {
-                f"{down.replace('_', ' ')} {row:g}": [
-                    f"{cells[row, column]['faulty']:.2g} / {cells[row, column]['healthy']:.2g}" for column in columns
+                forms[down].format(row): [
+                    f"{_millionths(cells[row, column]['faulty'])} / {_millionths(cells[row, column]['healthy'])}"
+                    for column in columns
                 ]
                 for row in rows
             },
+            corner=down.replace("_", " "),
         )
+
+
+def _millionths(value: float) -> str:
+    return f"{1e6 * value:.{0 if value > 1e-5 else 1}f}"

@@ -37,6 +37,8 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         },
         corner="residual",
     )
+    if "precision" in auc:
+        yield "The precision ranks the samples as beta does, for all shapes are the same: it is the same residual."
     low, high = report["difference"]["ci"]
     yield (
         f"Beta minus SER, stream by stream: {report['difference']['mean']:.4f}, 95 % interval {low:.4f} to {high:.4f}; "
@@ -61,12 +63,15 @@ def _grid(cells: list[dict[str, Any]]) -> Iterator[RenderableType]:
     injections, drifts = (sorted({c[name] for c in cells}) for name in ("injection", "drift"))
     for reference in references:
         yield table(
-            f"AUC of beta (SER) on the {reference} reference; injection in m/s, drift in m/s per second",
+            f"AUC of beta/SER on the {reference} reference; injection in m/s, drift in m/s per second",
             [f"drift {d:g}" for d in drifts],
             {
-                f"injection {i:g}": ["{beta:.3f} ({SER:.3f})".format(**known[reference, i, d]) for d in drifts]
+                f"{i:g}": [
+                    f"{_short(cell['beta'])}/{_short(cell['SER'])}" for d in drifts for cell in [known[reference, i, d]]
+                ]
                 for i in injections
             },
+            corner="injection",
         )
     for reference in references:
         mine = [c for c in cells if c["reference"] == reference]
@@ -83,3 +88,8 @@ def _grid(cells: list[dict[str, Any]]) -> Iterator[RenderableType]:
             f"Beta loses most, by {gap:.3f}, on the {worst['reference']} reference with an injection of {worst['injection']:g} "
             f"m/s and a drift of {worst['drift']:g} m/s per second."
         )
+
+
+def _short(area: float) -> str:
+    """Return a share with three digits and without its leading zero: five pairs stand beside each other."""
+    return f"{area:.3f}".removeprefix("0")

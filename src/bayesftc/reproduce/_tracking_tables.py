@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce._tables import sentence_list, table
@@ -19,6 +20,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     """Yield the merit table beside the paper's, the errors, where precision learning loses, and the speed."""
     settings, scenarios, oracle = report["settings"], report["scenarios"], report["oracle"]
     yield _merit(report)
+    yield from _orders(report)
     names = list(next(iter(scenarios.values())))
     papers, extra = [n for n in names if n in report["merit"]], [n for n in names if n not in report["merit"]]
     cells = {kind: {**scenarios[kind], "oracle": oracle[kind]} for kind in scenarios}
@@ -28,9 +30,11 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         yield _errors(f"{title}: techniques that are not in the paper's table", cells, extra[first : first + COLUMNS])
     if extra:
         merit = report["total_merit_of_all"]
+        ahead = [name for name in merit if merit[name] > merit["PL"]]
         yield (
             f"With {sentence_list(extra)} in the comparison as well, total merits are "
-            f"{sentence_list([f'{n} {merit[n]}' for n in sorted(merit, key=merit.__getitem__, reverse=True)])}."
+            f"{sentence_list([f'{n} {merit[n]}' for n in sorted(merit, key=merit.__getitem__, reverse=True)])}. "
+            + (f"{sentence_list(ahead)} {'is' if len(ahead) == 1 else 'are'} ahead of PL." if ahead else "PL leads.")
         )
     yield from _where_it_loses(report)
     speed = report["speed"]
@@ -50,6 +54,16 @@ def _merit(report: dict[str, Any]) -> RenderableType:
         "minus those in which it tracks worse"
     )
     return table(title, list(ours), {**rows, "total merit": totals})
+
+
+def _orders(report: dict[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each two techniques whose order is not the paper's."""
+    ours, papers = report["total_merit"], report["paper"]["total_merit"]
+    for a, b in combinations(ours, 2):
+        if (ours[a] - ours[b]) * (papers[a] - papers[b]) < 0:
+            yield (
+                f"{a} ({ours[a]}) and {b} ({ours[b]}) stand in reverse order to the paper's ({papers[a]} and {papers[b]})."
+            )
 
 
 def _errors(title: str, cells: dict[str, Any], names: list[str]) -> RenderableType:
@@ -77,16 +91,21 @@ def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
     totals = {(t["injection"], t["drift"]): t["total_merit"] for t in tables}
     injections, drifts = (sorted({pair[i] for pair in totals}) for i in (0, 1))
 
+    def leaders(merit: dict[str, int]) -> list[str]:
+        return [name for name in merit if merit[name] > merit["PL"]]
+
     def cell(pair: tuple[float, float]) -> str:
         merit = totals[pair]
-        best = max(merit, key=merit.__getitem__)
-        return f"{merit['PL']:d} : {merit['SER FT']:d}" + ("" if best == "PL" else f" {best} leads")
+        return f"{merit['PL']} : {merit['SER FT']} {'*' if leaders(merit) else ' '}"
 
     yield table(
-        "Faults of other sizes: total merit of PL : SER FT",
-        [f"drift {d:g}" for d in drifts],
-        {f"injection {i:g}": [cell((i, d)) for d in drifts] for i in injections},
+        "Faults of other sizes: total merit of PL : SER FT; injection in m/s, drift in m/s per second",
+        [f"drift {d:g}  " for d in drifts],
+        {f"{i:g}": [cell((i, d)) for d in drifts] for i in injections},
+        corner="injection",
     )
+    if ahead := dict.fromkeys(name for merit in totals.values() for name in leaders(merit)):
+        yield f"* {sentence_list(list(ahead))} ahead of PL."
     every = report["grid"]["tables"]
     lost_to = [t for t in every if t["total_merit"]["PL"] < max(t["total_merit"].values())]
     if not lost_to:
