@@ -262,21 +262,22 @@ def seen_from_the_side(x, y):
 
 
 # Compiling takes seconds each, and test_precision.py compiles every learner: here one of each way to write the step's text.
-FORMS = [
-    {
-        "precision": controllers.GammaPrecision(),
-        "state_prior": "euler",
-        "law": controllers.PID(2.0, derivative_gain=1.0),
-    },
-    {"precision": controllers.WishartPrecision(), "control": "law", "belief_rate": 75.0, "inner_steps": 1},
-]
+PD_AND_I = controllers.PID(2.0, derivative_gain=1.0, integral_gain=0.5, integral_limit=1.0)
+GROWING = controllers.GammaPrecision(forgetting=None)
+FORMS = {
+    "gradient": {"precision": GROWING, "state_prior": "euler", "law": PD_AND_I, "inner_steps": 2},
+    "law": {"precision": controllers.WishartPrecision(), "control": "law", "belief_rate": 75.0},
+}
 
 
-@pytest.mark.parametrize("options", FORMS, ids=["gradient", "law"])
-def test_both_forms_agree_to_the_last_bit(options, same_bits):
+def of_form(form):
     modalities = [small().modalities[0], Modality("camera", 1, seen_from_the_side, std=0.2, precision=0.5)]
-    controller = small(**{"modalities": modalities, "control_precision": 0.1, "inner_steps": 2, **options})
-    steps = [controller.online(compiled=compiled) for compiled in (True, False)]
+    return small(modalities=modalities, control_precision=0.1, **FORMS[form])
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_both_forms_agree_to_the_last_bit(form, same_bits):
+    steps = [of_form(form).online(compiled=compiled) for compiled in (True, False)]
     for row in rough_samples():
         a, b = (step(y=row, goal=[0.5]) for step in steps)
         for name in a:
@@ -357,16 +358,12 @@ def absurd(noise, y):
         y[i] = select(noise[3] < 0.5, 0.25, select(noise[4] < 0.1, (z - z) / (z - z), y[i]))
 
 
-@pytest.mark.parametrize(
-    "precision",
-    [controllers.GammaPrecision(forgetting=None), controllers.WishartPrecision()],
-    ids=repr,
-)
-def test_a_million_absurd_samples_leave_the_belief_finite(precision, make_block):
+@pytest.mark.parametrize("form", FORMS)
+def test_a_million_absurd_samples_leave_the_belief_finite(form, make_block):
     source = make_block(
         inputs=[cosim.Port("noise", (5,), draw="uniform")], outputs=[cosim.Port("y", (3,))], output=absurd
     )
-    controller = small(precision=precision, control_precision=0.1, state_prior="euler", inner_steps=2)
+    controller = of_form(form)
     diagram = cosim.Diagram(dt=H)
     samples, brain = diagram.add(source, "samples"), diagram.add(controller, "brain")
     goal = diagram.add(cosim.Constant(1.0), "goal")
