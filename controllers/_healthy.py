@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import rankdata
 
 if TYPE_CHECKING:
     from bayesftc.cosim.block import Floats
@@ -96,6 +95,8 @@ def _differs(what: str, values: Floats) -> str | None:
     half = max(SHORTEST, len(values) // SHARE) // 2
     if len(values) < 4 * SHORTEST:
         return None
+    from scipy.stats import rankdata  # half a second to import, which only those who learn a threshold should wait
+
     ranks = rankdata(values) / len(values)
     sums = np.concatenate([[0.0], np.cumsum(ranks)])
     halves = (sums[half:] - sums[:-half]) / half
