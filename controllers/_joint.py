@@ -16,8 +16,11 @@ from bayesftc.cosim.ops import both, maximum, negate, select
 ROUNDING = 1e-12
 """Relative increase of the cost that counts as rounding: at the minimum a step is right although the cost cannot tell."""
 
-FIRST_DAMPING = 1e-2
-"""Damping after the first step that fails; a smaller one is none. Each failure multiplies it by 10, each success by 1/10."""
+FIRST_DAMPING = 3e-2
+"""Damping after the first step that fails. Each failure multiplies it by 10, each success by 1/10."""
+
+LEAST_DAMPING = 1e-3
+"""A damping no larger than this is none after the next success."""
 
 INFINITE = float("inf")
 
@@ -80,10 +83,6 @@ def determined(T, cost, wanted, controls):
     return good
 
 
-def _ignore(x, control, following, F, B):
-    """No goal: what comes next does not matter."""
-
-
 @cache
 def make_look_ahead(f: Callable[..., None], f_jacobian: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that writes the next state and its derivatives."""
@@ -97,7 +96,7 @@ def make_look_ahead(f: Callable[..., None], f_jacobian: Callable[..., None]) -> 
 
 @cache
 def make_minimiser(
-    g: Callable[..., None], g_jacobian: Callable[..., None], look_ahead: Callable[..., None] | None, iterations: int
+    g: Callable[..., None], g_jacobian: Callable[..., None], look_ahead: Callable[..., None], iterations: int
 ) -> Callable[..., None]:
     """Return the step function that minimises the joint cost from ``z``, by Gauss-Newton steps with Marquardt's damping.
 
@@ -107,19 +106,18 @@ def make_minimiser(
     negative log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead where
     something is no number, is not taken, and the next one is damped more.
     """
-    ahead = _ignore if look_ahead is None else look_ahead
 
     def equations(
         z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
         x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
     ):  # fmt: skip
-        m, n, p = y.shape[0], x.shape[0], control.shape[0]
+        m, n, p = y.shape[0], mean.shape[0], control.shape[0]
         locate(z, mean, root, x)
         for i in range(p):
             control[i] = z[i]
         g(x, reading)
         g_jacobian(x, C)
-        ahead(x, control, following, F, B)
+        look_ahead(x, control, following, F, B)
         multiply(F, root, slope)
         for i in range(m):
             residual[i] = select(kept[i] > 0.5, y[i] - reading[i], 0.0)
@@ -184,8 +182,21 @@ def make_minimiser(
             )  # fmt: skip
             better = both(is_finite(T2, cost2[0]), negate(cost2[0] > cost[0] * (1.0 + ROUNDING)))
             started = cost[0] < INFINITE
-            curve(both(better, started), z, trial, T, b, T2, b2, J, J2, residual, ROUNDING * ROUNDING * cost[0], S, M,
-                  moved, turned, bent)  # fmt: skip
+            curve(
+                both(better, started),
+                z,
+                trial,
+                T2,
+                J,
+                J2,
+                residual,
+                ROUNDING * ROUNDING * cost[0],
+                S,
+                M,
+                moved,
+                turned,
+                bent,
+            )
             for i in range(n):
                 z[i] = select(better, trial[i], z[i])
                 b[i] = select(better, b2[i], b[i])
@@ -195,7 +206,7 @@ def make_minimiser(
                 for j in range(n):
                     J[i, j] = select(better, J2[i, j], J[i, j])
             cost[0] = select(better, cost2[0], cost[0])
-            eased = select(damping > FIRST_DAMPING, 0.1 * damping, 0.0)
+            eased = select(damping > LEAST_DAMPING, 0.1 * damping, 0.0)
             damping = select(better, eased, maximum(10.0 * damping, FIRST_DAMPING))
             damp(T, b, damping, D, d, row)
             solve_curved(D, d, S, M, trial)

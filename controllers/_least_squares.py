@@ -5,8 +5,11 @@ their information. Unlike the normal equations this squares no condition number,
 sensor) before a tiny one (a vague prior) could drown in it.
 """
 
-from bayesftc.controllers._linalg import cholesky, solve_vector
+from bayesftc.controllers._linalg import cholesky, multiply_transposed, solve_vector
 from bayesftc.cosim.ops import absolute, both, minimum, select, sqrt
+
+LEAST_BEND = 0.7
+"""Share of the curvature along a step that is left at least; Powell has 0.2, with which random problems need more steps."""
 
 
 def absorb(T, b, row, value):
@@ -52,69 +55,105 @@ def damp(T, b, damping, D, d, row):
         D[j, j] = select(D[j, j] == 0.0, 1.0, D[j, j])
 
 
-def solve_curved(D, d, S, M, step):
-    """Solve ``(D'D + S) step = D'd`` for a triangle and a symmetric correction; NaN where the sum is not positive definite.
+def divide(A, T, first, X):
+    """Write ``X = A T^-1`` for an upper triangle: the part of `T` from `first` on. `X` may be `A`."""
+    n = A.shape[1]
+    for i in range(A.shape[0]):
+        for j in range(n):
+            total = A[i, j]
+            for k in range(j):
+                total = total - X[i, k] * T[first + k, first + j]
+            X[i, j] = total / T[first + j, first + j]
 
-    It is solved as ``(I + D'^-1 S D^-1) (D step) = d``, so that without a correction no condition number is squared. `d` is
-    used up.
+
+def solve_curved(D, d, S, M, step):
+    """Solve ``(D'D + S) step = D'd`` for a triangle and a symmetric correction; without S where the sum is not positive definite.
+
+    It is solved as ``(I + D'^-1 S D^-1) (D step) = d``, so that without a correction no condition number is squared.
     """
     n = D.shape[0]
+    divide(S, D, 0, M)
     for i in range(n):
-        for j in range(n):
-            total = S[i, j]
-            for k in range(j):
-                total = total - M[i, k] * D[k, j]
-            M[i, j] = total / D[j, j]
-    for j in range(n):
-        for i in range(n):
-            total = M[i, j]
-            for k in range(i):
-                total = total - D[k, i] * M[k, j]
-            M[i, j] = total / D[i, i]
+        for j in range(i):
+            other = M[i, j]
+            M[i, j] = M[j, i]
+            M[j, i] = other
+    divide(M, D, 0, M)
     for i in range(n):
         M[i, i] = M[i, i] + 1.0
+        step[i] = d[i]
     cholesky(M, M)
-    solve_vector(M, d)
+    sound = 0.0
+    for i in range(n):
+        sound = sound + (M[i, i] - M[i, i])
+    solve_vector(M, step)
     for i in range(n):
         j = n - 1 - i
-        total = d[j]
+        total = select(sound == 0.0, step[j], d[j])
         for k in range(j + 1, n):
             total = total - D[j, k] * step[k]
         step[j] = total / D[j, j]
 
 
-def pull(T, b, i):
-    """Return element `i` of ``T'b``, the negative gradient."""
-    total = T[0, i] * b[0]
-    for k in range(1, i + 1):
-        total = total + T[k, i] * b[k]
-    return total
+def turn(T, moved, turned):
+    """Write ``T'T moved``, by how much the equations turn the gradient, and return ``moved' T'T moved``."""
+    n = T.shape[0]
+    squared = 0.0
+    for i in range(n):
+        total = T[i, i] * moved[i]
+        for k in range(i + 1, n):
+            total = total + T[i, k] * moved[k]
+        turned[i] = total
+        squared = squared + total * total
+    for j in range(n):
+        i = n - 1 - j
+        total = T[0, i] * turned[0]
+        for k in range(1, i + 1):
+            total = total + T[k, i] * turned[k]
+        turned[i] = total
+    return squared
 
 
-def curve(changed, z, z2, T, b, T2, b2, J, J2, values, least, S, M, moved, turned, bent):
+def curve(changed, z, z2, T2, J, J2, values, least, S, M, moved, turned, bent):
     """Learn from the step to `z2` what Gauss and Newton leave out of the Hessian: ``S``, the residuals' own curvature.
 
-    The structured secant update of Dennis, Gay and Welsch (ACM Trans. Math. Softw. 7, 1981), with their sizing. Nothing is
+    The structured secant update of Dennis, Gay and Welsch (ACM Trans. Math. Softw. 7, 1981), with their sizing. Where the cost
+    curves less along the step than a share `LEAST_BEND` of what ``T'T + S`` says, or downwards, only so much of it is learned as
+    leaves that share (Powell, Lect. Notes Math. 630, 1978): the sum stays positive along the step, and steps grow. Nothing is
     learned where it has not `changed`, or where the step is so short (`least`) that only rounding would be learned from.
     """
     n = z.shape[0]
-    along = 0.0  # moved' turned: positive where the cost curves upwards
+    for i in range(n):
+        moved[i] = z2[i] - z[i]
+    squared = turn(T2, moved, turned)
     bend = 0.0
     known = 0.0
     for i in range(n):
-        moved[i] = z2[i] - z[i]
-        turned[i] = pull(T, b, i) - pull(T2, b2, i)  # the change of the gradient
         total = 0.0
         for k in range(values.shape[0]):
-            total = total - (J2[k, i] - J[k, i]) * values[k]  # that part of it which is due to the residuals' curvature
+            total = (
+                total - (J2[k, i] - J[k, i]) * values[k]
+            )  # the gradient's change that is due to the residuals' curvature
         bent[i] = total
-        along = along + moved[i] * turned[i]
-        bend = bend + moved[i] * bent[i]
-    for i in range(n):
+        bend = bend + moved[i] * total
         for j in range(n):
             known = known + moved[i] * S[i, j] * moved[j]
-    size = minimum(1.0, absolute(bend) / absolute(known))
-    size = select(known == 0.0, 1.0, size)
+    # A correction with which the cost would not curve upwards along the step is forgotten.
+    sound = squared + known > 0.0
+    known = select(sound, known, 0.0)
+    size = select(known == 0.0, 1.0, minimum(1.0, absolute(bend) / absolute(known)))
+    size = select(sound, size, 0.0)
+    model = squared + known
+    flat = squared + bend < LEAST_BEND * model
+    share = select(flat, (1.0 - LEAST_BEND) * model / (known - bend), 1.0)
+    along = 0.0  # moved' (T'T + S) moved with the new S
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total = total + S[i, j] * moved[j]
+        bent[i] = share * bent[i] + (1.0 - share) * select(sound, total, 0.0)
+        turned[i] = turned[i] + bent[i]
+        along = along + moved[i] * turned[i]
     wrong = 0.0
     for i in range(n):
         for j in range(n):
@@ -143,17 +182,5 @@ def is_finite(T, cost):
 
 def marginal(T, root, first, X, P):
     """Write ``P = root S root'`` where S is the covariance of the unknowns from `first` on, of unit information ``T'T``."""
-    n = root.shape[0]
-    for i in range(n):
-        for j in range(n):
-            total = root[i, j]
-            for k in range(j):
-                total = total - X[i, k] * T[first + k, first + j]
-            X[i, j] = total / T[first + j, first + j]
-    for i in range(n):
-        for j in range(i + 1):
-            total = X[i, 0] * X[j, 0]
-            for k in range(1, n):
-                total = total + X[i, k] * X[j, k]
-            P[i, j] = total
-            P[j, i] = total
+    divide(root, T, first, X)
+    multiply_transposed(X, X, P)

@@ -94,15 +94,13 @@ def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
     return predict
 
 
-def keep_filtered(found, z, mean, root, T, point, X, spread_out, x_hat, P):
+def keep_filtered(found, point, spread_out, x_hat, P):
     """Carry p(x_t | y_1..t): goal and control prior leave the belief alone (``belief="filtered"``)."""
 
 
-def take_joint(found, z, mean, root, T, point, X, spread_out, x_hat, P):
+def take_joint(found, point, spread_out, x_hat, P):
     """Carry the belief about x_t of the joint minimum, into which the goal leaks (``belief="joint"``)."""
     n = x_hat.shape[0]
-    locate(z, mean, root, point)
-    marginal(T, root, z.shape[0] - n, X, spread_out)
     for i in range(n):
         x_hat[i] = select(found, point[i], x_hat[i])
         for j in range(n):
@@ -111,8 +109,8 @@ def take_joint(found, z, mean, root, T, point, X, spread_out, x_hat, P):
 
 @cache
 def _make_step(
-    learn: Kernel, report: Kernel, g: Kernel, g_jacobian: Kernel, filtering: Kernel, joining: Kernel, carry: Kernel,
-    predict: Kernel, first: int,
+    learn: Kernel, report: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
+    first: int,
 ) -> Callable[..., None]:  # fmt: skip
     """Return the controller's step function; the learner's own outputs begin at the place `first` among all outputs."""
 
@@ -120,7 +118,7 @@ def _make_step(
         y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work,
         mean, covariance, applied, memory,
         Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
-        reading, C, e, present, used, CP, spread, root, kept, wanted, noise, nothing,
+        reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
         z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
     ):  # fmt: skip
         n, p, m = x_hat.shape[0], u.shape[0], y.shape[0]
@@ -135,35 +133,35 @@ def _make_step(
         leave_out_distant(e, nominal, used)
         cholesky_semidefinite(covariance, root)
 
-        # The belief, by the prediction and the sensors alone.
-        keep(used, goal, 0.0, kept, wanted)
-        factorise(R, GQ, kept, noise)
         for i in range(p):
             z[i] = applied[i]
         for i in range(n):
             z[p + i] = 0.0
-        filtering(
-            z, y, goal, kept, mean, root, noise, G, nothing, applied,
-            point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
-        )  # fmt: skip
-        locate(z, mean, root, x_hat)
-        marginal(T, root, p, X, P)
-        good = is_finite(P, cost[0])
-        for i in range(n):
-            for j in range(n):
-                P[i, j] = select(good, P[i, j], covariance[i, j])
-
-        # The control, together with the state, by goal and control prior as well.
-        keep(used, goal, 1.0, kept, wanted)
-        factorise(R, GQ, kept, noise)
-        joining(
-            z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-            point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
-        )  # fmt: skip
+        # First the belief, by the prediction and the sensors alone; from there the control, together with the state, by goal and
+        # control prior as well. A loop, for whatever is written twice is compiled twice.
+        for part in range(2):
+            whole = 1.0 * part
+            keep(used, goal, whole, kept, wanted)
+            factorise(R, GQ, kept, noise)
+            for i in range(p):
+                for j in range(p):
+                    prior[i, j] = whole * prior_root[i, j]
+            minimise(
+                z, y, goal, kept, mean, root, noise, G, prior, control_mean,
+                point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
+            )  # fmt: skip
+            locate(z, mean, root, point)
+            marginal(T, root, p, X, spread_out)
+            if part == 0:
+                good = is_finite(spread_out, cost[0])
+                for i in range(n):
+                    x_hat[i] = point[i]
+                    for j in range(n):
+                        P[i, j] = select(good, spread_out[i, j], covariance[i, j])
         found = determined(T, cost[0], wanted, p)
         for i in range(p):
             u[i] = select(found, z[i], NAN)
-        carry(found, z, mean, root, T, point, X, spread_out, x_hat, P)
+        carry(found, point, spread_out, x_hat, P)
         limit(u, applied, u_min, u_max, u_change)
         predict(
             x_hat, P, applied, Q, nominal, largest, initial_mean, initial_covariance,
@@ -210,7 +208,8 @@ class NonlinearBayesianController(BayesianBlock):
     prediction : {"model", "random walk"}
         The prediction prior of the next sample: by f and the control that was applied; or the belief itself plus process noise.
     iterations : int
-        Number of steps of each of the two minimisations a sample (belief, control).
+        Number of steps of each of the two minimisations a sample (belief, control). A sample's cost in time is proportional to
+        it; with the default strongly nonlinear problems converge, too (docs/controllers.md has the shares).
 
     Raises
     ------
@@ -222,7 +221,7 @@ class NonlinearBayesianController(BayesianBlock):
     model: NonlinearModel
     goal_on: Literal["states"] | Matrix = "states"
     prediction: Literal["model", "random walk"] = "model"
-    iterations: int = 20
+    iterations: int = 40
 
     def __post_init__(self) -> None:
         if isinstance(self.model, LinearModel):
@@ -259,7 +258,6 @@ class NonlinearBayesianController(BayesianBlock):
             learner.report,
             model.g,
             of_g,
-            make_minimiser(model.g, of_g, None, iterations),
             make_minimiser(model.g, of_g, look_ahead, iterations),
             take_joint if self.belief == "joint" else keep_filtered,
             make_predict(model.g, of_g, move),
@@ -267,7 +265,7 @@ class NonlinearBayesianController(BayesianBlock):
         )
         prior = self._prior_precision()
         parameters = self._shared_parameters(step) | {
-            "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior, "nothing": np.zeros((p, p)),
+            "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
         }  # fmt: skip
         unknowns, equations = p + n, m + g
@@ -275,7 +273,7 @@ class NonlinearBayesianController(BayesianBlock):
             "reading": (m,), "C": (m, n), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m),
             "root": (n, n), "kept": (equations,), "wanted": (g,), "noise": (equations, equations), "point": (n,), "control": (p,),
             "following": (n,), "F": (n, n), "B": (n, p), "FP": (n, n), "residual": (equations,), "cost": (1,), "cost2": (1,),
-            "X": (n, n), "spread_out": (n, n),
+            "X": (n, n), "spread_out": (n, n), "prior": (p, p),
             "z": (unknowns,), "slopes": (SLOPES, equations, unknowns), "squares": (SQUARES, unknowns, unknowns),
             "vectors": (VECTORS, unknowns),
         }  # fmt: skip

@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,11 +84,13 @@ def linear_problem(rng):
     return model, options
 
 
-def both_controllers(model, **options):
+def both_controllers(model, iterations=2, **options):
+    """Where the model is linear one step is enough, and further ones must change nothing."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
         linear = BayesianController(model, **options)
-    return linear.online(compiled=False), NonlinearBayesianController(model, **options).online(compiled=False)
+    nonlinear = NonlinearBayesianController(model, iterations=iterations, **options)
+    return linear.online(compiled=False), nonlinear.online(compiled=False)
 
 
 def assert_alike(a, b, tolerance=1e-9):
@@ -112,9 +115,9 @@ LEARNERS = [
 def test_for_a_linear_model_it_is_the_closed_form(belief, precision):
     """Random models, singular process noise and priors, missing samples and goals, limits, correlated sensors."""
     rng = np.random.default_rng(5)
-    for _ in range(6):
+    for iterations in (40, 2, 2, 2, 2, 2):
         model, options = linear_problem(rng)
-        a, b = both_controllers(model, belief=belief, precision=precision, **options)
+        a, b = both_controllers(model, iterations, belief=belief, precision=precision, **options)
         for _ in range(12):
             y, goal = rng.normal(size=model.sensors), rng.normal(size=model.states)
             y[rng.random(model.sensors) < 0.2] = np.nan
@@ -129,54 +132,83 @@ class Problem:
     controller: NonlinearBayesianController
     y: np.ndarray
     goal: np.ndarray
+    f: Callable
+    g: Callable
 
-    @property
-    def sizes(self):
-        return self.controller.model.states, self.controller.model.controls, self.controller.model.sensors
+    def __post_init__(self):
+        c = self.controller
+        self.sizes = c.model.states, c.model.controls
+        Q, R = c.model.matrix("process_covariance"), c.model.matrix("sensor_covariance")
+        covariances = c.initial_covariance, R, Q, c.goal_covariance, c.control_covariance
+        self.whitening = [np.linalg.inv(np.linalg.cholesky(S)) for S in covariances]
+        self.gain = Q @ np.linalg.inv(Q + c.goal_covariance)
+        # The spread of each unknown at the prior: the yardstick of distance.
+        self.width = np.sqrt(np.concatenate([np.diag(covariances[k]) for k in (0, 4, 3)]))
+        self.prior_mean = self.completed(np.asarray(c.initial_mean), np.asarray(c.control_mean))
 
     def residuals(self, z):
-        c, (n, p, m) = self.controller, self.sizes
-        x, u, x_next, reading, following = z[:n], z[n : n + p], z[n + p :], np.empty(m), np.empty(n)
-        c.model.g(x, reading)
-        c.model.f(x, u, following)
-        terms = [
-            (x - c.initial_mean, c.initial_covariance),
-            (self.y - reading, c.model.matrix("sensor_covariance")),
-            (x_next - following, c.model.matrix("process_covariance")),
-            (x_next - self.goal, c.goal_covariance),
-            (u - c.control_mean, c.control_covariance),
-        ]
-        return np.concatenate([np.linalg.solve(np.linalg.cholesky(S), r) for r, S in terms])
+        c, (n, p) = self.controller, self.sizes
+        x, u, x_next = z[:n], z[n : n + p], z[n + p :]
+        terms = (x - c.initial_mean, self.y - self.g(x), x_next - self.f(x, u), x_next - self.goal, u - c.control_mean)
+        return np.concatenate([W @ r for W, r in zip(self.whitening, terms, strict=True)])
 
     def cost(self, z):
         return 0.5 * float(np.sum(self.residuals(z) ** 2))
 
     def completed(self, x, u):
         """Return [x, u, x_next] with the best next state for given x and u."""
-        c, following = self.controller, np.empty(len(x))
-        c.model.f(x, u, following)
-        Q = c.model.matrix("process_covariance")
-        gain = Q @ np.linalg.inv(Q + np.asarray(c.goal_covariance))
-        return np.concatenate([x, u, following + gain @ (self.goal - following)])
+        following = self.f(x, u)
+        return np.concatenate([x, u, following + self.gain @ (self.goal - following)])
 
     def solution(self):
         out = self.controller.online(compiled=False)(y=self.y, goal=self.goal)
         return self.completed(out.x_hat, out.u)
 
+    def drawn(self, rng):
+        """Return a start drawn from the prior, twice as wide."""
+        n, p = self.sizes
+        start = self.prior_mean + 2.0 * self.width * rng.normal(size=len(self.width))
+        return self.completed(start[:n], start[n : n + p])
+
+    def same_basin(self, a, b):
+        """Return whether two minima are one: at most 1e-3 spreads of the prior apart."""
+        return np.abs((a - b) / self.width).max() < 1e-3
+
 
 def random_problem(seed):
     """Sines and squares in f and g whose bends are as large as the prior is wide."""
     rng = np.random.default_rng(seed)
-    n, p = int(rng.integers(1, 4)), 1
+    n = int(rng.integers(1, 4))
     m = int(rng.integers(n, n + 3))
     p = int(rng.integers(1, n + 1))
+    A, B = np.eye(n) + 0.3 * rng.normal(size=(n, n)), rng.normal(size=(n, p))
+    W, S, Z = (s * rng.normal(size=k) for s, k in ((1.0, (n, n)), (0.5, (n, n)), (0.2, (n, p))))
+    C, V, E = (s * rng.normal(size=k) for s, k in ((1.0, (m, n)), (2.0, (m, n)), (0.5, (m, 2))))
 
-    def fixed(a):
-        return tuple(map(tuple, a.tolist()))
+    def f(x, u):
+        return A @ x + B @ u + Z @ u**2 + np.sin(W @ x) * (S @ x)
 
-    A, B = fixed(np.eye(n) + 0.3 * rng.normal(size=(n, n))), fixed(rng.normal(size=(n, p)))
-    W, S, Z = (fixed(s * rng.normal(size=k)) for s, k in ((1.0, (n, n)), (0.5, (n, n)), (0.2, (n, p))))
-    C, V, E = (fixed(s * rng.normal(size=k)) for s, k in ((1.0, (m, n)), (2.0, (m, n)), (0.5, (m, 2))))
+    def g(x):
+        return C @ x + E[:, 0] * np.sin(V @ x) + 0.2 * E[:, 1] * (V @ x) ** 2
+
+    R, P = rng.uniform(0.05, 1.0, m), rng.uniform(0.2, 1.0, n)
+    mean = rng.normal(size=n)
+    y = g(mean + np.sqrt(P) * rng.normal(size=n))
+    step_functions = as_step_functions(*(tuple(map(tuple, a.tolist())) for a in (A, B, W, S, Z, C, V, E)))
+    controller = NonlinearBayesianController(
+        NonlinearModel(*step_functions, n, p, m, 0.05 * np.eye(n) + 0.02, R, 0.1),
+        goal_covariance=float(rng.choice([0.1, 1.0])),
+        control_covariance=float(rng.choice([0.3, 3.0, 100.0])),
+        control_mean=rng.normal(size=p),
+        belief="joint",
+        initial_mean=mean,
+        initial_covariance=P,
+    )
+    return Problem(controller, y + np.sqrt(R) * rng.normal(size=m), mean + rng.normal(size=n), f, g)
+
+
+def as_step_functions(A, B, W, S, Z, C, V, E):
+    n, p, m = len(A), len(B[0]), len(C)
 
     def f(x, u, x_next):
         for i in range(n):
@@ -198,87 +230,53 @@ def random_problem(seed):
                 inner = inner + V[i][j] * x[j]
             y[i] = total + E[i][0] * sin(inner) + 0.2 * E[i][1] * square(inner)
 
-    R, P = rng.uniform(0.05, 1.0, m), rng.uniform(0.2, 1.0, n)
-    model = NonlinearModel(f, g, n, p, m, 0.05 * np.eye(n) + 0.02, R, 0.1)
-    mean, y = rng.normal(size=n), np.empty(m)
-    g(mean + np.sqrt(P) * rng.normal(size=n), y)
-    controller = NonlinearBayesianController(
-        model,
-        goal_covariance=float(rng.choice([0.1, 1.0])),
-        control_covariance=float(rng.choice([0.3, 3.0, 100.0])),
-        control_mean=rng.normal(size=p),
-        belief="joint",
-        initial_mean=mean,
-        initial_covariance=P,
-    )
-    return Problem(controller, y + np.sqrt(R) * rng.normal(size=m), mean + rng.normal(size=n))
+    return f, g
 
 
-def by_scipy(problem, start):
-    """Return the best of what several of scipy's optimisers find from one start."""
-    found = [minimize(problem.cost, start, method=method, tol=1e-12).x for method in ("BFGS", "Nelder-Mead")]
-    found += [
-        least_squares(problem.residuals, start, method=m, xtol=1e-15, ftol=1e-15, gtol=1e-15).x for m in ("lm", "trf")
-    ]
-    return found
-
-
-def width(problem):
-    """Return the spread of each unknown at the prior: the yardstick of distance."""
-    c, n = problem.controller, problem.sizes[0]
-    return np.sqrt(
-        np.concatenate([np.diag(c.initial_covariance), np.diag(c.control_covariance), np.diag(c.goal_covariance)[:n]])
-    )
-
-
-def prior_start(problem):
-    c, p = problem.controller, problem.sizes[1]
-    return problem.completed(np.asarray(c.initial_mean), np.asarray(c.control_mean) + np.zeros(p))
+def by_least_squares(problem, start, method="lm"):
+    return least_squares(problem.residuals, start, method=method, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_no_optimiser_of_scipys_finds_less_in_the_same_basin(seed):
-    """Started from our solution and from the prior mean; two minima are of one basin where they are 1e-3 spreads apart."""
+    """Several optimisers, started from our solution and from the prior mean."""
     problem = random_problem(1000 + seed)
     ours = problem.solution()
     cost = problem.cost(ours)
-    gradient = approx_fprime(ours, problem.cost, 1e-7) * width(problem)
+    gradient = approx_fprime(ours, problem.cost, 1e-7) * problem.width
     assert np.abs(gradient).max() < 1e-4 * max(cost, 1.0)  # as exact as differences are
-    for start in (ours, prior_start(problem)):
-        for theirs in by_scipy(problem, start):
-            near = np.abs((theirs - ours) / width(problem)).max() < 1e-3
-            if start is ours or near:
+    for start in (ours, problem.prior_mean):
+        found = [minimize(problem.cost, start, method=method, tol=1e-12).x for method in ("BFGS", "Nelder-Mead")]
+        for theirs in found + [by_least_squares(problem, start, method) for method in ("lm", "trf")]:
+            if start is ours or problem.same_basin(theirs, ours):
                 assert problem.cost(theirs) >= cost * (1.0 - 1e-8)
 
 
-def distant_minima(problems):
-    """Return in which share of random problems there is a minimum in another basin, lower by more than 1e-8 relative.
+@pytest.mark.parametrize("problems", [300, pytest.param(2000, marks=pytest.mark.slow)])
+def test_every_search_converges_and_how_often_a_better_minimum_lies_elsewhere(problems):
+    """Two things that are not the same.
 
-    Sought by Levenberg and Marquardt's method in SciPy from the prior mean and from twenty draws of the prior.
+    Each search must have converged: within its basin SciPy (Levenberg and Marquardt's method from our solution, and from the
+    prior mean) finds no cost lower by more than 1e-8. That a lower minimum lies in another basin, where a search from the prior
+    mean or from twenty draws of the prior finds it, is no failure of the search: its share is reported, of every tenth problem.
+    The seeds are not those that the default of `iterations` was chosen on.
     """
-    better = 0
-    for seed in range(problems):
+    unconverged, elsewhere = [], []
+    for seed in range(100_000, 100_000 + problems):
         problem, rng = random_problem(seed), np.random.default_rng(seed)
-        n, p, _ = problem.sizes
         ours = problem.solution()
-        starts = [prior_start(problem)]
-        starts += [
-            problem.completed(s[:n], s[n : n + p])
-            for s in starts[0] + 2 * width(problem) * rng.normal(size=(20, len(ours)))
-        ]
-        costs = []
-        for start in starts:
-            found = least_squares(problem.residuals, start, method="lm", xtol=1e-14, ftol=1e-14)
-            costs.append(found.cost)
-        better += min(costs) < problem.cost(ours) * (1.0 - 1e-8)
-    return better / problems
-
-
-@pytest.mark.parametrize("problems", [30, pytest.param(200, marks=pytest.mark.slow)])
-def test_the_share_of_random_problems_with_a_better_minimum_elsewhere(problems):
-    """Of the 200 it is 0.11, as docs/controllers.md says."""
-    share = distant_minima(problems)
-    print(f"Of {problems} random problems {share:.3f} have a better minimum in another basin.")  # noqa: T201
+        bound = problem.cost(ours) * (1.0 - 1e-8)
+        nearby = by_least_squares(problem, ours)
+        starts = [problem.prior_mean, *(problem.drawn(rng) for _ in range(20 * (seed % 10 == 0)))]
+        lower = [z for z in (by_least_squares(problem, start) for start in starts) if problem.cost(z) < bound]
+        if problem.cost(nearby) < bound or any(problem.same_basin(z, nearby) for z in lower):
+            unconverged.append(seed)
+        elif seed % 10 == 0:
+            elsewhere.append(len(lower) > 0)
+    share = np.mean(elsewhere)
+    print(f"Of {problems} searches {len(unconverged)} have not converged.")  # noqa: T201
+    print(f"Of {len(elsewhere)} problems {share:.3f} have a better minimum in another basin.")  # noqa: T201
+    assert not unconverged
     assert 0.0 < share < 0.2
 
 
