@@ -384,7 +384,12 @@ def shown(x, theta, omega):
     omega[0] = x[1]
 
 
-def track(make_block, precision, faults, engine="compiled", steps=600):
+def brain(precision, **settings):
+    """One form of the controller for all that is compiled here: what differs in numbers alone is compiled once."""
+    return NonlinearBayesianController(PENDULUM, precision=precision, iterations=10, **SETTINGS, **settings)
+
+
+def track(make_block, precision, faults):
     plant = make_block(
         inputs=[cosim.Port("u", feedthrough=False), cosim.Port("noise", draw="normal", feedthrough=False)],
         outputs=[cosim.Port("theta"), cosim.Port("omega")],
@@ -394,10 +399,9 @@ def track(make_block, precision, faults, engine="compiled", steps=600):
         state={"x": np.zeros(2), "following": np.zeros(2)},
         parameters={"standard": 0.003},
     )
-    controller = NonlinearBayesianController(PENDULUM, precision=precision, u_min=-60.0, u_max=60.0, **SETTINGS)
     return cosim.closed_loop(
         plant=plant,
-        controller=controller,
+        controller=brain(precision, u_min=-60.0, u_max=60.0),
         control="u",
         measured=["theta", "omega"],
         sensors=cosim.Sensors(count=3, std=STD, signals=2, function=look),
@@ -407,23 +411,23 @@ def track(make_block, precision, faults, engine="compiled", steps=600):
 
 
 def test_tracking_goes_on_while_a_sensor_fails(make_block, same_bits):
-    fault = [cosim.Injection(sensor=0, start=4.0, stop=8.0, magnitude=0.6)]
-    errors = {}
+    fault = [cosim.Injection(sensor=0, start=1.5, stop=4.0, magnitude=0.6)]
+    learned = GammaPrecision(forgetting=0.9)
+    errors, results = {}, {}
     for name, precision, faults in (
-        ("healthy", GammaPrecision(forgetting=0.9), []),
-        ("learned", GammaPrecision(forgetting=0.9), fault),
+        ("healthy", learned, []),
+        ("learned", learned, fault),
         ("fixed", FixedPrecision(), fault),
     ):
-        result = track(make_block, precision, faults).simulate(10.0, seed=3)
-        during = (result.time > 4.5) & (result.time < 8.0)
+        results[name] = result = track(make_block, precision, faults).simulate(4.0, seed=3, engine="interpreted")
+        during = result.time > 2.0
         errors[name] = float(np.sqrt(np.mean((result["plant.theta"] - result["controller.x_hat"][:, 0])[during] ** 2)))
     assert errors["learned"] < 1.5 * errors["healthy"]
-    assert errors["fixed"] > 15.0 * errors["healthy"]
+    assert errors["fixed"] > 10.0 * errors["healthy"]
     # Both engines compute the same bits, fault and all.
-    diagram = track(make_block, GammaPrecision(forgetting=0.9), [replace(fault[0], start=0.5)])
-    compiled, plain = (diagram.simulate(1.2, seed=3, engine=engine) for engine in ("compiled", "interpreted"))
+    compiled = track(make_block, learned, fault).simulate(4.0, seed=3)
     for name in compiled:
-        same_bits(compiled[name], plain[name], name)
+        same_bits(compiled[name], results["learned"][name], name)
 
 
 def wild(x, u, x_next):
@@ -449,7 +453,8 @@ def absurd(rng, steps, sensors, around):
 @pytest.mark.parametrize("precision", [FixedPrecision(), GammaPrecision(), WishartPrecision()], ids=repr)
 def test_absurd_samples_are_survived(belief, precision):
     model = NonlinearModel(wild, roots, 1, 1, 2, 1e-3, 0.01, 0.1)
-    step = NonlinearBayesianController(model, precision=precision, belief=belief).online(compiled=False)
+    controller = NonlinearBayesianController(model, precision=precision, belief=belief, iterations=10)
+    step = controller.online(compiled=False)
     y = absurd(np.random.default_rng(4), 200, 2, np.array([np.sqrt(2.0), 0.0]))
     y[-20:] = [np.sqrt(2.0), 0.0]
     for row in y:
@@ -497,10 +502,9 @@ def test_a_long_run_of_absurd_samples_leaves_covariances_positive_definite(make_
     diagram = cosim.Diagram(STEP)
     node = diagram.add(source)
     goal = diagram.add(cosim.Constant(0.0), "goal")
-    controller = NonlinearBayesianController(PENDULUM, precision=GammaPrecision(), iterations=5, **SETTINGS)
-    brain = diagram.add(controller, "controller")
-    diagram.connect(node["y"], brain["y"])
-    diagram.connect([goal["y"], goal["y"]], brain["goal"])
+    controller = diagram.add(brain(GammaPrecision()), "controller")
+    diagram.connect(node["y"], controller["y"])
+    diagram.connect([goal["y"], goal["y"]], controller["goal"])
     names = ["controller.x_hat", "controller.P", "controller.u"]
     result = diagram.simulate(100_000 * STEP, record=names, decimation=100)
     assert all(np.isfinite(result[name]).all() for name in names)
