@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from bayesftc.controllers._bayesian_block import BayesianBlock
-from bayesftc.controllers._checks import Matrix
+from bayesftc.controllers._checks import Matrix, frozen
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
 from bayesftc.controllers._joint import (
     DISTANT,
@@ -28,6 +28,7 @@ from bayesftc.controllers._joint import (
 )
 from bayesftc.controllers._least_squares import is_finite, marginal
 from bayesftc.controllers._linalg import cholesky_semidefinite, congruence
+from bayesftc.controllers._linear_rows import linear_rows
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.nonlinear_model import NonlinearModel
 from bayesftc.controllers.precision import NAN, Learner
@@ -245,6 +246,11 @@ class NonlinearBayesianController(BayesianBlock):
         return self.precision.learner(
             self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
         )
+
+    @property
+    def measurement_matrix(self) -> Floats:
+        """What each sensor reads of ``x_hat`` (m x n), a row of NaN where that is no linear function."""
+        return frozen(linear_rows(self.model.g, self.model.sensors, self.model.states))
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

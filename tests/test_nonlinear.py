@@ -511,6 +511,16 @@ def test_a_long_run_of_absurd_samples_leaves_covariances_positive_definite(make_
     assert (np.linalg.eigvalsh(result["controller.P"]) > 0).all()
 
 
+def test_it_says_what_each_sensor_reads_of_the_state():
+    """By it `bayesftc run` finds the tracking error and the belief's; the camera is no linear function."""
+    np.testing.assert_array_equal(
+        NonlinearBayesianController(PENDULUM).measurement_matrix, [[1.0, 0.0], [1.0, 0.0], [np.nan, np.nan]]
+    )
+    model, options = linear_problem(np.random.default_rng(2))
+    read = NonlinearBayesianController(model, **options).measurement_matrix
+    np.testing.assert_allclose(read, model.matrix("C"), rtol=1e-15)
+
+
 def test_models_and_controllers_pickle():
     controller = NonlinearBayesianController(PENDULUM, **SETTINGS)
     copy = pickle.loads(pickle.dumps(controller))
