@@ -87,7 +87,7 @@ def heat_map(
         if np.isfinite(value):
             red, green, blue, _ = image.cmap(image.norm(value))
             dark = 0.3 * red + 0.59 * green + 0.11 * blue < 0.5
-            axis.text(
-                j, i, form.format(value), ha="center", va="center", fontsize=8.5, color="white" if dark else "black"
-            )
+            colour = "white" if dark else "black"
+            text = axis.text(j, i, form.format(value), ha="center", va="center", fontsize=8.5, color=colour)
+            text.set_in_layout(False)  # it stays in its cell; asking each for its size takes as long as drawing it
     return image

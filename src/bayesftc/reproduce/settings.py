@@ -228,7 +228,11 @@ class Detection(Repeated):
     )
     # Beta's forgetting and prior: all combinations, judged by the mean AUC on the training parts alone.
     forgettings: tuple[float, ...] = chosen((0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9), "a memory of 1.4 to 10 samples")
-    prior_shapes: tuple[float, ...] = chosen((0.05, 0.1, 0.2, 0.5, 1.0, 2.0), "a prior that counts as 0.1 to 4 samples")
+    prior_shapes: tuple[float, ...] = chosen(
+        (0.05, 0.1, 0.2, 0.5, 1.0, 2.0),
+        "a prior that counts as 0.1 to 4 samples. Below, all is flat: the mean training AUC, .8958 with .05 at seed 0, is .8959 "
+        "with .02 and .8960 with .01 and .001, while its interval over the streams is ten times as wide",
+    )
     plain_forgetting: float = chosen(
         Tracking.forgetting, "the further residual 'beta (PL of tracking)' has the tracking experiment's memory"
     )
