@@ -1,12 +1,13 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
+from ._rate import Calibration as Calibration
 from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .explicit import ExplicitDetection as ExplicitDetection
-from .gamma import Calibration as Calibration, GammaPrecision as GammaPrecision
+from .gamma import GammaPrecision as GammaPrecision
 from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative
 from .modality import Modality as Modality
 from .model import LinearModel as LinearModel

@@ -1,9 +1,10 @@
-"""Checks of matrices, with sentences that name the culprit."""
+"""Checks of settings and matrices, with sentences that name the culprit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from numbers import Real
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -124,6 +125,95 @@ def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Fl
     if np.isnan(array).any() or (finite and not np.isfinite(array).all()):
         raise ModelError(f"{name} is {array.tolist()}; its entries must be {'finite ' if finite else ''}numbers.")
     return frozen(array)
+
+
+def as_number(
+    title: str,
+    value: object,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+    whole: bool = False,
+    finite: bool = True,
+    also: str = "",
+) -> float:
+    """Return `value` as a float between the bounds; NaN, text and truth values are no numbers.
+
+    Parameters
+    ----------
+    title : str
+        What it is, for the error: ``"SERFDI has threshold"``.
+    value : object
+        What the user gave.
+    above, least, below, most : float, optional
+        Bounds; `above` and `below` are no values of their own.
+    whole, finite : bool
+        Whether it must be a whole number, or finite.
+    also : str
+        What else the caller allows, for the end of the sentence.
+
+    Raises
+    ------
+    ModelError
+        If it is no such number.
+    """
+    bounds = [
+        (above, "above", lambda v: v > above),
+        (least, "at least", lambda v: v >= least),
+        (below, "below", lambda v: v < below),
+        (most, "at most", lambda v: v <= most),
+    ]
+    given = [(f"{word} {bound:g}", holds) for bound, word, holds in bounds if bound is not None]
+    if isinstance(value, Real) and not isinstance(value, bool):
+        number = float(value)
+        proper = not np.isnan(number) and (np.isfinite(number) or not (finite or whole))
+        if proper and (not whole or number.is_integer()) and all(holds(number) for _, holds in given):
+            return number
+    kind = "whole number" if whole else "finite number" if finite else "number"
+    wanted = " and ".join(text for text, _ in given)
+    raise ModelError(f"{title}={value!r}; it must be a {kind} {wanted}".rstrip() + f"{also}.")
+
+
+def check_number(owner: object, name: str, *, optional: bool = False, **bounds: Any) -> None:
+    """Check a setting of `owner` by `as_number`; None is allowed if it is `optional`.
+
+    Raises
+    ------
+    ModelError
+        If it is no such number.
+    """
+    value = getattr(owner, name)
+    if not (optional and value is None):
+        as_number(f"{type(owner).__name__} has {name}", value, also=", or None" if optional else "", **bounds)
+
+
+def check_choice(owner: object, name: str, *choices: str) -> None:
+    """Check that a setting of `owner` is one of the choices.
+
+    Raises
+    ------
+    ModelError
+        If it is not.
+    """
+    value = getattr(owner, name)
+    if not isinstance(value, str) or value not in choices:
+        wanted = " or ".join(map(repr, choices))
+        raise ModelError(f"{type(owner).__name__} has {name}={value!r}; it must be {wanted}.")
+
+
+def check_flags(owner: object, *names: str) -> None:
+    """Check that settings of `owner` are True or False.
+
+    Raises
+    ------
+    ModelError
+        If one is not.
+    """
+    for name in names:
+        if not isinstance(getattr(owner, name), bool | np.bool_):
+            raise ModelError(f"{type(owner).__name__} has {name}={getattr(owner, name)!r}; it must be True or False.")
 
 
 def refuse_missing(name: str, rows: Floats) -> None:

@@ -13,6 +13,9 @@ from bayesftc.cosim.ops import maximum, minimum, sqrt
 WORK = 14
 """How many m x m matrices `errors_after` needs; it leaves its results in the first of them."""
 
+MOST_ITERATIONS = 20
+"""So many in a sample, as a step function is compiled for their number."""
+
 
 def prepare(e, spread, nominal, work):
     """Take in the innovations and their spread. Innovations beyond 1e12 standard deviations are held there."""

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers._checks import check_number
 from bayesftc.controllers.precision import Learner, PrecisionLearner
-from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, both, maximum, negate, select, sqrt
 from bayesftc.cosim.timebase import whole_steps
 
@@ -66,10 +66,8 @@ class EFFDI(PrecisionLearner):
     duration: float = 0.4
 
     def __post_init__(self) -> None:
-        if not (self.threshold > 0 and self.duration > 0 and np.isfinite(self.duration)):
-            raise ModelError(
-                f"EFFDI has threshold={self.threshold!r}, duration={self.duration!r}; both must be positive."
-            )
+        check_number(self, "threshold", above=0, finite=False)
+        check_number(self, "duration", above=0)
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
@@ -105,8 +103,7 @@ class SERFDI(PrecisionLearner):
     threshold: float = 3.0
 
     def __post_init__(self) -> None:
-        if not self.threshold > 0:
-            raise ModelError(f"SERFDI has threshold={self.threshold!r}; it must be positive.")
+        check_number(self, "threshold", above=0, finite=False)
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""

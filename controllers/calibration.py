@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from bayesftc.controllers._rate import Calibration, RateLearner
 from bayesftc.controllers.bayesian import BayesianController, UnstableLoopWarning
-from bayesftc.controllers.gamma import Calibration, GammaPrecision
+from bayesftc.controllers.gamma import GammaPrecision
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
+    from bayesftc.controllers.precision import PrecisionLearner
     from bayesftc.cosim.block import Block, Floats
     from bayesftc.cosim.diagram import Diagram
 
@@ -39,7 +41,7 @@ class CalibrationReport:
     Attributes
     ----------
     calibration : Calibration
-        What `GammaPrecision` takes.
+        What the learner takes.
     auc : float
         Area under the receiver operating characteristic: 0.5 is guessing.
     brier, brier_of_constant : float
@@ -66,7 +68,7 @@ def calibrate(
     hazards: tuple[float, float] = Hazards(),
     magnitudes: Mapping[str, float] | None = None,
     *,
-    precision: GammaPrecision | None = None,
+    precision: PrecisionLearner | None = None,
     reference: Block | float | Sequence[Block | float] | None = None,
     feature: Literal["log", "linear"] = "log",
     steps: int = 80_000,
@@ -88,8 +90,9 @@ def calibrate(
     magnitudes : mapping
         ``injection`` (constant offset) and ``drift`` (offset per second), in the sensors' units; by default 3 and 5 standard
         deviations of the first sensor. Freezes need none.
-    precision : GammaPrecision, optional
-        The learner to calibrate; its own calibration is ignored.
+    precision : PrecisionLearner, optional
+        The learner to calibrate, one that has a rate: `GammaPrecision` (the default), `WishartPrecision` or `VariationalBayesKF`.
+        Its own calibration is ignored.
     reference : source, number, or one for each goal, optional
         By default a sine of five sensor standard deviations over 400 steps. On a constant reference a frozen sensor looks
         healthier than a healthy one.
@@ -105,13 +108,19 @@ def calibrate(
     Returns
     -------
     CalibrationReport
-        ``report.calibration`` goes into ``GammaPrecision(calibration=...)``.
+        ``report.calibration`` goes into the learner's ``calibration=``.
     """
     from sklearn.linear_model import LogisticRegression
 
     from bayesftc.controllers.classifier import FaultClassifier
 
-    learner = replace(precision or GammaPrecision(), calibration=None)
+    chosen = GammaPrecision() if precision is None else precision
+    if not isinstance(chosen, RateLearner):
+        raise ModelError(
+            f"calibrate cannot calibrate {chosen!r}, which has no rate; give it a GammaPrecision, WishartPrecision or "
+            "VariationalBayesKF."
+        )
+    learner: RateLearner = replace(chosen, calibration=None)  # type: ignore[call-arg]
     if steps < 5_000:
         raise ModelError(f"calibrate got steps={steps}; it needs at least 5000 to see enough faults.")
     x, faulty = _features(model, hazards, magnitudes or {}, learner, reference, steps, seed, controller, feature)
@@ -146,7 +155,7 @@ def _features(
     model: LinearModel,
     hazards: tuple[float, float],
     magnitudes: Mapping[str, float],
-    learner: GammaPrecision,
+    learner: RateLearner,
     reference: Block | float | Sequence[Block | float] | None,
     steps: int,
     seed: int,
@@ -164,7 +173,7 @@ def _features(
     record = ["controller.beta", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
     result = loop.simulate(steps * model.step, seed=seed, record=record)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
-    ratio = result["controller.beta"][SKIPPED:] / (learner.prior_shape * np.diag(model.matrix("sensor_covariance")))
+    ratio = result["controller.beta"][SKIPPED:] / learner.prior_rates(model)
     return (np.log(ratio) if feature == "log" else ratio), faulty
 
 
@@ -172,7 +181,7 @@ def _loop(
     model: LinearModel,
     hazards: tuple[float, float],
     sizes: Mapping[str, float],
-    learner: GammaPrecision,
+    learner: RateLearner,
     reference: Block | float | Sequence[Block | float] | None,
     deviation: float,
     settings: Mapping[str, Any],

@@ -1,4 +1,4 @@
-"""Gamma distributions over the sensors' precisions (paper, section 3.2), and the map from their rate to a fault probability."""
+"""Gamma distributions over the sensors' precisions (paper, section 3.2)."""
 
 from __future__ import annotations
 
@@ -9,58 +9,19 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
+from bayesftc.controllers._checks import check_choice, check_flags, check_number
+from bayesftc.controllers._rate import Calibration, RateLearner, probability_map
+from bayesftc.controllers.precision import ERROR_CAP, NAN, RATE_FLOOR, Learner
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import either, exp, log, maximum, minimum, select
+from bayesftc.cosim.ops import either, maximum, minimum, select
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-
-RATE_FLOOR = 1e-12
-"""Least rate, in units of its prior: sensors that agree exactly for ever must not become infinitely precise."""
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """A logistic map from beta to a probability: ``1 / (1 + exp(-(slope * x + intercept)))`` (paper, section 4.2).
-
-    ``x`` is the rate relative to its prior: ``log(beta / b0)`` for ``feature="log"``, ``beta / b0`` for ``feature="linear"``.
-    Made by `bayesftc.controllers.calibrate`.
-    """
-
-    slope: float
-    intercept: float
-    feature: Literal["log", "linear"] = "log"
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.slope) and np.isfinite(self.intercept)) or self.feature not in {"log", "linear"}:
-            raise ModelError(f"{self!r} cannot be used: slope and intercept must be finite, feature 'log' or 'linear'.")
-
+    from bayesftc.cosim.block import Floats
 
 # Settings of the gamma learner.
 _FORGETTING, _SHAPE0, _TO_PRIOR, _BELIEF, _MODE, _SLOPE, _INTERCEPT = range(7)
-
-
-def _no_probability(ratio, slope, intercept):
-    """Without a calibration: NaN, which stands where the slope would."""
-    return slope
-
-
-def _logistic(x, slope, intercept):
-    return 1.0 / (1.0 + exp(-(slope * x + intercept)))
-
-
-def _logistic_of_log(ratio, slope, intercept):
-    return _logistic(log(ratio), slope, intercept)
-
-
-def probability_map(calibration: Calibration | None) -> tuple[Callable[..., float], float, float]:
-    """Return the function of ``(beta / b0, slope, intercept)`` that a learner calls, and its slope and intercept."""
-    if calibration is None:
-        return _no_probability, NAN, NAN
-    function = _logistic_of_log if calibration.feature == "log" else _logistic
-    return function, calibration.slope, calibration.intercept
 
 
 def _squared(i, e, spread, nominal, settings):
@@ -166,7 +127,7 @@ def _window_learner(to_probability: Callable[..., float]) -> Callable[..., None]
 
 
 @dataclass(frozen=True)
-class GammaPrecision(PrecisionLearner):
+class GammaPrecision(RateLearner):
     """A gamma distribution over each sensor's precision, learned from its innovations (paper, section 3.2).
 
     Each sample adds 1/2 to the shape and half the squared innovation to the rate; the new expected precision shape / rate
@@ -204,25 +165,14 @@ class GammaPrecision(PrecisionLearner):
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        if self.forgetting is not None and not 0.0 < self.forgetting <= 1.0:
-            raise ModelError(
-                f"GammaPrecision has forgetting={self.forgetting!r}; it must lie in (0, 1], or be None for none."
-            )
-        if self.window is not None and (int(self.window) != self.window or not 1 <= self.window <= 64):
-            raise ModelError(
-                f"GammaPrecision has window={self.window!r}; it must be a whole number of steps from 1 to 64."
-            )
-        least = 1.0 if self.estimate == "mode" else 0.0
-        if not (np.isfinite(self.prior_shape) and self.prior_shape > least):
-            raise ModelError(f"GammaPrecision has prior_shape={self.prior_shape!r}; it must be above {least:g}.")
-        if self.estimate not in {"mean", "mode"} or self.forget_to not in {"prior", "zero"}:
-            raise ModelError("GammaPrecision takes estimate 'mean' or 'mode' and forget_to 'prior' or 'zero'.")
-        if (
-            self.forget_to == "zero"
-            and self.estimate == "mode"
-            and self.forgetting is not None
-            and self.forgetting <= 0.5
-        ):
+        check_choice(self, "forget_to", "prior", "zero")
+        check_choice(self, "estimate", "mean", "mode")
+        check_number(self, "forgetting", above=0, most=1, optional=True)
+        check_number(self, "window", least=1, most=64, whole=True, optional=True)
+        check_number(self, "prior_shape", above=1 if self.estimate == "mode" else 0)
+        check_flags(self, "belief_uncertainty")
+        self.check_calibration()
+        if self.forget_to == "zero" and self.estimate == "mode" and (self.forgetting or 1.0) <= 0.5:
             raise ModelError(
                 "With forget_to='zero' the mode needs a forgetting factor above 0.5: else the shape falls below 1."
             )
@@ -236,17 +186,13 @@ class GammaPrecision(PrecisionLearner):
         settings[_BELIEF] = self.belief_uncertainty
         settings[_MODE] = self.estimate == "mode"
         to_probability, settings[_SLOPE], settings[_INTERCEPT] = probability_map(self.calibration)
-        rates = self.prior_shape * np.diag(model.matrix("sensor_covariance"))
-        prior = np.concatenate([np.full(model.sensors, self.prior_shape), rates])
+        prior = np.concatenate([np.full(model.sensors, self.prior_shape), self.prior_rates(model)])
         ports = moment_ports(model.sensors)
         if self.window is not None:
             memory = np.concatenate([np.zeros(2 * model.sensors * int(self.window)), prior])
             return Learner(_window_learner(to_probability), memory, settings, ports=ports, report=report_gamma)
         return Learner(_forgetting_learner(to_probability), prior, settings, ports=ports, report=report_gamma)
 
-    @property
-    def why_no_probability(self) -> str | None:
-        """See `PrecisionLearner.why_no_probability`."""
-        if self.calibration is not None:
-            return None
-        return "GammaPrecision has no calibration: fit one with controllers.calibrate(...) and pass it as calibration=."
+    def prior_rates(self, model: LinearModel) -> Floats:
+        """See `RateLearner.prior_rates`."""
+        return np.asarray(self.prior_shape * np.diag(model.matrix("sensor_covariance")))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from bayesftc.controllers._checks import check_choice, check_number
 from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import exp, log, maximum, minimum, select
@@ -101,16 +102,14 @@ class PointMassPrecision(PrecisionLearner):
     parameterization: Literal["exponential", "direct"] = "exponential"
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.rate) and self.rate > 0):
-            raise ModelError(f"PointMassPrecision has rate={self.rate!r}; it must be a positive number.")
-        if not (self.variance_bound > 0 and 0 < self.lower_bound <= 1 / self.variance_bound < np.inf):
+        check_number(self, "rate", above=0)
+        check_number(self, "variance_bound", above=0)
+        check_number(self, "lower_bound", above=0)
+        check_choice(self, "parameterization", "exponential", "direct")
+        if self.lower_bound > 1 / self.variance_bound:
             raise ModelError(
-                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; both must "
-                "be positive, and the precision's lower bound at most 1 / variance_bound, its upper bound."
-            )
-        if self.parameterization not in {"exponential", "direct"}:
-            raise ModelError(
-                f"PointMassPrecision has parameterization={self.parameterization!r}; it must be 'exponential' or 'direct'."
+                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; the "
+                "precision's lower bound must be at most 1 / variance_bound, its upper bound."
             )
 
     def learner(self, model: LinearModel) -> Learner:

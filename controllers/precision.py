@@ -34,6 +34,9 @@ NAN = float("nan")
 ERROR_CAP = 1e12
 """Largest squared error, in units of the sensor's nominal variance, that is learned from."""
 
+RATE_FLOOR = 1e-12
+"""Least rate, in units of its prior: sensors that agree exactly for ever must not become infinitely precise."""
+
 
 def report_nothing(memory, settings, nominal, first, outputs):
     """Write no further outputs."""

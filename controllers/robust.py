@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers import _posterior
+from bayesftc.controllers._checks import check_flags, check_number
 from bayesftc.controllers._linalg import cholesky, solve_columns
 from bayesftc.controllers._posterior import errors_after, prepare
 from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
-from bayesftc.controllers.variational import check_iterations
-from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import maximum, minimum, select, sqrt
 from bayesftc.cosim.ports import Port
 
@@ -138,11 +137,9 @@ class StudentTUpdate(PrecisionLearner):
     joint: bool = False
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.degrees_of_freedom) and self.degrees_of_freedom > 0):
-            raise ModelError(
-                f"StudentTUpdate has degrees_of_freedom={self.degrees_of_freedom!r}; it must be a positive number."
-            )
-        check_iterations(type(self).__name__, self.iterations)
+        check_number(self, "degrees_of_freedom", above=0)
+        check_number(self, "iterations", least=1, most=_posterior.MOST_ITERATIONS, whole=True)
+        check_flags(self, "joint")
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
@@ -176,8 +173,8 @@ class WeightedLikelihood(PrecisionLearner):
     joint: bool = False
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.c) and self.c > 0):
-            raise ModelError(f"WeightedLikelihood has c={self.c!r}; it must be a positive number.")
+        check_number(self, "c", above=0)
+        check_flags(self, "joint")
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.controllers._checks import as_covariance, as_vector, refuse_missing
+from bayesftc.controllers._checks import (
+    as_covariance,
+    as_numbers,
+    as_vector,
+    check_choice,
+    check_number,
+    refuse_missing,
+)
 from bayesftc.controllers._healthy import why_unhealthy
 from bayesftc.cosim.errors import ModelError
 
@@ -43,11 +50,9 @@ class FittedThreshold:
     bound: float
 
     def __post_init__(self) -> None:
-        mean = np.atleast_1d(np.asarray(self.mean, dtype=np.float64))
-        mean = as_vector("The threshold's mean", mean, mean.size)
+        mean = as_vector("The threshold's mean", self.mean, np.size(self.mean))
         covariance = as_covariance("The threshold's covariance", self.covariance, mean.size)
-        if not self.bound > 0:
-            raise ModelError(f"The threshold has bound={self.bound!r}; it must be positive.")
+        check_number(self, "bound", above=0, finite=False)
         object.__setattr__(self, "mean", tuple(mean.tolist()))
         object.__setattr__(self, "covariance", tuple(map(tuple, covariance.tolist())))
         object.__setattr__(self, "bound", float(self.bound))
@@ -108,12 +113,8 @@ class ChebyshevThreshold:
     form: Literal["robust", "printed"] = "robust"
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.alpha < 1.0:
-            raise ModelError(
-                f"ChebyshevThreshold has alpha={self.alpha!r}; it is a probability and must lie between 0 and 1."
-            )
-        if self.form not in {"robust", "printed"}:
-            raise ModelError(f"ChebyshevThreshold has form={self.form!r}; it must be 'robust' or 'printed'.")
+        check_number(self, "alpha", above=0, below=1)
+        check_choice(self, "form", "robust", "printed")
 
     def fit(self, residuals: ArrayLike, faulty: ArrayLike | None = None) -> FittedThreshold:
         """Return the threshold learned from healthy residuals.
@@ -146,7 +147,7 @@ class ChebyshevThreshold:
         fewer than five periods of a slow swing, that stands out of the noise: leave it out, or, where the threshold is to allow
         for it, record it several times.
         """
-        samples = np.asarray(residuals, dtype=np.float64)
+        samples = as_numbers("The residuals", residuals, "they must be numbers, a row for each sample")
         samples = samples[:, None] if samples.ndim == 1 else samples
         if samples.ndim != 2 or not samples.shape[1]:
             raise ModelError(f"The residuals have the shape {samples.shape}; give a row for each sample.")

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from bayesftc.controllers import _posterior
-from bayesftc.controllers._posterior import errors_after, prepare
-from bayesftc.controllers.gamma import RATE_FLOOR, Calibration, moment_ports, probability_map, report_gamma
-from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
-from bayesftc.controllers.wishart import (
+from bayesftc.controllers._checks import check_choice, check_number
+from bayesftc.controllers._matrix_precision import (
     FORGETTING,
     INTERCEPT,
     LESS,
@@ -30,13 +28,15 @@ from bayesftc.controllers.wishart import (
     report_wishart,
     wishart_ports,
 )
-from bayesftc.cosim.errors import ModelError
+from bayesftc.controllers._posterior import errors_after, prepare
+from bayesftc.controllers._rate import Calibration, RateLearner, probability_map
+from bayesftc.controllers.gamma import moment_ports, report_gamma
+from bayesftc.controllers.precision import ERROR_CAP, NAN, RATE_FLOOR, Learner
 from bayesftc.cosim.ops import maximum, minimum, select
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-
-MOST_ITERATIONS = 20
+    from bayesftc.cosim.block import Floats
 
 # Settings of the form with one gamma distribution for each sensor.
 _FORGETTING, _SHAPE0, _SLOPE, _INTERCEPT = range(4)
@@ -108,7 +108,7 @@ def _full_learner(to_probability: Callable[..., float], iterations: int) -> Call
 
 
 @dataclass(frozen=True)
-class VariationalBayesKF(PrecisionLearner):
+class VariationalBayesKF(RateLearner):
     """The variational-Bayes adaptive Kalman filter (Sarkka and Nummenmaa, IEEE TAC 54, 2009).
 
     It differs from `GammaPrecision` in three ways: a sample's rate grows by the squared *residual* after the update and the
@@ -143,21 +143,18 @@ class VariationalBayesKF(PrecisionLearner):
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.forgetting <= 1.0:
-            raise ModelError(f"VariationalBayesKF has forgetting={self.forgetting!r}; it must lie in (0, 1].")
-        check_iterations(type(self).__name__, self.iterations)
-        if self.covariance not in {"diagonal", "full"}:
-            raise ModelError(f"VariationalBayesKF has covariance={self.covariance!r}; it must be 'diagonal' or 'full'.")
-        least = 1.0 if self.covariance == "full" else 0.0
-        if not (np.isfinite(self.prior_shape) and self.prior_shape > least):
-            raise ModelError(f"VariationalBayesKF has prior_shape={self.prior_shape!r}; it must be above {least:g}.")
+        check_choice(self, "covariance", "diagonal", "full")
+        check_number(self, "forgetting", above=0, most=1)
+        check_number(self, "iterations", least=1, most=_posterior.MOST_ITERATIONS, whole=True)
+        check_number(self, "prior_shape", above=1 if self.covariance == "full" else 0)
+        self.check_calibration()
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
         m, nominal = model.sensors, model.matrix("sensor_covariance")
         to_probability, slope, intercept = probability_map(self.calibration)
         if self.covariance == "diagonal":
-            rates = self.prior_shape * np.diag(nominal)
+            rates = self.prior_rates(model)
             memory = np.concatenate([rates, np.full(m, self.prior_shape), rates])
             settings = np.array([self.forgetting, self.prior_shape, slope, intercept])
             step = _diagonal_learner(to_probability, int(self.iterations))
@@ -171,17 +168,7 @@ class VariationalBayesKF(PrecisionLearner):
         memory = prior_memory(weight + m + 1, weight * nominal)
         return Learner(step, memory, settings, _posterior.WORK, wishart_ports(m), report_wishart)
 
-    @property
-    def why_no_probability(self) -> str | None:
-        """See `PrecisionLearner.why_no_probability`."""
-        if self.calibration is not None:
-            return None
-        return "VariationalBayesKF has no calibration: fit a logistic map of beta and pass it as calibration=Calibration(...)."
-
-
-def check_iterations(learner: str, iterations: int) -> None:
-    """Refuse a number of iterations that a compiled step function cannot be made for."""
-    if int(iterations) != iterations or not 1 <= iterations <= MOST_ITERATIONS:
-        raise ModelError(
-            f"{learner} has iterations={iterations!r}; it must be a whole number from 1 to {MOST_ITERATIONS}."
-        )
+    def prior_rates(self, model: LinearModel) -> Floats:
+        """See `RateLearner.prior_rates`."""
+        shape = self.prior_shape if self.covariance == "diagonal" else 0.5 * (2.0 * self.prior_shape - 2.0)
+        return np.asarray(shape * np.diag(model.matrix("sensor_covariance")))

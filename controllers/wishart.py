@@ -9,164 +9,33 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bayesftc.controllers._linalg import cholesky, cholesky_semidefinite
-from bayesftc.controllers.gamma import RATE_FLOOR, Calibration, probability_map
-from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
-from bayesftc.cosim.block import Floats
-from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import either, maximum, minimum, select, sqrt
-from bayesftc.cosim.ports import Port
+from bayesftc.controllers._checks import as_number, check_choice, check_flags, check_number
+from bayesftc.controllers._matrix_precision import (
+    BELIEF,
+    FORGETTING,
+    INTERCEPT,
+    LESS,
+    PRIOR,
+    SLOPE,
+    TO_PRIOR,
+    TOWARDS,
+    any_of,
+    complete,
+    expected_covariance,
+    forget,
+    invert,
+    learn_errors,
+    prior_memory,
+    report_wishart,
+    wishart_ports,
+)
+from bayesftc.controllers._rate import Calibration, RateLearner, probability_map
+from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner
+from bayesftc.cosim.ops import maximum, minimum, select, sqrt
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-
-# Settings of the learner. The prior's V^-1 is PRIOR times the nominal covariance; n decays towards TOWARDS; the expected
-# covariance is V^-1 / (n - LESS).
-FORGETTING, PRIOR, TOWARDS, TO_PRIOR, LESS, BELIEF, SLOPE, INTERCEPT = range(8)
-
-LOOSENING = 1e-12
-"""By how much each step shrinks the correlations: far above a step's rounding, far below what could be noticed.
-
-It keeps ``V^-1 - LOOSENING * diag(V^-1)`` positive definite from step to step, so that rounding cannot make V^-1 indefinite, even
-where one sample was 1e6 standard deviations off or sensors agree exactly (Demmel, LAPACK working note 14, 1989).
-"""
-
-
-def any_of(present):
-    """Return 1 if any sensor delivered a sample, else 0."""
-    seen = present[0]
-    for i in range(1, present.shape[0]):
-        seen = maximum(seen, present[i])
-    return seen
-
-
-def forget(seen, memory, settings, nominal):
-    """Let degrees of freedom and inverse scale decay. ``memory``: n, V^-1, V.
-
-    Without any sample a distribution that decays towards zero waits instead.
-    """
-    m = nominal.shape[0]
-    rho = select(either(seen > 0.5, settings[TO_PRIOR] > 0.5), settings[FORGETTING], 1.0)
-    memory[0] = rho * memory[0] + (1.0 - rho) * settings[TOWARDS]
-    back = settings[TO_PRIOR] * (1.0 - rho) * settings[PRIOR]
-    for i in range(m):
-        for j in range(m):
-            at = 1 + i * m + j
-            memory[at] = rho * memory[at] + back * nominal[i, j]
-
-
-def complete(present, memory, settings, nominal, T, Z, S):
-    """Turn the squared errors `T` of the sensors that delivered a sample into those expected of all sensors.
-
-    The missing ones are regressed on the present ones by the covariance expected so far: with G = S_mp S_pp^-1 and T the
-    squared errors of the present ones, ``[T, T G'; G T, G T G' + S_mm - G S_pm]``. That is the variational Bayes update for
-    missing data. It leaves the expected covariance of the missing sensors given the present ones as it was, and gives the
-    present ones what they would have got alone. All is done by factors, so the result cannot become indefinite. `Z` and `S`
-    are scratch space.
-    """
-    m = nominal.shape[0]
-    for i in range(m):
-        for j in range(m):
-            T[i, j] = select(present[i] * present[j] > 0.5, T[i, j], 0.0)
-            S[i, j] = memory[1 + i * m + j] / (memory[0] - settings[LESS])
-    cholesky_semidefinite(T, Z)
-    for i in range(m):
-        most = ERROR_CAP * nominal[i, i]
-        shorten = sqrt(most / maximum(T[i, i], most))
-        for c in range(m):
-            Z[i, c] = shorten * Z[i, c]
-            T[i, c] = Z[i, c]  # what sensors eliminated so far leave unexplained
-    for k in range(m):
-        for i in range(m):
-            if i != k:
-                g = select(present[k] > 0.5, S[i, k] / S[k, k], 0.0)
-                for j in range(m):
-                    S[i, j] = S[i, j] - g * S[k, j]
-                    T[i, j] = T[i, j] - g * T[k, j]
-        for j in range(m):
-            S[k, j] = select(present[k] > 0.5, 0.0, S[k, j])
-            S[j, k] = select(present[k] > 0.5, 0.0, S[j, k])
-    for i in range(m):
-        for c in range(m):
-            Z[i, c] = select(present[i] > 0.5, Z[i, c], -T[i, c])
-    for i in range(m):
-        for j in range(i + 1):
-            total = S[i, j]
-            for c in range(m):
-                total = total + Z[i, c] * Z[j, c]
-            T[i, j] = total
-            T[j, i] = total
-
-
-def learn_errors(seen, T, memory, settings, nominal):
-    """Add the squared errors `T` to the inverse scale, and keep it positive definite: see `LOOSENING`."""
-    m = nominal.shape[0]
-    memory[0] = memory[0] + seen
-    for i in range(m):
-        for j in range(m):
-            at = 1 + i * m + j
-            total = memory[at] + select(seen > 0.5, T[i, j], 0.0)
-            least = RATE_FLOOR * settings[PRIOR] * nominal[i, i]
-            memory[at] = maximum(total, least) if i == j else (1.0 - LOOSENING) * total
-
-
-def expected_covariance(present, memory, settings, R, used, precision, beta):
-    """Write the sensor covariance in use, V^-1 / (n - LESS), and the rate of each sensor's own marginal, half its V^-1."""
-    m = R.shape[0]
-    for i in range(m):
-        for j in range(m):
-            R[i, j] = memory[1 + i * m + j] / (memory[0] - settings[LESS])
-        used[i] = present[i]
-        precision[i] = 1.0 / R[i, i]
-        beta[i] = 0.5 * memory[1 + i * m + i]
-
-
-def invert(memory, lower, inverse):
-    """Write the scale V behind its inverse, as the product of a triangular matrix with its transpose."""
-    m = lower.shape[0]
-    for i in range(m):
-        for j in range(m):
-            lower[i, j] = memory[1 + i * m + j]
-    cholesky(lower, lower)
-    for c in range(m):
-        for i in range(m):
-            total = 1.0 if i == c else 0.0
-            for k in range(c, i):
-                total = total - lower[i, k] * inverse[k, c]
-            inverse[i, c] = total / lower[i, i] if i >= c else 0.0 * lower[i, i]
-    for i in range(m):
-        for j in range(m):
-            total = inverse[m - 1, i] * inverse[m - 1, j]
-            for k in range(m - 1):
-                total = total + inverse[k, i] * inverse[k, j]
-            memory[1 + m * m + i * m + j] = total
-
-
-def report_wishart(memory, settings, nominal, first, outputs):
-    """Write degrees of freedom n, scale V, mean n V, mode (n - m - 1) V and variance n (V_ij^2 + V_ii V_jj)."""
-    m = nominal.shape[0]
-    n, size, last = memory[0], m * m, memory.shape[0]
-    outputs[first] = n
-    for i in range(m):
-        for j in range(m):
-            at = first + 1 + i * m + j
-            v = memory[last - size + i * m + j]
-            outputs[at] = v
-            outputs[at + size] = n * v
-            outputs[at + 2 * size] = maximum(n - m - 1.0, 0.0) * v
-            outputs[at + 3 * size] = n * (v * v + memory[last - size + i * m + i] * memory[last - size + j * m + j])
-
-
-def wishart_ports(sensors: int) -> tuple[Port, ...]:
-    """Return the ports for the moments of the distribution."""
-    names = ("scale", "mean", "mode", "variance")
-    return (Port("precision_degrees_of_freedom"), *(Port(f"precision_{name}", (sensors, sensors)) for name in names))
-
-
-def prior_memory(degrees: float, inverse_scale: Floats) -> Floats:
-    """Return the memory before the first sample."""
-    V = np.linalg.inv(inverse_scale)
-    return np.concatenate([[degrees], inverse_scale.ravel(), ((V + V.T) / 2).ravel()])
+    from bayesftc.cosim.block import Floats
 
 
 @cache
@@ -197,7 +66,7 @@ def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
 
 
 @dataclass(frozen=True)
-class WishartPrecision(PrecisionLearner):
+class WishartPrecision(RateLearner):
     """A Wishart distribution over the precision matrix of all sensors, learned from their innovations (paper, section 3.2).
 
     Each sample adds 1 to the degrees of freedom n and e e' to the inverse scale V^-1; the new expected precision n V weights
@@ -239,23 +108,16 @@ class WishartPrecision(PrecisionLearner):
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        if self.forgetting is not None and not 0.0 < self.forgetting <= 1.0:
-            raise ModelError(
-                f"WishartPrecision has forgetting={self.forgetting!r}; it must lie in (0, 1], or be None for none."
-            )
-        if self.estimate not in {"mean", "mode"} or self.forget_to not in {"prior", "zero"}:
-            raise ModelError("WishartPrecision takes estimate 'mean' or 'mode' and forget_to 'prior' or 'zero'.")
+        check_choice(self, "forget_to", "prior", "zero")
+        check_choice(self, "estimate", "mean", "mode")
+        check_number(self, "forgetting", above=0, most=1, optional=True)
+        check_number(self, "degrees_of_freedom", above=0, optional=True)
+        check_flags(self, "belief_uncertainty")
+        self.check_calibration()
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        m, nominal = model.sensors, model.matrix("sensor_covariance")
-        least = m + 1 if self.estimate == "mode" else m - 1
-        degrees = m + 3.0 if self.degrees_of_freedom is None else float(self.degrees_of_freedom)
-        if not (np.isfinite(degrees) and degrees > least):
-            raise ModelError(
-                f"WishartPrecision has degrees_of_freedom={self.degrees_of_freedom!r}; for {m} sensors and the "
-                f"{self.estimate} it must be above {least}."
-            )
+        m, degrees = model.sensors, self._degrees(model)
         to_probability, slope, intercept = probability_map(self.calibration)
         settings = np.zeros(8)
         settings[FORGETTING] = 1.0 if self.forgetting is None else self.forgetting
@@ -265,12 +127,16 @@ class WishartPrecision(PrecisionLearner):
         settings[LESS] = m + 1 if self.estimate == "mode" else 0
         settings[BELIEF] = self.belief_uncertainty
         settings[SLOPE], settings[INTERCEPT] = slope, intercept
-        memory = prior_memory(degrees, degrees * nominal)
+        memory = prior_memory(degrees, degrees * model.matrix("sensor_covariance"))
         return Learner(_learner(to_probability), memory, settings, 3, wishart_ports(m), report_wishart)
 
-    @property
-    def why_no_probability(self) -> str | None:
-        """See `PrecisionLearner.why_no_probability`."""
-        if self.calibration is not None:
-            return None
-        return "WishartPrecision has no calibration: fit a logistic map of beta and pass it as calibration=Calibration(...)."
+    def prior_rates(self, model: LinearModel) -> Floats:
+        """See `RateLearner.prior_rates`."""
+        return np.asarray(0.5 * self._degrees(model) * np.diag(model.matrix("sensor_covariance")))
+
+    def _degrees(self, model: LinearModel) -> float:
+        m = model.sensors
+        if self.degrees_of_freedom is None:
+            return m + 3.0
+        title = f"For {m} sensors and the {self.estimate} WishartPrecision has degrees_of_freedom"
+        return as_number(title, self.degrees_of_freedom, above=m + 1 if self.estimate == "mode" else m - 1)

@@ -72,6 +72,30 @@ def test_the_live_probability_is_calibrated_on_another_run(report):
         assert abs(p[chosen].mean() - faulty[chosen].mean()) < 0.12
 
 
+@pytest.mark.parametrize(
+    "precision",
+    [
+        controllers.GammaPrecision(),
+        controllers.WishartPrecision(),
+        controllers.VariationalBayesKF(),
+        controllers.VariationalBayesKF(covariance="full"),
+    ],
+    ids=repr,
+)
+def test_every_learner_with_a_rate_can_be_calibrated(precision):
+    """The prior's rate is the one that the live probability is relative to."""
+    from dataclasses import replace
+
+    calibration = controllers.Calibration(1.5, -2.0)
+    controller = controllers.BayesianController(MODEL, precision=replace(precision, calibration=calibration))
+    out = controller.online(compiled=False)(y=[0.5, -4.0], goal=[0.0])
+    expected = 1 / (1 + np.exp(-(1.5 * np.log(out.beta / precision.prior_rates(MODEL)) - 2.0)))
+    np.testing.assert_allclose(out.fault_probability, expected, rtol=1e-12)
+    why = precision.why_no_probability
+    assert type(precision).__name__ in why
+    assert "controllers.calibrate" in why
+
+
 def test_a_map_of_pure_noise_is_found_out():
     rng = np.random.default_rng(0)
     report = judge(controllers.Calibration(5.0, 0.0), rng.normal(size=20_000), rng.random(20_000) < 0.1)
@@ -88,6 +112,7 @@ def test_reproducible():
     ("change", "words"),
     [
         ({"steps": 100}, "needs at least 5000"),
+        ({"precision": controllers.SERFDI()}, "SERFDI.* has no rate"),
         ({"magnitudes": {"jump": 1.0}}, "does not know the magnitude 'jump'"),
     ],
 )

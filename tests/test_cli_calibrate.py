@@ -31,10 +31,10 @@ def test_json_and_options():
     assert 0.5 < report["auc"] <= 1.0
 
 
-def test_only_gamma_precision_is_calibrated(tmp_path):
+def test_only_learners_with_a_rate_are_calibrated(tmp_path):
     text = load_scenario("cruise_control").path.read_text(encoding="utf-8")
     other = tmp_path / "ser.toml"
     other.write_text(re.sub(r'kind = "GammaPrecision"[\s\S]*', 'kind = "SERFDI"\n', text), encoding="utf-8")
     done = RUNNER.invoke(app, ["calibrate", str(other)])
     assert done.exit_code == 9
-    assert "only GammaPrecision takes a calibration, not SERFDI" in done.output
+    assert "only learners with a rate take a calibration, not SERFDI" in done.output

@@ -109,11 +109,11 @@ def test_outputs_in_the_loop():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"rate": 0.0}, "must be a positive number"),
-        ({"rate": float("nan")}, "must be a positive number"),
-        ({"lower_bound": 0.0}, "must be positive"),
+        ({"rate": 0.0}, "number above 0"),
+        ({"rate": float("nan")}, "number above 0"),
+        ({"lower_bound": 0.0}, "number above 0"),
         ({"lower_bound": 2.0}, "at most 1 / variance_bound"),
-        ({"variance_bound": -1.0}, "must be positive"),
+        ({"variance_bound": -1.0}, "number above 0"),
         ({"parameterization": "linear"}, "'exponential' or 'direct'"),
     ],
 )

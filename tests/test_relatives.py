@@ -206,15 +206,15 @@ def test_without_a_belief_covariance_the_variances_are_the_gamma_learners():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: VariationalBayesKF(forgetting=0.0), r"must lie in \(0, 1\]"),
-        (lambda: VariationalBayesKF(iterations=0), "whole number from 1 to 20"),
-        (lambda: VariationalBayesKF(iterations=2.5), "whole number from 1 to 20"),
-        (lambda: VariationalBayesKF(prior_shape=0.0), "must be above 0"),
-        (lambda: VariationalBayesKF(prior_shape=1.0, covariance="full"), "must be above 1"),
+        (lambda: VariationalBayesKF(forgetting=0.0), "above 0 and at most 1"),
+        (lambda: VariationalBayesKF(iterations=0), "whole number at least 1 and at most 20"),
+        (lambda: VariationalBayesKF(iterations=2.5), "whole number at least 1 and at most 20"),
+        (lambda: VariationalBayesKF(prior_shape=0.0), "number above 0"),
+        (lambda: VariationalBayesKF(prior_shape=1.0, covariance="full"), "number above 1"),
         (lambda: VariationalBayesKF(covariance="banded"), "'diagonal' or 'full'"),
-        (lambda: StudentTUpdate(degrees_of_freedom=0.0), "must be a positive number"),
-        (lambda: StudentTUpdate(iterations=21), "whole number from 1 to 20"),
-        (lambda: WeightedLikelihood(c=-1.0), "must be a positive number"),
+        (lambda: StudentTUpdate(degrees_of_freedom=0.0), "number above 0"),
+        (lambda: StudentTUpdate(iterations=21), "whole number at least 1 and at most 20"),
+        (lambda: WeightedLikelihood(c=-1.0), "number above 0"),
     ],
 )
 def test_bad_settings(make, words):

@@ -102,6 +102,7 @@ def healthy(shape=(1000, 2)):
         (healthy(), np.arange(1000) == 7, "1 of the 1000 samples are labelled faulty"),
         (healthy(), [False], "one label for each of 1000 samples"),
         (healthy((10, 10, 10)), None, "a row for each sample"),
+        (["a", "b"], None, "they must be numbers, a row for each sample"),
     ],
 )
 def test_what_cannot_be_learned_from(samples, faulty, words):
@@ -190,11 +191,13 @@ def test_healthy_samples_of_many_kinds_are_accepted(alpha):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: ChebyshevThreshold(0.0), "between 0 and 1"),
-        (lambda: ChebyshevThreshold(1.0), "between 0 and 1"),
+        (lambda: ChebyshevThreshold(0.0), "above 0 and below 1"),
+        (lambda: ChebyshevThreshold(1.0), "above 0 and below 1"),
+        (lambda: ChebyshevThreshold("0.1"), "above 0 and below 1"),
         (lambda: ChebyshevThreshold(form="loose"), "'robust' or 'printed'"),
         (lambda: FittedThreshold([0.0], [[-1.0]], 3.0), "covariance is not positive definite"),
-        (lambda: FittedThreshold([0.0], [[1.0]], 0.0), "must be positive"),
+        (lambda: FittedThreshold([0.0], [[1.0]], 0.0), "must be a number above 0"),
+        (lambda: FittedThreshold("a", [[1.0]], 1.0), "mean is 'a'; it must be"),
         (lambda: FittedThreshold([0.0, 0.0], 1.0, 3.0).distance([1.0, 2.0, 3.0]), "learned for 2 elements"),
     ],
 )

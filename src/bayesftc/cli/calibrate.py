@@ -8,7 +8,8 @@ from dataclasses import asdict, fields
 import typer
 
 from bayesftc.cli import output
-from bayesftc.controllers import BayesianController, GammaPrecision, Hazards, calibrate
+from bayesftc.controllers import BayesianController, Hazards, calibrate
+from bayesftc.controllers._rate import RateLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 
@@ -34,9 +35,12 @@ def calibrate_scenario(
     scenario = load_scenario(path)
     controller = scenario.controller
     precision = getattr(controller, "precision", None)
-    if not isinstance(controller, BayesianController) or not isinstance(precision, GammaPrecision):
+    if not isinstance(controller, BayesianController):
+        raise ModelError(f"{path}: calibrate simulates a BayesianController, not a {type(controller).__name__}.")
+    if not isinstance(precision, RateLearner):
         raise ModelError(
-            f"{path}: only GammaPrecision takes a calibration, not {type(precision).__name__}; choose it as its kind."
+            f"{path}: only learners with a rate take a calibration, not {type(precision).__name__}; choose GammaPrecision, "
+            "WishartPrecision or VariationalBayesKF as the kind in [controller.precision]."
         )
     own = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name not in {"model", "precision"}}
     report = calibrate(
