@@ -50,10 +50,9 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
     ratio = exact / step
     count = round(ratio)
     if abs(ratio - count) > Fraction(1, 10**12) * max(count, 1):
-        low, high = float(math.floor(ratio) * step), float(math.ceil(ratio) * step)
-        raise StepSizeError(
-            f"{what} of {float(exact):g} s is no whole number of steps of {show(step)} s; take {low:g} s or {high:g} s."
-        )
+        fewer, more = math.floor(ratio), math.ceil(ratio)
+        near = " or ".join(f"{float(steps * step):g} s" for steps in (fewer, more) if steps)
+        raise StepSizeError(f"{what} of {float(exact):g} s is no whole number of steps of {show(step)} s; take {near}.")
     if max(count, 1) * step.numerator > EXACT or step.denominator > EXACT:
         raise StepSizeError(
             f"{what} of {float(exact):g} s is {count} steps of {step} s, and times so far out cannot be told apart exactly; "
