@@ -16,9 +16,10 @@ from sklearn.preprocessing import FunctionTransformer, StandardScaler
 from sklearn.utils.multiclass import check_classification_targets, type_of_target
 from sklearn.utils.validation import validate_data
 
-from bayesftc.controllers._checks import refuse_missing
-from bayesftc.controllers.gamma import Calibration
+from bayesftc.controllers._checks import as_number, check_number, refuse_missing
+from bayesftc.controllers._rate import Calibration
 from bayesftc.controllers.monitor import FaultMonitor, LogisticMap
+from bayesftc.controllers.residuals import feature_names
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 
@@ -79,10 +80,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             If there are labels of one class only or of more than two, samples that are NaN or infinite, a threshold outside
             (0, 1), or an estimator without ``predict_proba``.
         """
-        if not 0.0 < self.threshold < 1.0:
-            raise ModelError(
-                f"FaultClassifier has threshold={self.threshold!r}; it is a probability and must lie between 0 and 1."
-            )
+        check_number(self, "threshold", above=0, below=1)
         rows, y = validate_data(self, X, y, dtype=np.float64, ensure_all_finite=False)
         refuse_missing("X", rows)
         check_classification_targets(y)
@@ -94,7 +92,8 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         self.classes_, labels = np.unique(y, return_inverse=True)
         if len(self.classes_) < 2:
             raise ModelError(
-                f"All {len(labels)} labels are of one class, {self.classes_[0]!r}; a classifier needs healthy and faulty samples."
+                f"All {len(labels)} labels are of one class, {self.classes_.tolist()[0]!r}; a classifier needs healthy and "
+                "faulty samples."
             )
         chosen = _default() if self.estimator is None else clone(self.estimator)
         if not hasattr(chosen, "predict_proba"):
@@ -132,7 +131,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         faulty = self.predict_proba(X)[:, 1] > self.threshold
         return np.asarray(self.classes_[faulty.astype(int)])
 
-    def block(self, sensors: int, features: Sequence[str] = ("beta",)) -> FaultMonitor:
+    def block(self, sensors: int, features: str | Sequence[str] = ("beta",)) -> FaultMonitor:
         """Return the trained classifier as a block, for `closed_loop(monitors=...)`, a diagram, or ``online``.
 
         Logistic regression, also behind a logarithm and standard scalers, runs compiled; any other estimator is called back,
@@ -142,9 +141,9 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         ----------
         sensors : int
             Number of sensors.
-        features : sequence of str
+        features : str or sequence of str
             The residuals that it was trained on, in the same order, by the controller's outputs: ``"beta"``, ``"innovation"``
-            (its magnitude), or any other with a value for each sensor.
+            (its magnitude), or any other with a value for each sensor. A string is one of them.
 
         Raises
         ------
@@ -154,14 +153,13 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             If it was trained on another number of residuals.
         """
         self._check_trained()
-        if len(features) != self.n_features_in_:
+        names = feature_names(features)
+        if len(names) != self.n_features_in_:
             raise ModelError(
-                f"The classifier was trained on {self.n_features_in_} residuals, but features={tuple(features)!r} names "
-                f"{len(features)}; name the outputs it was trained on, in the same order."
+                f"The classifier was trained on {self.n_features_in_} residuals, but features={names!r} names "
+                f"{len(names)}; name the outputs it was trained on, in the same order."
             )
-        return FaultMonitor(
-            sensors, tuple(features), float(self.threshold), self._map() or copy.deepcopy(self.estimator_)
-        )
+        return FaultMonitor(sensors, names, float(self.threshold), self._map() or copy.deepcopy(self.estimator_))
 
     def calibration(self, prior_rate: float = 1.0) -> Calibration:
         """Return the map for ``GammaPrecision(calibration=...)``, so that the controller's own output has the probability.
@@ -180,6 +178,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
             If it is no logistic regression on one residual.
         """
         self._check_trained()
+        prior_rate = as_number("FaultClassifier.calibration got prior_rate", prior_rate, above=0)
         found = self._map()
         if found is None or len(found.weights) != 1:
             raise ModelError(

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers.residuals import INNOVATION
+from bayesftc.controllers._checks import check_number
+from bayesftc.controllers.residuals import INNOVATION, feature_names
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, exp, isnan, log, select
@@ -85,10 +86,12 @@ class FaultMonitor(Block):
     classifier: Any = field(repr=False)
 
     def __post_init__(self) -> None:
-        if isinstance(self.sensors, bool) or not isinstance(self.sensors, int | np.integer) or self.sensors < 1:
-            raise ModelError(f"A fault monitor has sensors={self.sensors!r}; it must be a whole number, at least 1.")
-        if not self.features or len(set(self.features)) < len(self.features):
-            raise ModelError(f"A fault monitor has features={self.features!r}; name at least one, and each once.")
+        check_number(self, "sensors", least=1, whole=True)
+        check_number(self, "threshold", above=0, below=1)
+        object.__setattr__(self, "sensors", int(self.sensors))
+        object.__setattr__(self, "features", feature_names(self.features))
+        if len(set(self.features)) < len(self.features):
+            raise ModelError(f"A fault monitor has features={self.features!r}; name each once.")
 
     @property
     def default_name(self) -> str:

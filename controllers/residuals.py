@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -99,14 +99,16 @@ def state_estimation_residual(
     return np.asarray(residual / deviation)
 
 
-def residual_features(result: Result, features: Sequence[str] = ("beta",), controller: str = "controller") -> Floats:
+def residual_features(
+    result: Result, features: str | Sequence[str] = ("beta",), controller: str = "controller"
+) -> Floats:
     """Return several residuals side by side, as `FaultClassifier` takes them (``.reshape(-1, len(features))``).
 
     Parameters
     ----------
     result : Result
         A run in which the features and the controller's output ``innovation`` were recorded.
-    features : sequence of str
+    features : str or sequence of str
         ``"beta"`` for the beta residual, ``"innovation"`` for the state estimation residual (its magnitude), or any other of the
         controller's outputs that has one value for each sensor.
     controller : str
@@ -124,7 +126,7 @@ def residual_features(result: Result, features: Sequence[str] = ("beta",), contr
     """
     innovation = _signal(result, controller, INNOVATION)
     columns = []
-    for name in features:
+    for name in feature_names(features):
         values = beta_residual(result, controller) if name == "beta" else _signal(result, controller, name)
         if values.shape != innovation.shape:
             raise ModelError(
@@ -133,6 +135,22 @@ def residual_features(result: Result, features: Sequence[str] = ("beta",), contr
             )
         columns.append(np.where(np.isnan(innovation), np.nan, np.abs(values) if name == INNOVATION else values))
     return np.stack(columns, axis=-1)
+
+
+def feature_names(features: str | Sequence[str]) -> tuple[str, ...]:
+    """Return the names of features as a tuple; a string is one name.
+
+    Raises
+    ------
+    ModelError
+        If they are no names, or there is none.
+    """
+    names = (features,) if isinstance(features, str) else tuple(features) if isinstance(features, Iterable) else ()
+    if not names or not all(isinstance(name, str) for name in names):
+        raise ModelError(
+            f'features={features!r} does not name any residuals; give names of the controller\'s outputs, as ("beta",).'
+        )
+    return names
 
 
 def _signal(result: Result, controller: str, name: str) -> Floats:

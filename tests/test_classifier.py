@@ -157,6 +157,12 @@ def test_it_is_searched_cloned_and_pickled(training):
     )
 
 
+def test_one_feature_may_be_named_without_a_list(training):
+    classifier = trained(training, ("beta",))
+    assert classifier.block(2, "beta").features == ("beta",)
+    np.testing.assert_array_equal(residual_features(training, "beta"), residual_features(training, ("beta",)))
+
+
 def test_a_block_keeps_what_was_learned_before(training):
     for estimator in (None, forest()):
         classifier = trained(training, ("beta",), estimator)
@@ -204,11 +210,16 @@ X, Y = [[0.1], [0.9], [2.0], [0.4]], [0, 1, 1, 0]
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
-        (lambda: FaultClassifier().fit(X, [1, 1, 1, 1]), ModelError, "All 4 labels are of one class"),
+        (lambda: FaultClassifier().fit(X, [1, 1, 1, 1]), ModelError, "All 4 labels are of one class, 1; a"),
+        (lambda: FaultClassifier().fit(X, ["no"] * 4), ModelError, "All 4 labels are of one class, 'no'; a"),
         (lambda: FaultClassifier().fit(X, [0, 1, 2, 1]), ModelError, "healthy and faulty"),
         (lambda: FaultClassifier().fit([[0.1], [np.nan], [2.0], [0.4]], Y), ModelError, "the first at index 1; leave"),
         (lambda: FaultClassifier().fit(X, Y).predict([[np.inf]]), ModelError, "NaN or inf"),
-        (lambda: FaultClassifier(threshold=1.0).fit(X, Y), ModelError, "between 0 and 1"),
+        (lambda: FaultClassifier(threshold=1.0).fit(X, Y), ModelError, "above 0 and below 1"),
+        (lambda: FaultClassifier(threshold="0.5").fit(X, Y), ModelError, "threshold='0.5'; it must be a finite number"),
+        (lambda: FaultClassifier().fit(X, Y).calibration("1"), ModelError, "prior_rate='1'; it must be"),
+        (lambda: FaultClassifier().fit(X, Y).block(2, None), ModelError, "does not name any residuals"),
+        (lambda: FaultClassifier().fit(X, Y).block("2"), ModelError, "sensors='2'; it must be a whole number"),
         (lambda: FaultClassifier(LinearSVC()).fit(X, Y), ModelError, "has no predict_proba"),
         (lambda: FaultClassifier().predict(X), UntrainedClassifierError, "has not been trained; call fit"),
         (lambda: FaultClassifier().block(2), UntrainedClassifierError, "has not been trained; call fit"),
