@@ -197,7 +197,7 @@ def test_inside_the_controller_as_a_calibration(training, make, relative):
     controller = controllers.BayesianController(
         MODEL, precision=replace(GammaPrecision(forgetting=0.8), calibration=calibration), initial_mean=20.0
     )
-    step, rng = controller.online(), np.random.default_rng(1)
+    step, rng = controller.online(compiled=False), np.random.default_rng(1)
     for _ in range(50):
         out = step(y=20.0 + 3 * rng.normal(size=2), goal=[20.0])
         expected = classifier.predict_proba(out.beta[:, None] / (b0 if relative else 1.0))[:, 1]

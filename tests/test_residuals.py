@@ -21,7 +21,7 @@ DROPOUT = cosim.Dropout(sensor=1, start=1.0, stop=2.0)
 
 @pytest.fixture(scope="module")
 def result():
-    return cruise_control(GammaPrecision(), fault=DROPOUT).simulate(5.0, seed=2)
+    return cruise_control(GammaPrecision(), fault=DROPOUT).simulate(5.0, seed=2, engine="interpreted")
 
 
 def test_both_residuals_are_nan_for_missing_samples_and_the_outputs_elsewhere(result):
@@ -47,7 +47,7 @@ def test_standardised_by_the_models_own_covariance():
     """Without a fault and at fixed precision it has unit mean square; and equals the scalar recursion."""
     loop = cruise_control(FixedPrecision(), fault=replace(FREEZE, start=5000.0, stop=5001.0))
     model = loop["controller"].block.model
-    result = loop.simulate(100.0, seed=3)
+    result = loop.simulate(60.0, seed=3, engine="interpreted")
     standard = state_estimation_residual(result, standardised=model)
     assert np.isnan(standard[0]).all()
     variance = 0.999**2 * result["controller.P"][:-1, 0, 0] + 0.001 + 1.0
@@ -69,7 +69,7 @@ def test_features_side_by_side(result):
 
 def test_what_is_not_there(result):
     loop = cruise_control(FixedPrecision())
-    short = loop.simulate(1.0, record=["controller.innovation", "controller.beta"])
+    short = loop.simulate(1.0, engine="interpreted", record=["controller.innovation", "controller.beta"])
     with pytest.raises(ModelError, match="has no rate"):
         beta_residual(short)
     with pytest.raises(UnknownNameError, match=r"'controller\.P' was not recorded; add it"):
@@ -77,11 +77,13 @@ def test_what_is_not_there(result):
     with pytest.raises(UnknownNameError, match=r"'brain\.innovation' was not recorded"):
         state_estimation_residual(result, "brain")
     with pytest.raises(UnknownNameError, match=r"'controller\.innovation' was not recorded"):
-        beta_residual(loop.simulate(1.0, record=["controller.beta"]))
+        beta_residual(loop.simulate(1.0, engine="interpreted", record=["controller.beta"]))
     with pytest.raises(ModelError, match="not one value for each of the 2 sensors"):
         residual_features(result, ["x_hat"])
     with pytest.raises(ModelError, match="decimation=1"):
-        state_estimation_residual(loop.simulate(1.0, decimation=2), standardised=loop["controller"].block.model)
+        state_estimation_residual(
+            loop.simulate(1.0, decimation=2, engine="interpreted"), standardised=loop["controller"].block.model
+        )
     with pytest.raises(ModelError, match="give the model that the controller was made with"):
         state_estimation_residual(
             result, standardised=controllers.LinearModel(np.eye(2), np.ones((2, 1)), np.eye(2), 1.0, 1.0, 0.02)
