@@ -13,7 +13,7 @@ from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_nu
 from bayesftc.controllers._linear_rows import linear_rows
 from bayesftc.cosim.block import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import KernelError, ModelError
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +119,11 @@ class Modality:
         x, y = argument_names(self.function)
         try:
             return jacobian(self.function, {x: states, y: self.samples}, y, [x])
-        except IndexError as error:
+        except KernelError as error:
+            if not isinstance(error.__cause__, IndexError):
+                raise KernelError(f"The function of {self._title}: {error}") from None
             raise ModelError(
-                f"The function of {self._title} does not fit {states} states and {self.samples} samples: {error}."
+                f"The function of {self._title} does not fit {states} states and {self.samples} samples: {error.__cause__}."
             ) from None
 
     def rows(self, states: int) -> Floats:

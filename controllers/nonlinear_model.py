@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
 from bayesftc.controllers.model import LinearModel
+from bayesftc.cosim._fingerprint import functions_called, where
 from bayesftc.cosim.block import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import KernelError, ModelError
@@ -213,6 +214,10 @@ def _try_out(name: str, function: Any, form: str, inputs: Sequence[int], outputs
     names = argument_names(function)
     if len(names) != len(inputs) + len(outputs):
         raise ModelError(f"The model's {name} has the arguments {', '.join(names)}; it must be a step function {form}.")
+    try:
+        functions_called(function)
+    except KernelError as error:
+        raise KernelError(f"The model's {name}: {error}") from None
     results = []
     for blank in (1.25e77, -3.5e88):  # two numbers that no function writes both of
         given = [np.full(size, 0.5) for size in inputs]
@@ -225,6 +230,8 @@ def _try_out(name: str, function: Any, form: str, inputs: Sequence[int], outputs
                 f"{n} has {'x'.join(map(str, a.shape))}" for n, a in zip(names, [*given, *written], strict=True)
             )
             raise ModelError(f"The model's {name} reaches beyond its arguments ({error}); {sizes}.") from None
+        except Exception as error:  # whatever the user's function may raise
+            raise ModelError(f"The model's {name} {where(function)} cannot be computed: {error}.") from error
         if any((array != 0.5).any() for array in given):
             raise ModelError(
                 f"The model's {name} writes into what it is given; it must write {', '.join(names[len(inputs) :])} only."

@@ -10,11 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
+from pathlib import Path
+from traceback import walk_tb
+from types import FunctionType
 from typing import Any
 
 import numpy as np
 
 from bayesftc.cosim import ops
+from bayesftc.cosim._fingerprint import functions_called
 from bayesftc.cosim._tracing import rebound
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Kernel, argument_names
@@ -48,12 +52,17 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
     Raises
     ------
     KernelError
-        If the function breaks the rules of step functions, does not write its output, or branches on data.
+        If the function breaks the rules of step functions, does not write its output or writes anything else, or branches on
+        data; the error names the function and the line.
 
     Notes
     -----
-    Where the function has a kink (``absolute``, ``maximum``, ``select``) the derivative is that of the branch taken there; that
-    of ``floor`` is zero.
+    Where the function has a kink the derivative is that of the branch taken there. At a tie that is the second argument's for
+    ``minimum`` and ``maximum``; that of ``absolute`` at zero is 1, that of ``floor`` is zero everywhere.
+
+    The derivative of ``sqrt`` at zero is infinite, and NaN where the chain rule multiplies that with zero, as for
+    ``sqrt(square(x))``. The nonlinear controllers take no step to such a point, and none from it; add a small number below the
+    root where it may be met.
 
     Examples
     --------
@@ -67,7 +76,9 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
     [[0.0, 2.0]]
     """
     names = argument_names(function)
+    assert isinstance(function, FunctionType)  # `argument_names` refuses what is none
     _check(function, names, shapes, output, wrt)
+    parts = functions_called(function)  # refuses what breaks the rules, with the sentences of the compiler
     tape = _Tape()
     arrays: dict[str, Any] = {}
     for name in names:
@@ -78,17 +89,27 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
                 partials: dict[Input, Any] = {(name, index[0]): 1.0} if name in wrt else {}
                 array[index] = _Dual(tape, f"{name}[{', '.join(map(str, index))}]", partials)
         arrays[name] = array
-    rebound(function, _operations(tape))(*arrays.values())
-    unwritten = [i for i, value in enumerate(arrays[output]) if value is None]
-    if unwritten:
-        raise KernelError(f"{function.__name__!r} does not write {output}[{unwritten[0]}]; write every element.")
+    given = {name: array.copy() for name, array in arrays.items() if name != output}
+    try:
+        rebound(function, _operations(tape))(*arrays.values())
+    except Exception as error:  # whatever plain Python cannot do with symbols
+        raise _refusal(parts, error) from error
+    for name, array in given.items():
+        if any(a is not b for a, b in zip(array.flat, arrays[name].flat, strict=True)):
+            raise KernelError(f"{function.__name__!r} writes into {name}; it must write {output} only.")
+    for i, value in enumerate(arrays[output]):
+        if value is None:
+            raise KernelError(f"{function.__name__!r} does not write {output}[{i}]; write every element.")
+        if not isinstance(value, Real | _Dual | _Condition):
+            raise KernelError(
+                f"{function.__name__!r} writes a {type(value).__name__} into {output}[{i}]; it must be a number."
+            )
     lines = []
     for name in wrt:
         for i, value in enumerate(arrays[output]):
             of_value = value.partials if isinstance(value, _Dual) else {}
             for j in range(_tuple(shapes[name])[0]):
                 lines.append(f"{output}_{name}[{i}, {j}] = {_text(of_value.get((name, j), 0.0))}")
-    given = [name for name in names if name != output]
     return _compiled(function, [*given, *(f"{output}_{name}" for name in wrt)], [*tape.lines, *lines])
 
 
@@ -106,6 +127,30 @@ def _check(
             raise KernelError(f"{title} can be differentiated between vectors only, but {name!r} is an array.")
 
 
+def _refusal(functions: Sequence[FunctionType], error: Exception) -> KernelError:
+    """Return what to raise for an error while the functions ran on symbols: a sentence with the line that it came from."""
+    codes = {f.__code__: f.__name__ for f in functions}
+    place = ""
+    for frame, line in walk_tb(error.__traceback__):
+        if frame.f_code in codes:
+            place = f"{codes[frame.f_code]!r} ({Path(frame.f_code.co_filename).name}, line {line})"
+    if isinstance(error, KernelError):
+        return KernelError(f"Step function {place} cannot be differentiated: {error}")
+    if isinstance(error, IndexError):
+        return KernelError(f"Step function {place} reaches beyond its arguments: {error}.")
+    reason = str(error)
+    for symbol, meaning in (
+        ("'_Dual' object", "a number of data"),
+        ("'_Dual'", "a number"),
+        ("'_Condition'", "a condition"),
+    ):
+        reason = reason.replace(symbol, meaning)
+    return KernelError(
+        f"Step function {place} cannot be differentiated: {reason.rstrip('.')}. Write plain loops over numbers with + - * /, "
+        f"comparisons, and the mathematics of bayesftc.cosim.ops ({', '.join(ops.NAMES)})."
+    )
+
+
 def _tuple(shape: Shape) -> tuple[int, ...]:
     return (shape,) if isinstance(shape, int) else tuple(shape)
 
@@ -117,7 +162,11 @@ def _compiled(function: Kernel, arguments: Sequence[str], lines: Sequence[str]) 
 
 
 def _text(value: Any) -> str:
-    return value.name if isinstance(value, _Dual | _Condition) else repr(float(value))
+    if isinstance(value, _Dual | _Condition):
+        return value.name
+    if not isinstance(value, Real):
+        raise TypeError("what is not yet written is read" if value is None else f"{type(value).__name__} is no number")
+    return repr(float(value))
 
 
 class _Tape:
@@ -143,8 +192,7 @@ class _Condition:
 
     def __bool__(self) -> bool:
         raise KernelError(
-            "A function cannot be differentiated that branches on data: write ops.select(condition, a, b) instead of if, while, "
-            "and, or, not."
+            "it branches on data; write ops.select(condition, a, b) for if, and ops.both, either, negate for and, or, not."
         )
 
 
@@ -304,7 +352,11 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
     }
 
     def operation(name: str) -> Callable[..., Any]:
+        count = getattr(ops, name).__code__.co_argcount
+
         def apply(*arguments: Any) -> Any:
+            if len(arguments) != count:
+                raise TypeError(f"{name} has {count} argument{'s' * (count > 1)}, not {len(arguments)}")
             if not any(isinstance(a, _Dual | _Condition) for a in arguments):
                 return getattr(ops, name)(*arguments)
             return rules.get(name, call)(name, *arguments)

@@ -1,5 +1,7 @@
 """Jacobians by dual numbers, against CasADi's symbolic derivatives, finite differences and pencil and paper."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -98,8 +100,83 @@ def test_the_same_function_gives_the_same_text():
     assert a.__code__.co_consts == b.__code__.co_consts
 
 
+def kinks(x, z):
+    z[0] = maximum(x[0], 2.0 * x[1])
+    z[1] = ops.minimum(x[0], 2.0 * x[1])
+    z[2] = ops.absolute(x[2])
+    z[3] = ops.sqrt(x[2])
+    z[4] = ops.sqrt(ops.square(x[2]))
+
+
+def test_derivatives_at_kinks_are_as_documented():
+    """Ties are the second argument's; the root's slope at zero is infinite, and no number times zero."""
+    derivative, result = jacobian(kinks, {"x": 3, "z": 5}, "z", ["x"]), np.empty((5, 3))
+    with np.errstate(all="ignore"):
+        derivative(np.array([2.0, 1.0, 0.0]), result)
+    np.testing.assert_array_equal(result[:2, :2], [[0.0, 2.0], [0.0, 2.0]])
+    np.testing.assert_array_equal(result[2:, 2], [1.0, np.inf, np.nan])
+
+
 def branches(x, z):
     z[0] = x[0] if x[0] > 0 else -x[0]
+
+
+def loops_on_data(x, z):
+    for _ in range(x[0]):
+        z[0] = 1.0
+
+
+def by_math(x, z):
+    z[0] = math.sin(x[0])
+
+
+def by_numpy(x, z):
+    z[0] = np.sin(x[0])
+
+
+def by_power(x, z):
+    z[0] = x[0] ** 2
+
+
+def by_builtin(x, z):
+    z[0] = abs(x[0])
+
+
+def by_smaller(x, z):
+    z[0] = min(x[0], 1.0)
+
+
+def remainder(x, z):
+    z[0] = x[0] % 2
+
+
+def inner(x, z):
+    remainder(x, z)
+
+
+def slices(x, z):
+    z[:] = x
+
+
+def too_far(x, z):
+    z[0] = x[5]
+
+
+def reads_output(x, z):
+    z[0] += x[0]
+
+
+def two_sines(x, z):
+    z[0] = sin(x[0], x[0])
+
+
+def text(x, z):
+    z[0] = "one"
+
+
+def greedy(x, z):
+    z[0] = x[0]
+    x[0] = 2.0
 
 
 def half_written(x, z):
@@ -109,7 +186,31 @@ def half_written(x, z):
 @pytest.mark.parametrize(
     ("function", "shapes", "wrt", "message"),
     [
-        (branches, {"x": 1, "z": 1}, ["x"], "branches on data"),
+        (
+            branches,
+            {"x": 1, "z": 1},
+            ["x"],
+            r"'branches' \(test_differentiation.py, line \d+\) .*branches on data; write ops.select",
+        ),
+        (loops_on_data, {"x": 1, "z": 1}, ["x"], "a number of data cannot be interpreted as an integer"),
+        (by_math, {"x": 1, "z": 1}, ["x"], r"'by_math' .*uses 'math'.*bayesftc.cosim.ops \(.* sin, "),
+        (by_numpy, {"x": 1, "z": 1}, ["x"], "uses 'np'"),
+        (by_power, {"x": 1, "z": 1}, ["x"], r"uses '\*\*'.* ops.square"),
+        (by_builtin, {"x": 1, "z": 1}, ["x"], "uses 'abs'.*absolute"),
+        (by_smaller, {"x": 1, "z": 1}, ["x"], "uses 'min'.*minimum"),
+        (
+            inner,
+            {"x": 1, "z": 1},
+            ["x"],
+            r"'remainder' .*unsupported operand type\(s\) for %: a number and 'int'\. Write plain loops",
+        ),
+        (slices, {"x": 2, "z": 1}, ["x"], "'slices' .*could not broadcast"),
+        (too_far, {"x": 2, "z": 1}, ["x"], "'too_far' .*reaches beyond its arguments: index 5"),
+        (reads_output, {"x": 1, "z": 1}, ["x"], "not yet written is read"),
+        (two_sines, {"x": 1, "z": 1}, ["x"], "sin has 1 argument, not 2"),
+        (text, {"x": 1, "z": 1}, ["x"], r"writes a str into z\[0\]"),
+        (greedy, {"x": 1, "z": 1}, ["x"], "writes into x; it must write z only"),
+        (np.sin, {"x": 1, "z": 1}, ["x"], "must be a plain Python function"),
         (half_written, {"x": 1, "z": 2}, ["x"], r"does not write z\[1\]"),
         (half_written, {"x": 1, "z": 1}, ["w"], "'w'"),
         (half_written, {"z": 1}, ["z"], "'x'"),
