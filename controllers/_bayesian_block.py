@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector, frozen
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector, check_choice, frozen
 from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim.block import Block, Floats
 from bayesftc.cosim.errors import ModelError
@@ -43,8 +43,7 @@ class BayesianBlock(Block):
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
-        if self.belief not in {"filtered", "joint"}:
-            raise ModelError(f"belief is {self.belief!r}; it must be 'filtered' or 'joint'.")
+        check_choice(self, "belief", "filtered", "joint")
         n, p = self.model.states, self.model.controls
         values = {
             "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, self.goals),
@@ -79,7 +78,7 @@ class BayesianBlock(Block):
 
     def _extended(self, mean: object) -> object:
         # A mean for the plant's states alone is meant with disturbances of zero.
-        values = np.atleast_1d(np.asarray(mean, dtype=np.float64))
+        values = np.atleast_1d(as_numbers("The initial_mean", mean, "it must be a number or a list of numbers"))
         plant = self.model.states - self.model.disturbances
         if self.model.disturbances and values.shape in {(plant,), (1,)}:
             return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
@@ -95,7 +94,8 @@ class BayesianBlock(Block):
             if self.goal_on == "outputs":
                 return frozen(self._distinct_outputs())
             raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
-        return as_matrix("The matrix goal_on", np.atleast_2d(np.asarray(self.goal_on, float)), columns=n)
+        rows = as_numbers("The matrix goal_on", self.goal_on, "give a row of states for each element of the goal")
+        return as_matrix("The matrix goal_on", np.atleast_2d(rows), columns=n)
 
     def _distinct_outputs(self) -> Floats:
         """Return what the sensors read of the state, each distinct quantity once."""

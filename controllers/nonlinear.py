@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from bayesftc.controllers._bayesian_block import BayesianBlock
-from bayesftc.controllers._checks import Matrix, frozen
+from bayesftc.controllers._checks import Matrix, check_choice, check_number, frozen
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
 from bayesftc.controllers._joint import (
     DISTANT,
@@ -229,10 +229,8 @@ class NonlinearBayesianController(BayesianBlock):
             object.__setattr__(self, "model", NonlinearModel.from_linear(self.model))
         if not isinstance(self.model, NonlinearModel):
             raise ModelError(f"NonlinearBayesianController needs a NonlinearModel, not {self.model!r}.")
-        if self.prediction not in {"model", "random walk"}:
-            raise ModelError(f"prediction is {self.prediction!r}; it must be 'model' or 'random walk'.")
-        if int(self.iterations) != self.iterations or not 1 <= self.iterations <= 1000:
-            raise ModelError(f"iterations is {self.iterations!r}; it must be a whole number from 1 to 1000.")
+        check_choice(self, "prediction", "model", "random walk")
+        check_number(self, "iterations", least=1, most=1000, whole=True)
         self._check_settings()
         start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
         self._check_reach(start.matrix("B"))

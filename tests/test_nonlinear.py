@@ -1,5 +1,6 @@
 """The nonlinear controller: equal to the closed form where that holds, and a minimum of the joint cost by scipy where not."""
 
+import math
 import pickle
 import warnings
 from collections.abc import Callable
@@ -547,6 +548,15 @@ def branching(x, y):
         y[i] = x[0] if x[0] > 0 else 0.0
 
 
+def uneven(x, y):
+    y[:] = x
+
+
+def imported(x, y):
+    for i in range(3):
+        y[i] = math.sin(x[0])
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -560,6 +570,11 @@ def branching(x, y):
         ({"g": greedy}, "writes into what it is given"),
         ({"g": swing}, r"arguments x, u, x_next; it must be a step function g\(x, y\)"),
         ({"f": np.sin}, r"it must be a step function f\(x, u, x_next\)"),
+        ({"g": uneven}, "g 'uneven' .* cannot be computed: could not broadcast"),
+        ({"states": "2"}, "states='2'; it must be a whole number"),
+        ({"controls": None}, "controls=None; it must be a whole number"),
+        ({"sensors": -3}, "sensors=-3; it must be a whole number"),
+        ({"process_covariance": "small"}, "process_covariance is 'small'"),
         ({"f_jacobian": look_jacobian}, "f_jacobian has the arguments x, C"),
         ({"dt": -1}, "must be positive"),
     ],
@@ -572,6 +587,22 @@ def test_models_that_cannot_be_right(change, words):
 def test_a_function_that_branches_needs_its_derivatives():
     with pytest.raises(KernelError, match=r"The model's g: .* branches on data.* as g_jacobian"):
         replace(PENDULUM, g=branching)
+
+
+def test_a_function_that_breaks_the_rules_of_step_functions_is_refused():
+    with pytest.raises(KernelError, match=r"The model's g: .*'imported' .*uses 'math'.* bayesftc.cosim.ops \(absolute"):
+        replace(PENDULUM, g=imported)
+
+
+def test_without_any_sensor_or_goal_the_belief_is_the_prediction():
+    step = brain(FixedPrecision(), initial_mean=[0.3, 1.0]).online(compiled=False)
+    out, following = step(y=[None] * 3, goal=[None, np.nan]), np.empty(2)
+    np.testing.assert_allclose(out.x_hat, [0.3, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(out.P, 0.01 * np.eye(2), rtol=1e-12, atol=1e-15)
+    assert out.u[0] == 0.0
+    second = step(y=[None] * 3, goal=[None, None])
+    swing(out.x_hat, out.u, following)
+    np.testing.assert_allclose(second.x_hat, following, rtol=1e-12)
 
 
 def infinite(x, y):
@@ -594,7 +625,14 @@ def infinite(x, y):
         ({"goal_on": "outputs"}, "for linear models"),
         ({"belief": "kalman"}, "must be 'filtered' or 'joint'"),
         ({"prediction": "euler"}, "'model' or 'random walk'"),
-        ({"iterations": 0}, "whole number from 1 to 1000"),
+        ({"prediction": ["model"]}, "'model' or 'random walk'"),
+        ({"belief": {}}, "must be 'filtered' or 'joint'"),
+        ({"goal_on": [["a"]]}, "goal_on is .*give a row of states"),
+        ({"initial_mean": "upright"}, "initial_mean is 'upright'"),
+        *(
+            ({"iterations": n}, "iterations=.* whole number")
+            for n in (0, -3, 20.5, "20", None, True, np.nan, np.inf, [3])
+        ),
         ({"u_min": 1.0, "u_max": 0.0}, "lies above u_max"),
         ({"model": replace(PENDULUM, g=infinite)}, "g is not finite at x = "),
     ],
