@@ -4,7 +4,8 @@ Every figure is NaN where it is not defined (no fault, nothing detected, no prob
 an estimate, a true value or a probability that it is made from is not finite, so that a run that diverges cannot look good. The
 detection figures follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
 
-- a *fault* is an unbroken run of samples in which it is present; an *alarm* is a sample with a probability of at least 0.5;
+- a *fault* is an unbroken run of samples in which it is present; an *alarm* is a sample with a probability of at least 0.5, or,
+  of a controller that gives no probability, one with which it says that a fault is detected;
 - a sample that is *missing* (NaN) needs no detector, since the controller leaves it out at once, and tells a detector nothing:
   it counts in none of the figures below, and a fault of which all samples are missing is *seen as missing*, neither detected
   nor missed;
@@ -157,8 +158,10 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     arrived = [a + np.flatnonzero(there[a:b]) for a, b in periods(faulty)]
     visible = [samples for samples in arrived if len(samples)]
     missed = delay = false_alarms = NAN
-    if probability is not None and not np.isnan(probability[there]).any():
-        alarm = probability >= THRESHOLD
+    alarm = signals.detected
+    if probability is not None and not (np.isnan(probability[there]).all() and alarm is not None):
+        alarm = None if np.isnan(probability[there]).any() else probability >= THRESHOLD
+    if alarm is not None:
         delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
         missed = float(len(visible) - len(delays)) if visible else NAN
         delay = float(np.mean(delays)) if delays else NAN

@@ -33,6 +33,8 @@ class SensorSignals:
         Whether a fault between the sensor and the controller was present; None if that was not recorded.
     precision, beta, probability : array
         The controller's outputs for this sensor.
+    detected : array of bool or None
+        Whether the controller says that it has detected a fault (`ExplicitDetection` does).
     """
 
     index: int
@@ -41,6 +43,7 @@ class SensorSignals:
     precision: Floats | None
     beta: Floats | None
     probability: Floats | None
+    detected: Flags | None = None
 
     @property
     def missing(self) -> Flags | None:
@@ -125,13 +128,19 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
     chains = [faults_before(diagram, brain, i) for i in range(y.size)]
     active = {name: reader.flags(f"{name}.active") for chain in chains for name in chain}
     none: Flags = np.zeros(len(result.time), dtype=bool)
-    outputs = {name: reader.signal(f"{brain.name}.{name}") for name in ("precision", "beta", "fault_probability")}
+    precision, beta, probability = (
+        reader.signal(f"{brain.name}.{name}") for name in ("precision", "beta", "fault_probability")
+    )
+    detected = reader.flags(f"{brain.name}.detected")
     sensors = tuple(
         SensorSignals(
             i,
             reader.source(brain, "y", i),
             _any([none, *(active[name] for name in chain)]),
-            *(None if values is None else values[:, i] for values in outputs.values()),
+            None if precision is None else precision[:, i],
+            None if beta is None else beta[:, i],
+            None if probability is None else probability[:, i],
+            None if detected is None else detected[:, i],  # type: ignore[call-overload]
         )
         for i, chain in enumerate(chains)
     )

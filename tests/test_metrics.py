@@ -1,5 +1,7 @@
 """The figures of a run: their definitions, on signals made by hand, and what is not defined."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -52,6 +54,14 @@ def test_what_is_not_defined_is_nan():
     assert np.isnan(rmse([]))
     assert np.isnan(rmse([np.nan, 1.0]))
     assert np.isnan(errors_by_phase(None, FAULTY).overall)
+
+
+def test_where_there_is_no_probability_an_alarm_is_what_the_controller_says_is_detected():
+    detected = np.array([0, 0, 0, 1, 1, 1, 0, 0, 0, 0], dtype=bool)
+    for probability in ([np.nan] * 10, None):
+        found = detection(replace(sensor(probability), detected=detected), TIME)
+        assert (found.faults, found.missed, found.delay, found.false_alarm_rate) == (2, 1, 0.5, pytest.approx(1 / 5))
+    assert detection(replace(sensor([0.0] * 10), detected=detected), TIME).missed == 2
 
 
 def test_beta_ranks_where_there_is_no_probability():
