@@ -182,21 +182,8 @@ def make_minimiser(
             )  # fmt: skip
             better = both(is_finite(T2, cost2[0]), negate(cost2[0] > cost[0] * (1.0 + ROUNDING)))
             started = cost[0] < INFINITE
-            curve(
-                both(better, started),
-                z,
-                trial,
-                T2,
-                J,
-                J2,
-                residual,
-                ROUNDING * ROUNDING * cost[0],
-                S,
-                M,
-                moved,
-                turned,
-                bent,
-            )
+            curve(both(better, started), z, trial, T2, J, J2, residual, ROUNDING * ROUNDING * cost[0], S, M,
+                  moved, turned, bent)  # fmt: skip
             for i in range(n):
                 z[i] = select(better, trial[i], z[i])
                 b[i] = select(better, b2[i], b[i])

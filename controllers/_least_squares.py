@@ -129,11 +129,9 @@ def curve(changed, z, z2, T2, J, J2, values, least, S, M, moved, turned, bent):
     bend = 0.0
     known = 0.0
     for i in range(n):
-        total = 0.0
+        total = 0.0  # the change of the gradient that is due to the residuals' curvature
         for k in range(values.shape[0]):
-            total = (
-                total - (J2[k, i] - J[k, i]) * values[k]
-            )  # the gradient's change that is due to the residuals' curvature
+            total = total - (J2[k, i] - J[k, i]) * values[k]
         bent[i] = total
         bend = bend + moved[i] * total
         for j in range(n):
