@@ -28,7 +28,6 @@ from numpy.typing import ArrayLike
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.roles import Flags, LoopSignals, SensorSignals
 
-THRESHOLD = 0.5
 NAN = float("nan")
 
 
@@ -158,9 +157,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     arrived = [a + np.flatnonzero(there[a:b]) for a, b in periods(faulty)]
     visible = [samples for samples in arrived if len(samples)]
     missed = delay = false_alarms = NAN
-    alarm = signals.detected
-    if probability is not None and not (np.isnan(probability[there]).all() and alarm is not None):
-        alarm = None if np.isnan(probability[there]).any() else probability >= THRESHOLD
+    alarm = signals.alarm
     if alarm is not None:
         delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
         missed = float(len(visible) - len(delays)) if visible else NAN

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.metrics import THRESHOLD, periods
+from bayesftc.cosim.metrics import periods
 from bayesftc.cosim.result import labels
-from bayesftc.cosim.roles import LoopSignals, QuantitySignals, SensorSignals
+from bayesftc.cosim.roles import ALARM, Flags, LoopSignals, QuantitySignals, SensorSignals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,8 +80,8 @@ def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
 
     Above, a panel for each measured quantity: true value, reference, samples as dots, the controller's belief. Then the
     standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``), with marks at the top for samples
-    that it ignores altogether and for missing ones, and the fault probability of each sensor, or beta where there is no
-    probability; both have gaps where samples are missing. Faults are shaded.
+    that it ignores altogether and for missing ones, and the fault probability of each sensor, or where there is none beta,
+    with marks where a fault is detected; both have gaps where samples are missing. Faults are shaded.
 
     Parameters
     ----------
@@ -143,20 +143,24 @@ def _draw_deviation(axis: Axes, signals: LoopSignals, unit: str | None) -> None:
         drawn.append(expected)
         axis.plot(*_thin(signals.time, expected), **_line(sensor))
         missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
-        marks = (("ignored", "|", (sensor.precision == 0) & ~missing), ("missing", "x", missing))
-        for what, marker, where in marks:
-            if where.any():
-                top = np.full(int(where.sum()), 0.97 - 0.05 * sensor.index)
-                mark: dict[str, Any] = {
-                    "ls": "none",
-                    "marker": marker,
-                    "ms": 5 if marker == "|" else 2.5,
-                    "color": _colour(sensor.index),
-                    "transform": axis.get_xaxis_transform(),
-                }
-                axis.plot(*_thin(signals.time[where], top), label=f"sensor {sensor.index} {what}", **mark)
+        _mark(axis, signals, sensor, "ignored", "|", (sensor.precision == 0) & ~missing)
+        _mark(axis, signals, sensor, "missing", "x", missing)
     axis.set_ylabel("expected standard\ndeviation" + (f" ({unit})" if unit else ""))
     _logarithmic(axis, drawn)
+
+
+def _mark(axis: Axes, signals: LoopSignals, sensor: SensorSignals, what: str, marker: str, where: Flags) -> None:
+    """Mark times of a sensor at the top of an axis."""
+    if where.any():
+        top = np.full(int(where.sum()), 0.97 - 0.05 * sensor.index)
+        style: dict[str, Any] = {
+            "ls": "none",
+            "marker": marker,
+            "ms": 5 if marker == "|" else 2.5,
+            "color": _colour(sensor.index),
+            "transform": axis.get_xaxis_transform(),
+        }
+        axis.plot(*_thin(signals.time[where], top), label=f"sensor {sensor.index} {what}", **style)
 
 
 def _logarithmic(axis: Axes, drawn: list[Floats]) -> None:
@@ -179,7 +183,7 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
         for sensor in known:
             assert sensor.probability is not None
             axis.plot(*_thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
-        axis.axhline(THRESHOLD, color="0.4", lw=0.8, zorder=0, label=f"alarm from {THRESHOLD:g}")
+        axis.axhline(ALARM, color="0.4", lw=0.8, zorder=0, label=f"alarm from {ALARM:g}")
         axis.set_ylim(-0.04, 1.04)
         axis.set_ylabel("fault probability")
         return
@@ -187,6 +191,9 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
     for sensor in rated:
         assert sensor.beta is not None
         axis.plot(*_thin(signals.time, _given(sensor, sensor.beta)), **_line(sensor))
+    for sensor in signals.sensors:
+        if sensor.alarm is not None:
+            _mark(axis, signals, sensor, "detected", "|", sensor.alarm)
     axis.set_ylabel("beta")
     if rated:
         _logarithmic(axis, [s.beta for s in rated if s.beta is not None])

@@ -18,6 +18,9 @@ from bayesftc.cosim.sensors import Sensors
 
 Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
+ALARM = 0.5
+"""The fault probability from which on there is an alarm."""
+
 
 @dataclass(frozen=True, eq=False)
 class SensorSignals:
@@ -49,6 +52,19 @@ class SensorSignals:
     def missing(self) -> Flags | None:
         """Which samples were missing (NaN); None if the samples were not recorded."""
         return None if self.samples is None else np.isnan(self.samples)
+
+    @property
+    def alarm(self) -> Flags | None:
+        """With which samples there is an alarm; None if that was not recorded, or if a sample has no finite probability.
+
+        A probability of at least `ALARM` is one; of a controller that gives none, what it says is detected.
+        """
+        if self.probability is not None:
+            known = ~np.isnan(self.probability)
+            if known.any() or self.detected is None:
+                needed = known if self.missing is None else known | self.missing
+                return self.probability >= ALARM if needed.all() else None  # type: ignore[return-value]
+        return self.detected
 
 
 @dataclass(frozen=True, eq=False)

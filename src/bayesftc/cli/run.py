@@ -102,7 +102,7 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
     """Return sentences on what is missing from the figures and why."""
     why = getattr(getattr(scenario.controller, "precision", None), "why_no_probability", None)
     notes = [f"There is no fault probability: {why}"] if why else []
-    if why and any(sensor.detected is not None for sensor in signals.sensors):
+    if any(sensor.detected is not None and sensor.alarm is sensor.detected for sensor in signals.sensors):
         notes.append("Alarms are the samples with which the controller says that a fault is detected.")
     for quantity in signals.quantities:
         wanted = [quantity.truth]
