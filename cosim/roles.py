@@ -144,19 +144,19 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
     chains = [faults_before(diagram, brain, i) for i in range(y.size)]
     active = {name: reader.flags(f"{name}.active") for chain in chains for name in chain}
     none: Flags = np.zeros(len(result.time), dtype=bool)
-    precision, beta, probability = (
-        reader.signal(f"{brain.name}.{name}") for name in ("precision", "beta", "fault_probability")
+    precision, beta, probability, detected = (
+        reader.columns(f"{brain.name}.{name}", y.size)
+        for name in ("precision", "beta", "fault_probability", "detected")
     )
-    detected = reader.flags(f"{brain.name}.detected")
     sensors = tuple(
         SensorSignals(
             i,
             reader.source(brain, "y", i),
             _any([none, *(active[name] for name in chain)]),
-            None if precision is None else precision[:, i],
-            None if beta is None else beta[:, i],
-            None if probability is None else probability[:, i],
-            None if detected is None else detected[:, i],  # type: ignore[call-overload]
+            precision[i],
+            beta[i],
+            probability[i],
+            None if (found := detected[i]) is None else found > 0.5,
         )
         for i, chain in enumerate(chains)
     )
@@ -224,6 +224,12 @@ class _Reader:
     def flags(self, name: str) -> Flags | None:
         values = self.signal(name)
         return None if values is None else values > 0.5  # type: ignore[return-value]
+
+    def columns(self, name: str, count: int) -> list[Floats | None]:
+        """Return the elements of a signal; None for each if it was not recorded, or has another number of elements."""
+        values = self.signal(name)
+        found: list[Floats | None] = [] if values is None else list(values.reshape(len(values), -1).T)
+        return found if len(found) == count else [None] * count
 
     def source(self, node: Node, port: str, element: int) -> Floats | None:
         """Return what feeds one element of an input."""

@@ -183,6 +183,40 @@ def test_a_fault_of_the_actuator_is_no_fault_of_a_sensor():
     assert {name: sensor for name, (sensor, _) in signals.faults.items()} == {"bias_1": 1}
 
 
+class Summing(cosim.Block):
+    """A controller that says with one number for both of its sensors that something is wrong."""
+
+    inputs = (cosim.Port("y", (2,)), cosim.Port("goal"))
+    outputs = (cosim.Port("u"), cosim.Port("detected"), cosim.Port("beta", (2,)))
+
+    def define(self, step):
+        def output(y, goal, u, detected, beta):
+            u[0] = goal[0] - 0.5 * (y[0] + y[1])
+            detected[0] = 1.0
+            beta[0] = y[0]
+            beta[1] = y[1]
+
+        return cosim.Definition(output)
+
+
+def test_one_number_for_all_sensors_says_nothing_of_each():
+    import control
+
+    loop = cosim.closed_loop(
+        plant=cosim.StateSpace(control.ss([[0.5]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["v"])),
+        controller=Summing(),
+        control="u",
+        measured="v",
+        sensors=cosim.Sensors(count=2, std=0.1),
+        reference=1.0,
+        dt=0.1,
+    )
+    result = loop.simulate(1.0, engine="interpreted")
+    for i, sensor_ in enumerate(loop_signals(loop, result).sensors):
+        assert sensor_.detected is None
+        np.testing.assert_array_equal(sensor_.beta, result["controller.beta"][:, i])
+
+
 def two_outputs(**sensors):
     """Return a plant of two states that are both measured, under a controller with a goal for the first."""
     import control
