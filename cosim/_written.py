@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import linecache
+import zlib
 from collections.abc import Iterable, Mapping
 from types import FunctionType
 from typing import Any
@@ -25,7 +26,7 @@ def function_from_text(
         What it finds as global names, such as the functions that it calls.
     """
     text = f"def {name}({', '.join(arguments)}):\n" + "".join(f"    {line}\n" for line in lines)
-    file = f"<{name}>"
+    file = f"<{name} {zlib.crc32(text.encode()):08x}>"  # functions of one name keep each its own source
     namespace = dict(names)
     exec(compile(text, file, "exec"), namespace)
     linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)  # so that a debugger can show it

@@ -1,6 +1,8 @@
 """Jacobians by dual numbers, against CasADi's symbolic derivatives, finite differences and pencil and paper."""
 
+import inspect
 import math
+from types import FunctionType
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ from hypothesis import given, settings, strategies as st
 
 from bayesftc.cosim import jacobian, ops
 from bayesftc.cosim._compiler import compile_kernel
+from bayesftc.cosim._fingerprint import fingerprint
+from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import cos, maximum, select, sin
 
@@ -106,6 +110,14 @@ def kinks(x, z):
     z[2] = ops.absolute(x[2])
     z[3] = ops.sqrt(x[2])
     z[4] = ops.sqrt(ops.square(x[2]))
+
+
+def test_each_shows_its_own_source_where_another_has_its_name():
+    a, b = (function_from_text("f", ["y"], [f"y[0] = {value}"], {}) for value in (1.0, 2.0))
+    assert [inspect.getsource(f) for f in (a, b)] == [f"def f(y):\n    y[0] = {value}\n" for value in (1.0, 2.0)]
+    # Where a source is found is no part of the code, or a cache that was filled earlier would lose its use.
+    moved = FunctionType(a.__code__.replace(co_filename="<f>"), a.__globals__)
+    assert fingerprint(moved, "") == fingerprint(a, "") != fingerprint(b, "")
 
 
 def test_derivatives_at_kinks_are_as_documented():
