@@ -1,6 +1,6 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
-from ._rate import Calibration as Calibration
+from ._rate import Calibration as Calibration, RateLearner as RateLearner
 from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
@@ -20,7 +20,7 @@ from .precision import (
     Learner as Learner,
     PrecisionLearner as PrecisionLearner,
 )
-from .registry import LEARNERS as LEARNERS
+from .registry import CONTROLLERS as CONTROLLERS, LAWS as LAWS, LEARNERS as LEARNERS
 from .residuals import (
     beta_residual as beta_residual,
     residual_features as residual_features,

@@ -56,7 +56,12 @@ def probability_map(calibration: Calibration | None) -> tuple[Callable[..., floa
 
 
 class RateLearner(PrecisionLearner):
-    """Base of the learners that have a rate for each sensor, ``beta``, and take a calibration."""
+    """Base of the learners that have a rate for each sensor, ``beta``, and take a calibration.
+
+    `calibrate` takes any of them. A subclass is a dataclass with the field ``calibration: Calibration | None = None``, says by
+    ``prior_rates(model)`` what its rates are before the first sample, and applies the calibration to ``beta / prior_rates`` in
+    its learning step function; without a calibration its ``fault_probability`` is NaN.
+    """
 
     calibration: Calibration | None
 

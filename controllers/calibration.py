@@ -13,6 +13,7 @@ from bayesftc.controllers._rate import Calibration, RateLearner
 from bayesftc.controllers.bayesian import BayesianController, UnstableLoopWarning
 from bayesftc.controllers.gamma import GammaPrecision
 from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -91,8 +92,7 @@ def calibrate(
         ``injection`` (constant offset) and ``drift`` (offset per second), in the sensors' units; by default 3 and 5 standard
         deviations of the first sensor. Freezes need none.
     precision : PrecisionLearner, optional
-        The learner to calibrate, one that has a rate: `GammaPrecision` (the default), `WishartPrecision` or `VariationalBayesKF`.
-        Its own calibration is ignored.
+        The learner to calibrate, a `RateLearner`; by default ``GammaPrecision()``. Its own calibration is ignored.
     reference : source, number, or one for each goal, optional
         By default a sine of five sensor standard deviations over 400 steps. On a constant reference a frozen sensor looks
         healthier than a healthy one.
@@ -109,6 +109,11 @@ def calibrate(
     -------
     CalibrationReport
         ``report.calibration`` goes into the learner's ``calibration=``.
+
+    Raises
+    ------
+    ModelError
+        If the learner has no rate, the loop is unstable, or the run is too short or without faults.
     """
     from sklearn.linear_model import LogisticRegression
 
@@ -116,9 +121,9 @@ def calibrate(
 
     chosen = GammaPrecision() if precision is None else precision
     if not isinstance(chosen, RateLearner):
+        known = " or ".join(cls.__name__ for cls in LEARNERS if issubclass(cls, RateLearner))
         raise ModelError(
-            f"calibrate cannot calibrate {chosen!r}, which has no rate; give it a GammaPrecision, WishartPrecision or "
-            "VariationalBayesKF."
+            f"calibrate cannot calibrate {chosen!r}, which has no rate; give it a learner with one: {known}."
         )
     learner: RateLearner = replace(chosen, calibration=None)  # type: ignore[call-arg]
     if steps < 5_000:

@@ -3,8 +3,8 @@
 To write a precision learner you must:
 
 1. make it a frozen dataclass of plain settings, a subclass of `PrecisionLearner`;
-2. return from ``learner(model)`` a `Learner`: the learning step function, its memory before the first sample, its settings as
-   one flat array;
+2. return from ``learner(model)`` a `Learner`: the learning step function, its memory before the first sample and its settings
+   (flat arrays, for a learner that `ExplicitDetection` may wrap; its own are tables);
 3. write the learning step function with exactly the arguments of `keep_nominal` below. It sees the samples ``y``, the
    innovations ``e``, which samples are ``present`` (1 or 0), the belief's own uncertainty ``spread`` = C P C' and the nominal
    sensor covariance; it updates ``memory`` and writes the sensor covariance ``R`` for this very sample, which sensors are
@@ -12,7 +12,12 @@ To write a precision learner you must:
    space: as many m x m matrices as the `Learner` asks for, ``work[0]``, ``work[1]``, ...;
 4. if it believes more than these outputs say (moments of the precision), name them as ``ports`` of the `Learner` and write
    them in a ``report`` function with the arguments of `report_nothing` below: they become outputs of the controller;
-5. add it to `LEARNERS`, over which the tests run.
+5. if its ``fault_probability`` is NaN, say why in ``why_no_probability``: ``bayesftc run`` prints that sentence;
+6. if it has a rate for each sensor that `calibrate` is to make a probability of, make it a `RateLearner`, which says what that
+   takes;
+7. if it detects faults itself, name one of its ports ``detected``, of one number for each sensor (1: detected): ``bayesftc
+   run`` takes it for the alarm where there is no probability;
+8. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
 """
 
 from __future__ import annotations
@@ -51,7 +56,7 @@ class Learner:
     step : function
         The learning step function.
     memory, settings : ndarray
-        Its initial memory and its settings, both flat.
+        Its initial memory and its settings: flat, for a learner that `ExplicitDetection` may wrap; its own are tables.
     work : int
         How many m x m matrices of scratch space it needs.
     ports : tuple of Port

@@ -80,15 +80,20 @@ def test_examples_folder_ships_with_the_package():
 
 
 def test_whatever_is_listed_is_public():
-    """A fault, learner, source or controller that is forgotten in the stub cannot be reached by name."""
-    from bayesftc.controllers import registry
+    """A fault, learner, source, law or controller that is forgotten in the stub cannot be reached by name."""
     from bayesftc.cosim import sources
 
     listed = [(cosim, cls) for cls in cosim.FAULTS] + [(cosim, getattr(sources, name)) for name in sources.__all__]
-    for name in ("LEARNERS", "CONTROLLERS"):
-        listed += [(controllers, cls) for cls in getattr(registry, name)]
+    for classes in (controllers.LEARNERS, controllers.LAWS, controllers.CONTROLLERS):
+        listed += [(controllers, cls) for cls in classes]
     for home, cls in listed:
         assert getattr(home, cls.__name__) is cls
+
+
+def test_every_learner_has_a_row_in_the_page_of_learners():
+    text = (ROOT / "docs" / "precision.md").read_text(encoding="utf-8")
+    for cls in controllers.LEARNERS:
+        assert re.search(rf"^\| `{cls.__name__}\(", text, re.M), f"docs/precision.md lacks a row for {cls.__name__}"
 
 
 def test_exit_codes_are_distinct_and_documented():

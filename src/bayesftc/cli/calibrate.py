@@ -9,9 +9,9 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.controllers import BayesianController, Hazards, calibrate
-from bayesftc.controllers._rate import RateLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
+from bayesftc.scenario._place import Place
 
 
 def calibrate_scenario(
@@ -34,25 +34,13 @@ def calibrate_scenario(
     """
     scenario = load_scenario(path)
     controller = scenario.controller
-    precision = getattr(controller, "precision", None)
     if not isinstance(controller, BayesianController):
         raise ModelError(f"{path}: calibrate simulates a BayesianController, not a {type(controller).__name__}.")
-    if not isinstance(precision, RateLearner):
-        raise ModelError(
-            f"{path}: only learners with a rate take a calibration, not {type(precision).__name__}; choose GammaPrecision, "
-            "WishartPrecision or VariationalBayesKF as the kind in [controller.precision]."
+    own = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
+    with Place(path).named():
+        report = calibrate(
+            controller.model, hazards, magnitudes, reference=scenario.reference, steps=steps, seed=seed, **own
         )
-    own = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name not in {"model", "precision"}}
-    report = calibrate(
-        controller.model,
-        hazards,
-        magnitudes,
-        precision=precision,
-        reference=scenario.reference,
-        steps=steps,
-        seed=seed,
-        **own,
-    )
     if json:
         typer.echo(output.as_json(asdict(report)))
         return
