@@ -10,7 +10,7 @@ from bayesftc import controllers, cosim
 from bayesftc.cosim.errors import ModelError, StepSizeError
 
 GAIN, DERIVATIVE, INTEGRAL = [[3.0, 0.5], [-0.2, 2.0]], [[0.7, 0.1], [0.0, 0.4]], [[1.0, 0.2], [0.1, 2.0]]
-LAWS = [
+EXAMPLES = [
     controllers.Proportional(GAIN),
     controllers.Proportional(GAIN, states=5, u_max=(0.5, 1.0)),
     controllers.ProportionalDerivative(GAIN, derivative_gain=DERIVATIVE),
@@ -20,6 +20,10 @@ LAWS = [
         for kind in ("clamping", "back-calculation", "both", "none")
     ),
 ]
+
+
+def test_every_law_is_in_the_examples():
+    assert {type(e) for e in EXAMPLES} == set(controllers.LAWS)
 
 
 def by_numpy(law, x, goal, dt):
@@ -43,7 +47,7 @@ def by_numpy(law, x, goal, dt):
     return np.array(out)
 
 
-@pytest.mark.parametrize("law", LAWS, ids=repr)
+@pytest.mark.parametrize("law", EXAMPLES, ids=repr)
 def test_the_control_is_numpys_in_both_forms(law, same_bits):
     rng = np.random.default_rng(5)
     x = np.cumsum(rng.normal(size=(200, law.port("x_hat").size)), axis=0) * 0.3

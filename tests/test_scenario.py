@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.registry import LAWS, LEARNERS
+from bayesftc.controllers import LAWS, LEARNERS
 from bayesftc.cosim.errors import (
     ConnectionError,
     FMUError,
@@ -376,11 +376,20 @@ def test_active_inference_needs_no_model(write, brackets):
     assert scenario.simulate(duration=0.2)["controller.x_hat"].shape == (11, 1)
 
 
+LAW_TABLES = {
+    controllers.Proportional: "gain = 2000, states = 2",
+    controllers.ProportionalDerivative: "gain = 2000, derivative_gain = 50",
+    controllers.PID: "gain = 2000, derivative_gain = 50, integral_gain = [100], anti_windup = 'both', tracking_time = 0.5",
+}
+"""A table for each law, one that reads two states for one goal."""
+
+
 @pytest.mark.parametrize("law", LAWS, ids=lambda c: c.__name__)
 def test_every_law_can_be_said(write, law):
-    text = ACTIVE.replace("Proportional", law.__name__).replace("gain = 2000", "gain = 2000, states = 2")
-    controller = load_scenario(write(text=text.replace("[[1], [1]]", "[[1, 0], [1, 0]]"))).controller
-    assert type(controller.law) is law
+    said = f'kind = "{law.__name__}", {LAW_TABLES[law]}'
+    text = ACTIVE.replace('kind = "Proportional", gain = 2000', said).replace("[[1], [1]]", "[[1, 0], [1, 0]]")
+    expected = law(**tomllib.loads(f"law = {{ {LAW_TABLES[law]} }}")["law"])
+    assert load_scenario(write(text=text)).controller.law == expected
 
 
 @pytest.mark.parametrize(
