@@ -3,14 +3,15 @@
 To add one you must:
 
 1. put its settings, each with its reason, into ``settings.py``, and what the paper prints into ``paper.py``;
-2. write ``run(*, seed, jobs, runs, beyond, progress)``, which returns a dictionary of plain data with the keys ``settings`` and
-   ``paper`` among others: what the JSON file holds. ``runs`` makes the experiment smaller, for a quick look (None: the
-   settings' size); ``beyond=False`` leaves out what is not in the paper. The same seed must give the same bits for
-   any number of jobs: `_ensemble` has what that takes;
+2. write ``run(*, seed, jobs, runs, beyond, progress)``, which returns a dictionary of plain data with the keys ``settings``
+   (with the ``seed``, which is printed above the tables) and ``paper`` among others: what the JSON file holds. ``runs`` makes
+   the experiment smaller, for a quick look (None: the settings' size); ``beyond=False`` leaves out what is not in the paper.
+   The same seed must give the same bits for any number of jobs: `_ensemble` has what that takes;
 3. write ``show(report)``, which yields what is printed (strings and tables), and for each figure a function that returns it
    as a matplotlib figure, or None where the report has nothing to draw; all know the report alone. The figures' names are
    those of their files: a run removes those that an earlier one has left in its folder, and no other file;
-4. name it in `EXPERIMENTS`, and in ``__all__`` of the package.
+4. name it in `EXPERIMENTS`, and in the package's ``__init__.py`` twice: in ``__all__``, and for type checkers among the imports
+   below ``TYPE_CHECKING``.
 """
 
 from __future__ import annotations
