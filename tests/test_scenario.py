@@ -405,8 +405,13 @@ def test_every_law_can_be_said(write, law):
             '{ kind = "ExplicitDetection", learning = "gamma_precision" }',
             "controller.precision.learning' is 'gamma_precision'; it must be a table such as { kind = \"GammaPrecision\" }",
         ),
+        (
+            '{ kind = "GammaPrecision" }',
+            '[{ kind = "GammaPrecision" }]',
+            "controller.precision' is [{'kind': 'GammaPrecision'}]; it must be a table such as { kind = ",
+        ),
     ],
-    ids=["law", "learner"],
+    ids=["law", "learner", "list"],
 )
 def test_what_has_a_kind_is_a_table(write, old, new, words):
     assert old in ACTIVE

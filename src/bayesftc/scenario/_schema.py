@@ -87,7 +87,7 @@ def convert(value: object, hint: Any, place: Place) -> Any:
     """Return what a value of the file means as the type `hint`: lists become tuples, tables the dataclasses of the type."""
     if isinstance(value, Mapping) and (classes := _dataclasses(hint)):
         return build(classes[0], value, place) if len(classes) == 1 else build_one_of(classes, value, place)
-    if isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+    if isinstance(value, list) and _is_sequence(hint) and any(isinstance(item, Mapping) for item in value):
         return tuple(convert(item, hint, place / i) for i, item in enumerate(value))
     plain = _writable(hint)
     if plain is NoneType and not _dataclasses(hint):

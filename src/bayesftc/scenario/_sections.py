@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.registry import CONTROLLERS, LEARNERS
+from bayesftc.controllers.registry import CONTROLLERS
 from bayesftc.cosim import faults, sources
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.errors import FMUError
@@ -139,8 +139,6 @@ def controller(table: object, model: object, place: Place, root: Place, simulati
         )
     elif "dt" in known and simulation.dt is not None:
         rest.setdefault("dt", simulation.dt)
-    if "precision" in rest:
-        given["precision"] = build_one_of(LEARNERS, rest.pop("precision"), place / "precision")
     return build(cls, rest, place, given=given)  # type: ignore[no-any-return]
 
 
