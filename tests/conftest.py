@@ -3,9 +3,11 @@
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -76,6 +78,49 @@ def python():
         )
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout.splitlines()[-1])
+
+    return run
+
+
+TELLING = """
+import sys
+from contextlib import contextmanager
+from importlib import import_module
+from bayesftc.__main__ import main
+
+@contextmanager
+def tell(*names, shown):
+    yield lambda *progress: print(*progress, flush=True)
+
+import_module(f"bayesftc.cli.{sys.argv[1]}")._progress = tell
+main()
+"""
+
+
+@pytest.fixture
+def stopped_by_ctrl_c(tmp_path):
+    """Stop a command line, run in `tmp_path`, once it prints progress with some beginning; return exit code and stderr."""
+
+    def run(*arguments, after=""):
+        process = subprocess.Popen(
+            [sys.executable, "-c", TELLING, *arguments],
+            cwd=tmp_path,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            # A test runner in the background hands down an ignored SIGINT; the process is to have the usual one.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
+        end = Timer(120, process.kill)  # then reading ends, and what is asserted of it fails
+        end.start()
+        try:
+            assert any(line.startswith(after) for line in process.stdout), process.stderr.read()
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=60)
+        finally:
+            end.cancel()
+            process.kill()
+        return process.returncode, errors
 
     return run
 

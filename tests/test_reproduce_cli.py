@@ -1,8 +1,6 @@
 """``bayesftc reproduce``: tables, files, and every way in which it can end."""
 
 import json
-import signal
-import subprocess
 import sys
 
 import pytest
@@ -83,32 +81,11 @@ def test_every_experiment_says_what_its_list_demands():
         _ = reproduce.nothing
 
 
-TELLING = """
-import sys
-from contextlib import contextmanager
-from bayesftc.__main__ import main
-from bayesftc.cli import reproduce
-
-@contextmanager
-def tell(name, *, shown):
-    yield lambda what, done, of: print(what, done, flush=True)
-
-reproduce._progress = tell
-main()
-"""
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_ctrl_c_stops_at_once_and_leaves_nothing(tmp_path):
+def test_ctrl_c_stops_at_once_and_leaves_nothing(stopped_by_ctrl_c, tmp_path):
     arguments = ["reproduce", "tracking", "--paper-only", "--runs", "20000", "--jobs", "2", "--out", "out"]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen([sys.executable, "-c", TELLING, *arguments], cwd=tmp_path, text=True, **pipes)
-    try:
-        assert any(line == "The paper's table 1\n" for line in process.stdout)  # the first task is done
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)  # all the runs would take minutes
-    finally:
-        process.kill()
-    assert process.returncode == 130
+    # The first task is done; all of them would take minutes.
+    code, errors = stopped_by_ctrl_c(*arguments, after="The paper's table 1 ")
+    assert code == 130
     assert "Stopped by Ctrl-C" in errors
     assert not (tmp_path / "out").exists()
