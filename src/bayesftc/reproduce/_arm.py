@@ -15,7 +15,7 @@ from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._arm_loop import FAULTY, HEALTHY, Case, closed_loop, explicit, learning
-from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
+from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._statistics import interval
 from bayesftc.reproduce.settings import Arm
 
@@ -56,7 +56,7 @@ def run(
     ModelError
         If a seed, a number of jobs or a number of runs cannot be one.
     """
-    settings, ensemble = (settings or Arm()).of_size(runs), Ensemble(seed, jobs, progress)
+    settings, ensemble = Arm.of(settings, runs), Ensemble(seed, jobs, progress)
     thresholds = learn_thresholds(settings, ensemble)
     cases = {
         "none": Case(controllers.FixedPrecision()),
@@ -85,12 +85,9 @@ def run(
 def learn_thresholds(settings: Arm, ensemble: Ensemble) -> tuple[controllers.FittedThreshold, ...]:
     """Return a Chebyshev threshold for each modality, learned from the innovations of healthy runs of other seeds."""
     loop = closed_loop(settings, Case(controllers.FixedPrecision(), fault=False))
-    ensemble.prepare([loop])
     own = ensemble.seeds("arm thresholds", settings.threshold_runs)
-    name = "controller.innovation"
-    tasks = [partial(_signals, loop, settings.duration, [s], (name,)) for s in own]
-    parts = ensemble.run(tasks, "Healthy runs")
-    innovations = np.concatenate([result[name] for part in parts for result in part])
+    ((parts,), _) = ensemble.each("Healthy runs", [loop], [own], 1, partial(_innovations, settings))
+    innovations = np.concatenate(parts)
     rule = controllers.ChebyshevThreshold(settings.alpha)
     return tuple(rule.fit(innovations[:, list(group)]) for group in settings.detection_groups)
 
@@ -103,23 +100,15 @@ def squared_errors(
     what: str,
 ) -> dict[Any, Floats]:
     """Return for each loop the mean squared error of the belief about both joints in each run (runs x 2)."""
-    ensemble.prepare(list(loops.values()))
-    groups = chunks(of, CHUNK)
-    tasks = [partial(_errors, settings, loop, group) for loop in loops.values() for group in groups]
-    done = iter(ensemble.run(tasks, what))
-    return {name: np.concatenate([next(done) for _ in groups]) for name in loops}
+    every, _ = ensemble.each(what, list(loops.values()), [of] * len(loops), CHUNK, partial(_errors, settings))
+    return {name: np.concatenate(parts) for name, parts in zip(loops, every, strict=True)}
 
 
 def detections(settings: Arm, case: Case, of: Sequence[int], ensemble: Ensemble) -> dict[str, float]:
     """Return how soon the explicit detection finds the fault, and how often it sees one where there is none."""
-    tasks = []
-    for fault in (True, False):
-        loop = closed_loop(settings, replace(case, fault=fault))
-        ensemble.prepare([loop])
-        tasks += [partial(_detected, settings, loop, group) for group in chunks(of, CHUNK)]
-    parts = ensemble.run(tasks, "Detection")
-    found = np.concatenate(parts)
-    delays, healthy = found[: len(of), 0], found[len(of) :, 1]
+    loops = [closed_loop(settings, replace(case, fault=fault)) for fault in (True, False)]
+    every, _ = ensemble.each("Detection", loops, [of, of], CHUNK, partial(_detected, settings))
+    delays, healthy = np.concatenate(every[0])[:, 0], np.concatenate(every[1])[:, 1]
     return {
         "delay_mean": float(np.mean(delays[np.isfinite(delays)])) if np.isfinite(delays).any() else float("nan"),
         "missed": int(np.isnan(delays).sum()),
@@ -128,8 +117,9 @@ def detections(settings: Arm, case: Case, of: Sequence[int], ensemble: Ensemble)
     }
 
 
-def _signals(loop: cosim.Diagram, duration: float, of: Sequence[int], record: tuple[str, ...]) -> list[cosim.Result]:
-    return list(repeat(loop, duration, of, record))
+def _innovations(settings: Arm, loop: cosim.Diagram, of: Sequence[int]) -> Floats:
+    name = "controller.innovation"
+    return np.concatenate([result[name] for result in repeat(loop, settings.duration, of, [name])])
 
 
 def _errors(settings: Arm, loop: cosim.Diagram, of: Sequence[int]) -> Floats:

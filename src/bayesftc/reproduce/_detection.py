@@ -16,7 +16,7 @@ from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce import _residuals, paper
 from bayesftc.reproduce._car import closed_loop
-from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks, seeds
+from bayesftc.reproduce._ensemble import Ensemble, Progress, seeds
 from bayesftc.reproduce._residuals import Residual, Stream
 from bayesftc.reproduce._roc import auc as area, curve, rates
 from bayesftc.reproduce._statistics import interval
@@ -69,7 +69,7 @@ def run(
         If a seed, a number of jobs or a number of streams cannot be one, or no factor in the given range lets the baseline
         reach its AUC.
     """
-    settings, car = (settings or Detection()).of_size(runs), car or Car()
+    settings, car = Detection.of(settings, runs), car or Car()
     bench = _Bench(settings, car, Ensemble(seed, jobs, progress))
     factor, baseline = bench.factor()
     faults = Faults(settings.injection * factor, settings.drift * factor)
@@ -175,20 +175,13 @@ class _Bench:
 
     def _areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int], rows: slice) -> Floats:
         """Return the AUC over some rows of each stream, for residuals of one feature: cases x streams."""
-        loops = [self.loop(faults, residual.learners[0]) for faults, residual in cases]
-        self.ensemble.prepare(loops)
+        of = {self.loop(faults, residual.learners[0]): residual for faults, residual in cases}
 
-        def group(loop: cosim.Diagram, residual: Residual, few: Sequence[int]) -> list[float]:
-            streams = self._streams(loop, few)
-            return [area(s.faulty[rows], residual.features([s])[rows, :, 0]) for s in streams]
+        def areas(loop: cosim.Diagram, few: Sequence[int]) -> list[float]:
+            return [area(s.faulty[rows], of[loop].features([s])[rows, :, 0]) for s in self._streams(loop, few)]
 
-        tasks = [
-            partial(group, loop, residual, few)
-            for loop, (_, residual) in zip(loops, cases, strict=True)
-            for few in chunks(own, GROUP)
-        ]
-        parts = self.ensemble.run(tasks, what)
-        return np.concatenate(parts).reshape(len(cases), len(own))
+        every, _ = self.ensemble.each(what, list(of), [own] * len(of), GROUP, areas)
+        return np.array([np.concatenate(parts) for parts in every])
 
     def _judge_stream(
         self,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -120,6 +122,44 @@ class Ensemble:
     def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
         """Run all tasks, see `in_parallel`."""
         return in_parallel(tasks, self.jobs, self.progress, what)
+
+    def each(
+        self,
+        what: str,
+        loops: Sequence[Diagram],
+        seeds: Sequence[Sequence[int]],
+        size: int,
+        function: Callable[[Diagram, Sequence[int]], R],
+    ) -> tuple[list[list[R]], float]:
+        """Run each loop with seeds of its own, after all are prepared.
+
+        Parameters
+        ----------
+        what : str
+            Name of the work, for the progress.
+        loops : sequence of Diagram
+            What to run.
+        seeds : sequence of sequences of int
+            For each loop the seeds of its runs.
+        size : int
+            Number of runs that one task makes.
+        function : callable
+            Called as ``function(loop, seeds)`` for each task.
+
+        Returns
+        -------
+        results : list of lists
+            For each loop what the function returned, in the order of its seeds.
+        seconds : float
+            How long that took, without the preparation.
+        """
+        self.prepare(loops)
+        groups = [chunks(own, size) for own in seeds]
+        tasks = [partial(function, loop, few) for loop, mine in zip(loops, groups, strict=True) for few in mine]
+        began = time.perf_counter()
+        done = iter(self.run(tasks, what))
+        seconds = time.perf_counter() - began
+        return [[next(done) for _ in mine] for mine in groups], seconds
 
 
 def chunks(items: Sequence[int], size: int) -> list[Sequence[int]]:

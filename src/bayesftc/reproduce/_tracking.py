@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +15,7 @@ from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._car import closed_loop
-from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
+from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._merit import merit, total
 from bayesftc.reproduce._statistics import outcomes
 from bayesftc.reproduce.settings import Car, Tracking
@@ -128,7 +127,7 @@ def run(
     ModelError
         If a seed, a number of jobs or a number of runs cannot be one.
     """
-    settings, car = (settings or Tracking()).of_size(runs), car or Car()
+    settings, car = Tracking.of(settings, runs), car or Car()
     bench = _Bench(settings, car, Ensemble(seed, jobs, progress))
     known = techniques(settings)
     papers = {name: known[name] for name in PAPERS}
@@ -186,15 +185,10 @@ class _Bench:
         s = self.settings
         cells = list(product(scenarios, learners))
         loops = [self.loop(scenario, learners[name], told=told) for scenario, name in cells]
-        self.ensemble.prepare(loops)
-        groups = [chunks(self.ensemble.seeds(scenario.kind, s.runs), CHUNK) for scenario, _ in cells]
-        tasks = [partial(_run, loop, s.duration, g) for loop, mine in zip(loops, groups, strict=True) for g in mine]
-        began = time.perf_counter()
-        done = iter(self.ensemble.run(tasks, what))
-        seconds = time.perf_counter() - began
+        own = [self.ensemble.seeds(scenario.kind, s.runs) for scenario, _ in cells]
+        every, seconds = self.ensemble.each(what, loops, own, CHUNK, partial(_run, s.duration))
         runs: dict[Scenario, dict[str, Runs]] = {scenario: {} for scenario in scenarios}
-        for (scenario, name), mine in zip(cells, groups, strict=True):
-            parts = [next(done) for _ in mine]
+        for (scenario, name), parts in zip(cells, every, strict=True):
             mean = np.divide(sum(absolute for _, absolute in parts), s.runs)
             runs[scenario][name] = Runs(np.concatenate([rmse for rmse, _ in parts]), mean)
         return Measured(runs, len(cells) * s.runs * round(s.duration / self.car.step), seconds)
@@ -218,7 +212,7 @@ class _Bench:
         return closed_loop(self.car, learner, faults, reference, start)
 
 
-def _run(loop: cosim.Diagram, duration: float, own_seeds: Sequence[int]) -> tuple[Floats, Floats]:
+def _run(duration: float, loop: cosim.Diagram, own_seeds: Sequence[int]) -> tuple[Floats, Floats]:
     """Return the root-mean-square tracking error of each run, and the sum over runs of the absolute error over time.
 
     The controller aims at the goal of t_k with the state of t_k+1.
