@@ -71,7 +71,9 @@ def _repeats(values: Floats) -> str | None:
 
 def _outliers(values: Floats) -> str | None:
     """Each side of the median has its own standard deviation, by its quartile: residuals may be skewed."""
-    low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
+    middle = np.median(values)
+    # Of a coarsely quantised residual quartiles that fall between two levels would lie at neither.
+    low, high = np.quantile(values, 0.25, method="lower"), np.quantile(values, 0.75, method="higher")
     if low == middle or middle == high:
         return None
     deviations = QUARTILE * np.maximum((values - middle) / (high - middle), (middle - values) / (middle - low))

@@ -185,8 +185,8 @@ class ExplicitDetection(PrecisionLearner):
             )
         if self.groups is not None:
             object.__setattr__(self, "groups", _groups(self.groups))
-        if isinstance(self.threshold, Sequence | np.ndarray) and not isinstance(self.threshold, str):
-            object.__setattr__(self, "threshold", tuple(_threshold(one) for one in self.threshold))
+        if np.ndim(self.threshold) > 0:  # type: ignore[arg-type]
+            object.__setattr__(self, "threshold", tuple(_threshold(one) for one in self.threshold))  # type: ignore[union-attr]
         else:
             _threshold(self.threshold)
         check_number(self, "hold", above=0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
+from bayesftc.controllers._checks import Matrix, as_covariance, as_number, as_vector
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim._fingerprint import functions_called, where
 from bayesftc.cosim.block import Floats, Kernel, argument_names
@@ -47,6 +47,8 @@ class NonlinearModel:
         By default `bayesftc.cosim.jacobian` derives it from `f`.
     g_jacobian : function, optional
         ``g_jacobian(x, C)``: writes the derivatives of the readings by the state (m x n). By default derived from `g`.
+    disturbances : int
+        How many states, the last ones, are no states of the plant but disturbances; goals do not concern them.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class NonlinearModel:
     dt: float | str | Fraction
     f_jacobian: Kernel | None = None
     g_jacobian: Kernel | None = None
+    disturbances: int = 0
 
     def __post_init__(self) -> None:
         for name in ("states", "controls", "sensors"):
@@ -88,6 +91,7 @@ class NonlinearModel:
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
                 raise ModelError(f"The model has {name}={number!r}; it must be a whole number, at least 1.")
         n, p, m = self.states, self.controls, self.sensors
+        as_number("The model has disturbances", self.disturbances, least=0, most=n - 1, whole=True)
         values = {
             "process_covariance": as_covariance(
                 "The model's process_covariance", self.process_covariance, n, singular=True
@@ -110,11 +114,6 @@ class NonlinearModel:
         """The Jacobians of f and of g as step functions, ``(x, u, F, B)`` and ``(x, C)``: those given, else derived."""
         of_f = self.f_jacobian or _derived("f", self.f, (self.states, self.controls), self.states)
         return of_f, self.g_jacobian or _derived("g", self.g, (self.states,), self.sensors)
-
-    @property
-    def disturbances(self) -> int:
-        """Number of states that are no states of the plant: none."""
-        return 0
 
     @property
     def step(self) -> Fraction:
@@ -162,7 +161,9 @@ class NonlinearModel:
                     f"The model's {name} is not finite at x = {x.tolist()}, u = {u.tolist()}, where the controller begins; "
                     "give an initial_mean at which it is."
                 )
-        return LinearModel(A, B, C, self.process_covariance, self.sensor_covariance, self.dt)
+        return LinearModel(
+            A, B, C, self.process_covariance, self.sensor_covariance, self.dt, disturbances=self.disturbances
+        )
 
     @classmethod
     def from_linear(cls, model: LinearModel) -> NonlinearModel:
@@ -171,7 +172,7 @@ class NonlinearModel:
         Parameters
         ----------
         model : LinearModel
-            The model; that some of its states are disturbances is forgotten.
+            The model.
         """
         A, B, C = (tuple(map(tuple, model.matrix(name).tolist())) for name in "ABC")
         n, p, m = model.states, model.controls, model.sensors
@@ -192,7 +193,8 @@ class NonlinearModel:
                     total = total + C[i][j] * x[j]
                 y[i] = total
 
-        return cls(move, read, n, p, m, model.process_covariance, model.sensor_covariance, model.dt)
+        noise = model.process_covariance, model.sensor_covariance
+        return cls(move, read, n, p, m, *noise, model.dt, disturbances=model.disturbances)
 
 
 @cache

@@ -144,8 +144,9 @@ class ChebyshevThreshold:
         20 standard deviations, drift of 2 or 5 a second, tenfold noise) 99 % were refused with the fault present for 10 %
         of the time, and 99.9 % with 20 to 60 %. What is not seen: a fault that lasts for the whole record or for less
         than 5 % of it, and one below 1.4 standard deviations. A healthy record is refused if it holds a single transient, or
-        fewer than five periods of a slow swing, that stands out of the noise: leave it out, or, where the threshold is to allow
-        for it, record it several times.
+        fewer than five periods of a slow swing, that stands out of the noise, and often if it is correlated over more than a
+        hundredth of its length: record longer, leave the transient out, or, where the threshold is to allow for it, record it
+        several times.
         """
         samples = as_numbers("The residuals", residuals, "they must be numbers, a row for each sample")
         samples = samples[:, None] if samples.ndim == 1 else samples

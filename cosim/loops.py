@@ -101,8 +101,8 @@ def closed_loop(
     brain = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
     if len(brain["y"]) != sensors.count:
         raise ConnectionError(
-            f"The controller's model has {len(brain['y'])} sensors, but the loop has {sensors.count}; give the model's C a row "
-            "for each sensor, and Sensors the same count."
+            f"The controller has {len(brain['y'])} sensors, but the loop has {sensors.count}; give its model's C a row, or its "
+            "modalities a sample, for each sensor, and Sensors the same count."
         )
     diagram.connect(last["y"], brain["y"])
     diagram.connect([g["y"] for g in goals], brain["goal"])

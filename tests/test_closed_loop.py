@@ -165,7 +165,7 @@ def test_references(reference):
         (
             {"sensors": cosim.Sensors(count=2)},
             cosim.ConnectionError,
-            r"The controller's model has 1 sensors, but the loop has 2",
+            r"The controller has 1 sensors, but the loop has 2",
         ),
         ({"faults": ["freeze"]}, cosim.ModelError, r"faults must be faults such as Freeze"),
         ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"is to befall sensor 1, but there are 1"),

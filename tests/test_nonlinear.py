@@ -281,6 +281,18 @@ def test_every_search_converges_and_how_often_a_better_minimum_lies_elsewhere(pr
     assert 0.0 < share < 0.2
 
 
+def test_disturbances_of_a_linear_model_are_no_goals():
+    model = LinearModel([[0.9]], [[0.5]], [[1.0]], 0.01, 0.1, 0.1).with_disturbance(1e-3)
+    options = {"initial_mean": 0.5, "initial_covariance": 1.0}
+    closed, searched = (kind(model, **options) for kind in (BayesianController, NonlinearBayesianController))
+    assert searched.goals == closed.goals == 1
+    outs = [c.online(compiled=False)(y=[0.7], goal=[1.0]) for c in (closed, searched)]
+    np.testing.assert_allclose(outs[1].u, outs[0].u, rtol=1e-9)
+    np.testing.assert_allclose(outs[1].x_hat, outs[0].x_hat, rtol=1e-9)
+    with pytest.raises(ModelError, match="disturbances=2"):
+        replace(searched.model, disturbances=2)
+
+
 def test_one_step_is_an_extended_kalman_filters():
     """filterpy's extended Kalman filter makes one undamped step from the prediction; more steps are a better minimum."""
     from filterpy.kalman import ExtendedKalmanFilter

@@ -6,7 +6,10 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
+from bayesftc import reproduce
 from bayesftc.cli import app
+from bayesftc.cosim.errors import ModelError
+from bayesftc.reproduce import settings
 from bayesftc.reproduce.experiments import EXPERIMENTS
 
 FEW = ("--runs", "2", "--paper-only", "--jobs", "2")
@@ -61,6 +64,25 @@ def test_wrong_input_is_a_sentence(bayesftc_, arguments, code, words):
     assert done.exit_code == code
     assert words in done.stderr
     assert "Traceback" not in done.output
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: settings.Arm(threshold_runs=0), "threshold_runs is 0"),
+        (lambda: settings.Arm(start=(0.0,)), "must be a tuple of 2 numbers"),
+        (lambda: settings.Arm(detection_groups=((0, 9),)), "six samples"),
+        (lambda: settings.Tracking(significance=5), "significance=5"),
+        (lambda: settings.Tracking(injections=(1.0, "large")), "which holds='large'"),
+        (lambda: settings.Detection(training_share=1.0), "training_share=1.0"),
+        (lambda: settings.Car(drag=None), "drag=None"),
+        (lambda: reproduce.tracking(settings=settings.Arm()), "this experiment takes Tracking"),
+        (lambda: reproduce.arm(settings={}), "this experiment takes Arm"),
+    ],
+)
+def test_wrong_settings_are_a_sentence(make, words):
+    with pytest.raises(ModelError, match=words):
+        make()
 
 
 def test_a_folder_that_cannot_be_written_is_told_before_the_run(bayesftc_, tmp_path):

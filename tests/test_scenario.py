@@ -410,8 +410,13 @@ def test_every_law_can_be_said(write, law):
             '[{ kind = "GammaPrecision" }]',
             "controller.precision' is [{'kind': 'GammaPrecision'}]; it must be a table such as { kind = ",
         ),
+        (
+            '{ kind = "GammaPrecision" }',
+            '{ kind = "ExplicitDetection", groups = [0, 1] }',
+            "controller.precision.groups' is [0, 1]; it must be a list of lists of whole numbers.",
+        ),
     ],
-    ids=["law", "learner", "list"],
+    ids=["law", "learner", "list", "groups"],
 )
 def test_what_has_a_kind_is_a_table(write, old, new, words):
     assert old in ACTIVE

@@ -186,6 +186,8 @@ def test_healthy_samples_of_many_kinds_are_accepted(alpha):
     kinds += [np.round(rng.normal(size=2000)), rng.integers(0, 2, size=2000), np.repeat(rng.normal(size=1000), 2)]
     for samples in kinds:
         assert ChebyshevThreshold(alpha).fit(samples, faulty=np.zeros(2000, bool)).size == 1
+    for _ in range(50):  # few samples on few levels: their quartiles fall between two
+        assert ChebyshevThreshold(alpha).fit(np.round(rng.normal(size=120))).size == 1
 
 
 @pytest.mark.parametrize(

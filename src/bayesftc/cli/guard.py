@@ -39,7 +39,7 @@ def guarded(debug: bool = False) -> Iterator[None]:
         _say(f"Error: {error}")
         raise typer.Exit(error.exit_code) from None
     except KeyboardInterrupt:
-        _say("Stopped by Ctrl-C before the end; no file of this run was left behind.")
+        _say("Stopped by Ctrl-C before the end; no half-finished file was left behind.")
         raise typer.Exit(INTERRUPTED) from None
     except MemoryError:
         _say(

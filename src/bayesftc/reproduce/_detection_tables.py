@@ -42,7 +42,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     low, high = report["difference"]["ci"]
     yield (
         f"Beta minus SER, stream by stream: {report['difference']['mean']:.4f}, 95 % interval {low:.4f} to {high:.4f}; "
-        f"{'it excludes' if low > 0 or high < 0 else 'it does not exclude'} no difference."
+        f"{'zero is not in it' if low > 0 or high < 0 else 'zero is in it'}."
     )
     yield table(
         "Stream by stream",

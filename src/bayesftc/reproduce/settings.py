@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from math import pi
 from typing import Any, ClassVar, Literal, Self
 
+from bayesftc.controllers._checks import as_number, check_number
 from bayesftc.controllers.baselines import EFFDI_QUANTILE_999
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce import paper
@@ -27,8 +28,26 @@ def check_size(name: str, value: object, least: int, why: str) -> None:
         raise ModelError(f"{name} is {value!r}; it must be a whole number, at least {least}, {why}.")
 
 
+@dataclass(frozen=True)
 class Settings:
-    """Base of all settings."""
+    """Base of all settings: numbers, or tuples of numbers, as their defaults are."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value, title = getattr(self, f.name), f"{type(self).__name__} has {f.name}"
+            if isinstance(f.default, tuple):
+                self._check_tuple(title, value, f.default, fixed="..." not in str(f.type))
+            elif not isinstance(f.default, str):
+                as_number(title, value, whole=isinstance(f.default, int))
+
+    @staticmethod
+    def _check_tuple(title: str, value: object, default: tuple[Any, ...], *, fixed: bool) -> None:
+        if not isinstance(value, tuple) or not value or (fixed and len(value) != len(default)):
+            size = f"{len(default)} numbers" if fixed else "numbers, at least one"
+            raise ModelError(f"{title}={value!r}; it must be a tuple of {size}, such as {default!r}.")
+        for element in value:
+            if not isinstance(default[0], tuple):
+                as_number(f"{title}={value!r}, which holds", element, whole=isinstance(default[0], int))
 
     def to_dict(self) -> dict[str, Any]:
         """Return all settings by name, and under ``why`` the reason for each."""
@@ -49,7 +68,23 @@ class Repeated(Settings):
     """The setting that says how often."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._check(self.REPEATED, getattr(self, self.REPEATED))
+
+    @classmethod
+    def of(cls, settings: Self | None, runs: int | None) -> Self:
+        """Return what an experiment was given, or its defaults, with `runs` repetitions if that is a number.
+
+        Raises
+        ------
+        ModelError
+            If it is no such settings, or there are not at least two repetitions.
+        """
+        if settings is not None and not isinstance(settings, cls):
+            raise ModelError(
+                f"settings is of the class {type(settings).__name__}; this experiment takes {cls.__name__}(...), or None."
+            )
+        return (settings or cls()).of_size(runs)
 
     def of_size(self, runs: int | None) -> Self:
         """Return the settings with another number of repetitions, or as they are.
@@ -151,6 +186,15 @@ class Arm(Repeated):
     learning_rates: tuple[float, ...] = chosen((3e-4, 1e-3, 3e-3, 1e-2), "a sample: k from 0.3 to 10 per second")
     lower_bounds: tuple[float, ...] = chosen((1e-1, 1e-2, 1e-3, 1e-4), "relative to nominal")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("threshold_runs", "every", "grid_runs"):
+            check_size(name, getattr(self, name), 1, "or there is nothing to compute from")
+        if not all(group and set(group) <= set(range(6)) for group in self.detection_groups):
+            raise ModelError(
+                f"Arm has detection_groups={self.detection_groups!r}; each must name some of the six samples, from 0 to 5."
+            )
+
 
 @dataclass(frozen=True)
 class Tracking(Repeated):
@@ -183,6 +227,10 @@ class Tracking(Repeated):
     injections: tuple[float, ...] = chosen((2.0, 5.0, 7.0, 10.0), "m/s: where the order of the techniques reverses")
     drifts: tuple[float, ...] = chosen((0.5, 1.0, 5.0), "m/s per second")
     effdi_durations: tuple[float, ...] = chosen((2.0, 8.0), "s: the last is the fault's true length")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_number(self, "significance", above=0, below=1)
 
 
 @dataclass(frozen=True)
@@ -244,3 +292,4 @@ class Detection(Repeated):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_size("steps", self.steps, 5_000, "to see enough faults")
+        check_number(self, "training_share", above=0, below=1)

@@ -199,4 +199,6 @@ def _words(hint: Any) -> list[str]:
 
 def _plural(word: str) -> str:
     plural = {"a list of numbers": "rows of numbers", "a text in quotes": "texts in quotes"}
+    if word.startswith("a list of "):
+        return plural.get(word) or "lists of " + word.removeprefix("a list of ")
     return plural.get(word) or (word.removeprefix("a ") + "s" if word.startswith("a ") else word)
