@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache
 from types import FunctionType
 from typing import Any
 
@@ -197,7 +196,6 @@ class NonlinearModel:
         return cls(move, read, n, p, m, *noise, model.dt, disturbances=model.disturbances)
 
 
-@cache
 def _derived(name: str, function: Kernel, inputs: tuple[int, ...], size: int) -> Kernel:
     *arguments, output = argument_names(function)
     shapes = {**dict(zip(arguments, inputs, strict=True)), output: size}

@@ -27,7 +27,14 @@ from numba.extending import intrinsic, overload
 
 from bayesftc.cosim import _numba_ops
 from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim._fingerprint import fingerprint, functions_called, references, service_fingerprint, where
+from bayesftc.cosim._fingerprint import (
+    depends_on,
+    fingerprint,
+    functions_called,
+    references,
+    service_fingerprint,
+    where,
+)
 from bayesftc.cosim.block import Kernel
 from bayesftc.cosim.errors import BayesFTCError, KernelError
 
@@ -79,9 +86,9 @@ def compile_kernel(kernel: Kernel, sections: dict[str, tuple[str, int, tuple[int
         known = _kernels.setdefault(kernel, {})
         if body in known:
             seen, address = known[body]
-            if all(map(operator.is_, seen, _seen(kernel))):
+            if all(map(operator.is_, seen, depends_on(kernel))):
                 return address
-        seen = _seen(kernel)
+        seen = depends_on(kernel)
         name = f"block_{kernel.__name__.strip('<>')[:40]}_{fingerprint(kernel, body)}"
         if name not in _modules:
             twins = _twins(functions_called(kernel))
@@ -89,19 +96,6 @@ def compile_kernel(kernel: Kernel, sections: dict[str, tuple[str, int, tuple[int
         address = int(_modules[name].entry.address)
         known[body] = seen, address
     return address
-
-
-def _seen(kernel: FunctionType) -> list[Any]:
-    """Return all objects on which a kernel's code depends: while they are the same, so is its fingerprint, which costs more."""
-    found: list[Any] = []
-    functions = [kernel]
-    for function in functions:  # the list grows by what it calls
-        values = [function.__globals__.get(name) for name in function.__code__.co_names]
-        values += function.__closure__ or ()
-        values += [cell.cell_contents for cell in function.__closure__ or () if _filled(cell)]
-        found += [function.__code__, *values]
-        functions += [value for value in values if isinstance(value, FunctionType) and value not in functions]
-    return found
 
 
 def _twins(functions: list[FunctionType]) -> list[FunctionType]:
@@ -120,14 +114,6 @@ def _twins(functions: list[FunctionType]) -> list[FunctionType]:
         twin.__kwdefaults__ = function.__kwdefaults__
         twins[function] = twin
     return list(twins.values())
-
-
-def _filled(cell: CellType) -> bool:
-    try:
-        cell.cell_contents  # noqa: B018 - an empty cell raises
-    except ValueError:
-        return False
-    return True
 
 
 def compile_function(function: FunctionType, signature: str) -> Any:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from numbers import Number
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 from bayesftc.cosim import ops
@@ -94,6 +94,30 @@ def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
             yield name, cell.cell_contents
         except ValueError:  # the variable of the enclosing function has no value yet
             raise KernelError(f"Step function {where(function)} uses {name!r}, which has no value yet.") from None
+
+
+def depends_on(function: FunctionType) -> list[Any]:
+    """Return all objects on which a step function's code depends.
+
+    While they are the same objects, so is the function's fingerprint, which costs more, and all that was made from its code.
+    """
+    found: list[Any] = []
+    functions = [function]
+    for reached in functions:  # the list grows by what it calls
+        values = [reached.__globals__.get(name) for name in reached.__code__.co_names]
+        values += reached.__closure__ or ()
+        values += [cell.cell_contents for cell in reached.__closure__ or () if _filled(cell)]
+        found += [reached.__code__, *values]
+        functions += [value for value in values if isinstance(value, FunctionType) and value not in functions]
+    return found
+
+
+def _filled(cell: CellType) -> bool:
+    try:
+        cell.cell_contents  # noqa: B018 - an empty cell raises
+    except ValueError:
+        return False
+    return True
 
 
 def _allowed(value: Any) -> bool:

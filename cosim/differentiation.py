@@ -8,17 +8,19 @@ says all; and the Jacobian is a step function like any other: plain Python, comp
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from pathlib import Path
 from traceback import walk_tb
 from types import FunctionType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from bayesftc.cosim import ops
-from bayesftc.cosim._fingerprint import functions_called
+from bayesftc.cosim._fingerprint import depends_on, functions_called
 from bayesftc.cosim._tracing import rebound
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Kernel, argument_names
@@ -27,6 +29,8 @@ from bayesftc.cosim.errors import KernelError
 Shape = int | tuple[int, ...]
 Input = tuple[str, int]
 """Which input number a derivative is by: the name of the argument, the place in it."""
+
+_known: WeakKeyDictionary[FunctionType, dict[Any, tuple[list[Any], Kernel]]] = WeakKeyDictionary()
 
 
 def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Sequence[str]) -> Kernel:
@@ -78,11 +82,20 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
     names = argument_names(function)
     assert isinstance(function, FunctionType)  # `argument_names` refuses what is none
     _check(function, names, shapes, output, wrt)
+    sizes = {name: _tuple(shapes[name]) for name in names}
+    # Blocks ask for the same derivative whenever they are looked at, but numbers of the function's module may change between.
+    now, known = depends_on(function), _known.setdefault(function, {})
+    key = tuple(sizes.items()), output, tuple(wrt)
+    if key not in known or not all(map(operator.is_, known[key][0], now)):
+        known[key] = now, _derived(function, sizes, output, wrt)
+    return known[key][1]
+
+
+def _derived(function: FunctionType, shapes: Mapping[str, tuple[int, ...]], output: str, wrt: Sequence[str]) -> Kernel:
     parts = functions_called(function)  # refuses what breaks the rules, with the sentences of the compiler
     tape = _Tape()
     arrays: dict[str, Any] = {}
-    for name in names:
-        shape = _tuple(shapes[name])
+    for name, shape in shapes.items():
         array = np.empty(shape, dtype=object)
         if name != output:
             for index in np.ndindex(shape):
@@ -108,7 +121,7 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
     for name in wrt:
         for i, value in enumerate(arrays[output]):
             of_value = value.partials if isinstance(value, _Dual) else {}
-            for j in range(_tuple(shapes[name])[0]):
+            for j in range(shapes[name][0]):
                 lines.append(f"{output}_{name}[{i}, {j}] = {_text(of_value.get((name, j), 0.0))}")
     return _compiled(function, [*given, *(f"{output}_{name}" for name in wrt)], [*tape.lines, *lines])
 

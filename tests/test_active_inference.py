@@ -1,6 +1,8 @@
 """Active inference: its free energy and gradient against CasADi and SciPy, where it settles, and what it survives."""
 
+import pickle
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import casadi as ca
 import numpy as np
@@ -11,6 +13,7 @@ from scipy import linalg, stats
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import Modality, UnbiasedActiveInference, _curvature, _descent
+from bayesftc.cosim import differentiation
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 from bayesftc.cosim.ops import cos, select, sin, square
 
@@ -544,6 +547,16 @@ def test_the_arm_with_three_modalities():
     assert controller.port("y").size == 10
     with pytest.raises(ModelError, match=r"an eigenvalue of \d"):
         replace(controller, belief_rate=2000.0)
+
+
+def test_a_look_at_its_ports_derives_nothing_anew(monkeypatch):
+    controller = UnbiasedActiveInference(
+        Modality("bend", 3, bend, std=0.1), pull, H, 1.0, control_rate=0.1, sizes=(4, 2, 2), initial_mean=0.2
+    )
+    monkeypatch.setattr(differentiation, "_derived", lambda *a: pytest.fail("derived again"))
+    for one in (controller, pickle.loads(pickle.dumps(controller)), replace(controller, inner_steps=2)):
+        assert [port.name for port in one.outputs][:2] == ["u", "x_hat"]
+        one.define(Fraction(1, 100))
 
 
 def test_a_model_alone_says_what_is_measured():

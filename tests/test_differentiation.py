@@ -99,7 +99,9 @@ def test_a_jacobian_is_a_step_function_that_compiles_and_can_be_differentiated_a
 
 
 def test_the_same_function_gives_the_same_text():
-    a, b = (jacobian(mixture, SHAPES, "z", ["x"]) for _ in range(2))
+    twin = FunctionType(mixture.__code__, globals())
+    a, b = (jacobian(f, SHAPES, "z", ["x"]) for f in (mixture, twin))
+    assert a is not b
     assert a.__code__.co_code == b.__code__.co_code
     assert a.__code__.co_consts == b.__code__.co_consts
 
@@ -110,6 +112,24 @@ def kinks(x, z):
     z[2] = ops.absolute(x[2])
     z[3] = ops.sqrt(x[2])
     z[4] = ops.sqrt(ops.square(x[2]))
+
+
+def test_it_is_derived_once_until_a_number_that_the_function_uses_changes(monkeypatch):
+    def scaled(x, z):
+        for i in range(z.shape[0]):
+            z[i] = SCALE * x[0]
+
+    def slope(size):
+        made = jacobian(scaled, {"x": 1, "z": size}, "z", ["x"])
+        made(np.ones(1), result := np.empty((size, 1)))
+        return made, result.ravel().tolist()
+
+    first, value = slope(1)
+    assert value == [SCALE]
+    assert slope(1)[0] is first
+    assert slope(2)[1] == [SCALE, SCALE]
+    monkeypatch.setitem(globals(), "SCALE", 7.0)
+    assert slope(1)[1] == [7.0]
 
 
 def test_each_shows_its_own_source_where_another_has_its_name():
