@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, frozen
-from bayesftc.controllers._curvature import check_stable, largest_step
+from bayesftc.controllers._curvature import check_stable, curvature_of_belief, curvature_of_control, largest_step
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
 from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once
 from bayesftc.controllers._measured import jacobian_of, measured, nominal_covariance, weights_of
@@ -324,7 +324,6 @@ class UnbiasedActiveInference(Block):
         mean = np.asarray(self.initial_mean)
         G, nominal = jacobian_of(self._groups, mean), nominal_covariance(self._groups)
         S = np.diag(np.sqrt(weights_of(self._groups) * np.diag(nominal)))
-        H: Any = G.T @ S @ np.linalg.inv(nominal) @ S @ G + self._prior_curvature()
         rates = h * np.asarray(self.belief_rate)
         arrays = {"mean": np.array(mean), "goal": np.zeros(goals), "wanted": np.full(p, np.nan), "D": np.zeros((p, n))}
         law = self._embedded()
@@ -334,10 +333,12 @@ class UnbiasedActiveInference(Block):
                 f"The control law gives {arrays['wanted'].tolist()} at the initial mean and a goal of zero; it must write "
                 "finite numbers into all of u."
             )
-        if self.control == "gradient":
+        descends = self.control == "gradient"
+        H: Floats = np.empty((n + p,) * 2 if descends else (n, n))
+        curvature_of_belief(G, S @ np.linalg.inv(nominal) @ S, self._prior_curvature(), np.empty_like(G), H)
+        if descends:
             run_once(law, "law_derivative", arrays)
-            D, Pu = arrays["D"], np.asarray(self.control_precision)
-            H = np.block([[H + D.T @ Pu @ D, -D.T @ Pu], [-Pu @ D, Pu]])
+            curvature_of_control(arrays["D"], np.asarray(self.control_precision), np.empty((p, n)), H)
             rates = np.concatenate([rates, h * np.asarray(self.control_rate, float)])
         return H, rates
 
