@@ -338,6 +338,11 @@ class UnbiasedActiveInference(Block):
         curvature_of_belief(G, S @ np.linalg.inv(nominal) @ S, self._prior_curvature(), np.empty_like(G), H)
         if descends:
             run_once(law, "law_derivative", arrays)
+            if not np.isfinite(arrays["D"]).all():
+                raise ModelError(
+                    f"The control law's derivative is {arrays['D'].tolist()} at the initial mean and a goal of zero; start where "
+                    "it is finite, or put the control to the law by control='law'."
+                )
             curvature_of_control(arrays["D"], np.asarray(self.control_precision), np.empty((p, n)), H)
             rates = np.concatenate([rates, h * np.asarray(self.control_rate, float)])
         return H, rates

@@ -15,7 +15,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import Modality, UnbiasedActiveInference, _curvature, _descent
 from bayesftc.cosim import differentiation
 from bayesftc.cosim.errors import BayesFTCError, ModelError
-from bayesftc.cosim.ops import cos, select, sin, square
+from bayesftc.cosim.ops import cos, select, sin, sqrt, square
 
 H = 0.01
 ARM = cosim.arm_with_camera((1.0, 0.8), (-0.05, 0.01, 0.001))
@@ -40,6 +40,10 @@ def bend_by_hand(x, y_x):
 def pull(x_hat, goal, u):
     u[0] = 2.0 * (goal[0] - sin(x_hat[0])) - x_hat[2] * x_hat[1]
     u[1] = goal[1] - x_hat[1] + 0.2 * square(x_hat[3])
+
+
+def steep(x_hat, goal, u):
+    u[0] = goal[0] - sqrt(x_hat[0])
 
 
 # The same functions written again in CasADi, and what each modality is built from.
@@ -625,6 +629,7 @@ def test_a_prediction_that_is_followed_in_full_keeps_a_lightly_damped_plant(prec
         ({"modalities": [Modality("x", matrix=[[1.0]], std=1.0)]}, "1 columns for 2 states"),
         ({"modalities": [Modality("x", 1, bend, std=1.0)]}, "does not fit 2 states and 1 samples"),
         ({"law": pull}, "sizes="),
+        ({"law": steep, "sizes": (2, 1, 1)}, r"derivative is \[\[-inf, 0.0\]\] at the initial mean"),
         ({"law": None}, "must be a block"),
         ({"law": cosim.Sensors()}, "x_hat and goal"),
         ({"sizes": (3, 1, 1)}, "leave sizes out"),
