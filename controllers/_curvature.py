@@ -15,8 +15,11 @@ matrix, takes the root of that factor. `largest_step` chooses the least k for wh
 are known to be stable, has a bound below 2, and takes that bound as the limit, or 1.9 if it is less. So
 
 - a step at nominal curvature is never shortened;
-- a step within the limit is stable, as its eigenvalues are below the bound, and the bound is below 2;
+- for symmetric H a step within the limit is stable, as its eigenvalues are below the bound, and the bound is below 2 (unless the
+  nominal curvature itself is within a thousandth of 2);
 - a step beyond it is shortened to ``1 / bound``: it ends at the minimum of the steepest direction, or before it.
+
+The prediction of a Kalman or Euler prior makes H unsymmetric: `check_stable` then judges the nominal curvature by its own rule.
 """
 
 from __future__ import annotations

@@ -1,10 +1,13 @@
 """Step functions of active inference: prediction errors, precisions, free energy, its gradient, and a step along it."""
 
 from bayesftc.controllers._linalg import cholesky, solve_columns
-from bayesftc.cosim.ops import both, log, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
 
 MEAN_CAP = 1e150
 """Largest magnitude of a state's belief; its square is still a double."""
+
+STEP_CAP = 1e100
+"""No gradient step goes further: an absurd goal asks for it, and from there the quadratic terms are no numbers any more."""
 
 LOG_2_PI = 1.8378770664093453
 
@@ -80,11 +83,10 @@ def add_control_gradient(pull_u, D, gradient):
 
 
 def descend(fraction, rate, gradient, mean):
-    """Move the means against the gradient; one that would not be finite stays."""
+    """Move the means against the gradient; one that would not be finite, or so far away that it never came back, stays."""
     for i in range(mean.shape[0]):
         moved = mean[i] - fraction * rate[i] * gradient[i]
-        moved = select(moved - moved == 0.0, moved, mean[i])
-        mean[i] = maximum(minimum(moved, MEAN_CAP), -MEAN_CAP)
+        mean[i] = select(absolute(moved) <= STEP_CAP, moved, mean[i])
 
 
 def free_energy_of(quadratics, determinant, used, means):

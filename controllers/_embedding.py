@@ -51,6 +51,11 @@ def law_sizes(law: Any) -> tuple[int, int, int] | None:
                 f"The control law {law.__name__!r} must take three arguments: x_hat, goal, and u to write."
             )
         return None
+    if law is None:
+        raise ModelError(
+            'The controller lacks its law; give one such as law=Proportional(2.0), in a scenario law = { kind = "Proportional", '
+            "gain = 2.0 }, or a function (x_hat, goal, u)."
+        )
     if not isinstance(law, Block):
         raise ModelError(f"law must be a block such as Proportional(2.0), or a function (x_hat, goal, u), not {law!r}.")
     inputs, outputs = {p.name: p.size for p in law.inputs}, {p.name: p.size for p in law.outputs}

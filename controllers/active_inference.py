@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from types import FunctionType
 from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, frozen
+from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, check_choice, check_number, frozen
 from bayesftc.controllers._curvature import check_stable, curvature_of_belief, curvature_of_control, largest_step
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
 from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once
 from bayesftc.controllers._measured import jacobian_of, measured, nominal_covariance, weights_of
+from bayesftc.controllers._trial import try_out
 from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
@@ -123,6 +125,8 @@ class UnbiasedActiveInference(Block):
         self._check_choices()
         n, goals, p = self._sizes()
         object.__setattr__(self, "sizes", (n, goals, p))
+        if isinstance(self.law, FunctionType):
+            try_out(f"The control law {self.law.__name__!r}", self.law, "law(x_hat, goal, u)", [n, goals], [(p,)])
         object.__setattr__(self, "modalities", self._modalities())
         values = {
             "belief_rate": as_vector("The belief_rate", self.belief_rate, n),
@@ -213,7 +217,7 @@ class UnbiasedActiveInference(Block):
         names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
         functions = {
             **FUNCTIONS, **law.functions, **sensing.functions, "learn": learner.step, "report": learner.report,
-            "inner_steps": self.inner_steps, "squarings": squarings, "__name__": __name__,
+            "inner_steps": int(self.inner_steps), "squarings": squarings, "__name__": __name__,
             "first": sum(port.size for port in self._own_outputs),
         }  # fmt: skip
         lines = step_lines({**law.calls, **sensing.calls}, descends=self.control == "gradient")
@@ -281,17 +285,14 @@ class UnbiasedActiveInference(Block):
                 f"modalities must be Modality objects, at least one, not {given!r}; or give a model that says what is "
                 "measured."
             )
+        for modality in modalities:
+            modality.try_out(self._dimensions[0])
         return modalities
 
     def _check_choices(self) -> None:
-        for name, choices in (
-            ("control", ("gradient", "law")),
-            ("state_prior", ("random walk", "euler", "kalman")),
-        ):
-            if getattr(self, name) not in choices:
-                raise ModelError(
-                    f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(map(repr, choices))}."
-                )
+        check_choice(self, "control", "gradient", "law")
+        check_choice(self, "state_prior", "random walk", "euler", "kalman")
+        check_number(self, "inner_steps", least=1, most=10_000, whole=True)
         if not isinstance(self.model, LinearModel | None):
             raise ModelError(f"model must be a LinearModel, not {self.model!r}.")
         if self.model is None and self.dt is None:
@@ -300,9 +301,6 @@ class UnbiasedActiveInference(Block):
             raise ModelError(f"dt is {self.dt!r}, but the model's is {float(self.model.step):g} s; leave dt out.")
         if self.control == "gradient" and self.control_rate is None:
             raise ModelError("control='gradient' needs a control_rate; or put the control to its law by control='law'.")
-        steps = self.inner_steps
-        if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
-            raise ModelError(f"inner_steps is {steps!r}; it must be a whole number, at least 1.")
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector
 from bayesftc.controllers._linear_rows import linear_rows
+from bayesftc.controllers._trial import try_out
 from bayesftc.cosim.block import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import KernelError, ModelError
@@ -98,6 +99,21 @@ class Modality:
     def samples(self) -> int:
         """Number of samples."""
         return int(self.size or 0)
+
+    def try_out(self, states: int) -> None:
+        """See that the functions take that many states and write all of their results.
+
+        Raises
+        ------
+        ModelError
+            If they do not.
+        """
+        for kind, form, shape in (
+            ("function", "function(x, y)", (self.samples,)),
+            ("jacobian", "jacobian(x, y_x)", (self.samples, states)),
+        ):
+            if (function := getattr(self, kind)) is not None:
+                try_out(f"The {kind} of {self._title}", function, form, [states], [shape])
 
     def derivative(self, states: int) -> Kernel | None:
         """Return the step function of the Jacobian; None for a matrix.

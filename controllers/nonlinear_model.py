@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from types import FunctionType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_number, as_vector
+from bayesftc.controllers._trial import try_out
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim._fingerprint import functions_called, where
 from bayesftc.cosim.block import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import KernelError, ModelError
@@ -100,13 +97,13 @@ class NonlinearModel:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        _try_out("f", self.f, "f(x, u, x_next)", [n, p], [(n,)])
-        _try_out("g", self.g, "g(x, y)", [n], [(m,)])
+        try_out("The model's f", self.f, "f(x, u, x_next)", [n, p], [(n,)])
+        try_out("The model's g", self.g, "g(x, y)", [n], [(m,)])
         if self.f_jacobian is not None:
-            _try_out("f_jacobian", self.f_jacobian, "f_jacobian(x, u, F, B)", [n, p], [(n, n), (n, p)])
+            try_out("The model's f_jacobian", self.f_jacobian, "f_jacobian(x, u, F, B)", [n, p], [(n, n), (n, p)])
         if self.g_jacobian is not None:
-            _try_out("g_jacobian", self.g_jacobian, "g_jacobian(x, C)", [n], [(m, n)])
-        assert self.derivatives  # a function that cannot be differentiated fails here
+            try_out("The model's g_jacobian", self.g_jacobian, "g_jacobian(x, C)", [n], [(m, n)])
+        self.derivatives  # noqa: B018 - a function that cannot be differentiated fails here
 
     @property
     def derivatives(self) -> tuple[Kernel, Kernel]:
@@ -205,44 +202,6 @@ def _derived(name: str, function: Kernel, inputs: tuple[int, ...], size: int) ->
         raise KernelError(
             f"The model's {name}: {error} Or give its derivatives yourself, as {name}_jacobian."
         ) from None
-
-
-def _try_out(name: str, function: Any, form: str, inputs: Sequence[int], outputs: Sequence[tuple[int, ...]]) -> None:
-    """Run a function once as plain Python, and see that it takes the right arguments and writes its results, all of them."""
-    if not isinstance(function, FunctionType):
-        raise ModelError(f"The model's {name} is {function!r}; it must be a step function {form}.")
-    names = argument_names(function)
-    if len(names) != len(inputs) + len(outputs):
-        raise ModelError(f"The model's {name} has the arguments {', '.join(names)}; it must be a step function {form}.")
-    try:
-        functions_called(function)
-    except KernelError as error:
-        raise KernelError(f"The model's {name}: {error}") from None
-    results = []
-    for blank in (1.25e77, -3.5e88):  # two numbers that no function writes both of
-        given = [np.full(size, 0.5) for size in inputs]
-        written = [np.full(shape, blank) for shape in outputs]
-        try:
-            with np.errstate(all="ignore"):
-                function(*given, *written)
-        except IndexError as error:
-            sizes = ", ".join(
-                f"{n} has {'x'.join(map(str, a.shape))}" for n, a in zip(names, [*given, *written], strict=True)
-            )
-            raise ModelError(f"The model's {name} reaches beyond its arguments ({error}); {sizes}.") from None
-        except Exception as error:  # whatever the user's function may raise
-            raise ModelError(f"The model's {name} {where(function)} cannot be computed: {error}.") from error
-        if any((array != 0.5).any() for array in given):
-            raise ModelError(
-                f"The model's {name} writes into what it is given; it must write {', '.join(names[len(inputs) :])} only."
-            )
-        results.append([array == blank for array in written])
-    for argument, first, second in zip(names[len(inputs) :], *results, strict=True):
-        left = np.argwhere(first & second)
-        if len(left):
-            raise ModelError(
-                f"The model's {name} does not write {argument}[{', '.join(map(str, left[0]))}]; it must write every element."
-            )
 
 
 __all__ = ["NonlinearModel"]

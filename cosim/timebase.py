@@ -72,6 +72,8 @@ def whole_number(value: object, what: str) -> int:
 
 def _exact(seconds: float | str | Fraction, what: str) -> Fraction:
     try:
+        if isinstance(seconds, bool):
+            raise TypeError
         return Fraction(seconds if isinstance(seconds, str | Rational) else float(seconds))
     except (ValueError, TypeError, OverflowError, ZeroDivisionError):
         raise StepSizeError(f"{what} {seconds!r} is no finite number; give seconds, as 0.02 or '1/50'.") from None

@@ -615,6 +615,29 @@ def test_a_prediction_that_is_followed_in_full_keeps_a_lightly_damped_plant(prec
     assert min(errors["random walk"], errors["euler"]) > 10 * errors["kalman"]
 
 
+def reaches(x_hat, goal, u):
+    u[0] = goal[0] - x_hat[4]
+
+
+def reads_first(x, y):
+    y[0] = x[0]
+
+
+def reaches_derivative(x, y_x):
+    y_x[3, 0] = 1.0
+
+
+@pytest.mark.parametrize("absurd_goal", [1e20, 1e140, 1e300, np.inf, np.nan])
+def test_a_belief_comes_back_from_an_absurd_goal(absurd_goal):
+    step = small(control_precision=0.1).online(compiled=False)
+    for goal in (0.1, absurd_goal, absurd_goal):
+        step(y=[0.1, 0.1, 0.0], goal=[goal])
+    for _ in range(3000):
+        out = step(y=[0.1, 0.1, 0.0], goal=[0.1])
+    assert np.isfinite(out.free_energy)
+    np.testing.assert_allclose(out.x_hat, 0.1, atol=0.2)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -622,15 +645,24 @@ def test_a_prediction_that_is_followed_in_full_keeps_a_lightly_damped_plant(prec
         ({"belief_rate": -1.0}, "must be positive"),
         ({"control_rate": None}, "needs a control_rate"),
         ({"inner_steps": 0}, "at least 1"),
-        ({"control": "both"}, "'gradient', 'law'"),
+        ({"control": "both"}, "'gradient' or 'law'"),
+        ({"state_prior": np.array(["euler", "kalman"])}, "state_prior"),
+        ({"dt": True}, "no finite number"),
+        ({"inner_steps": 10**9}, "at most 10000"),
         ({"state_prior": "kalman"}, "needs a model"),
         ({"state_precision": -1.0}, "not positive definite"),
         ({"modalities": []}, "at least one"),
         ({"modalities": [Modality("x", matrix=[[1.0]], std=1.0)]}, "1 columns for 2 states"),
-        ({"modalities": [Modality("x", 1, bend, std=1.0)]}, "does not fit 2 states and 1 samples"),
+        ({"modalities": [Modality("x", 1, bend, std=1.0)]}, "reaches beyond its arguments"),
         ({"law": pull}, "sizes="),
         ({"law": steep, "sizes": (2, 1, 1)}, r"derivative is \[\[-inf, 0.0\]\] at the initial mean"),
-        ({"law": None}, "must be a block"),
+        ({"law": None}, "lacks its law"),
+        ({"law": reaches, "sizes": (2, 1, 1), "control": "law"}, "control law 'reaches' reaches beyond its arguments"),
+        (
+            {"modalities": [Modality("x", 1, reads_first, std=1.0, jacobian=reaches_derivative)]},
+            "jacobian of the modality 'x'",
+        ),
+        ({"modalities": [Modality("x", 2, reads_first, std=1.0, jacobian=reads_first)]}, r"does not write y\[1\]"),
         ({"law": cosim.Sensors()}, "x_hat and goal"),
         ({"sizes": (3, 1, 1)}, "leave sizes out"),
         ({"initial_mean": [0.0, np.nan]}, "finite"),

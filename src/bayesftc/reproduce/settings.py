@@ -42,8 +42,8 @@ class Settings:
 
     @staticmethod
     def _check_tuple(title: str, value: object, default: tuple[Any, ...], *, fixed: bool) -> None:
-        if not isinstance(value, tuple) or not value or (fixed and len(value) != len(default)):
-            size = f"{len(default)} numbers" if fixed else "numbers, at least one"
+        if not isinstance(value, tuple) or (fixed and len(value) != len(default)):
+            size = f"{len(default)} numbers" if fixed else "numbers"
             raise ModelError(f"{title}={value!r}; it must be a tuple of {size}, such as {default!r}.")
         for element in value:
             if not isinstance(default[0], tuple):
