@@ -11,6 +11,7 @@ import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
+from stat import S_ISDIR
 
 from bayesftc.cosim._cache import cache_directory
 from bayesftc.cosim.errors import FMUError
@@ -59,7 +60,7 @@ def open_archive(path: Path) -> Archive:
         status = path.stat()
     except OSError as error:
         raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check the path.") from None
-    if path.is_dir():
+    if S_ISDIR(status.st_mode):
         raise FMUError(f"{path} is a folder; give the .fmu file itself, or zip the folder's content into one.")
     return _read(path, (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -79,14 +79,41 @@ class StepFunctions:
         size = int(np.float64(h).view(np.int64))
         words = [component, *addresses[:2], addresses[2], in_refs, len(inputs), out_refs, len(outputs), size]
         self.table = np.array([*words, self._scratch.ctypes.data], dtype=np.int64)
-        values = _VALUES2 if major == 2 else _VALUES3
-        self._get, self._set = values(addresses[0]), values(addresses[1])
-        self._do_step: Any = (_STEP2 if major == 2 else _STEP3)(addresses[2])
-        self._input_arguments, self._output_arguments = (
-            (component, r.ctypes.data, len(r), b.ctypes.data) + ((len(r),) if major == 3 else ())
-            for r, b in zip(self._references, self._buffers, strict=True)
-        )
-        self._places = [self._scratch.ctypes.data + 8 * i for i in range(4)]
+        self._addresses = addresses
+
+    # What follows is for interpreted runs alone; compiled ones, of which there may be thousands, need not wait for it.
+    @cached_property
+    def _get(self) -> Any:
+        return self._values(self._addresses[0])
+
+    @cached_property
+    def _set(self) -> Any:
+        return self._values(self._addresses[1])
+
+    @cached_property
+    def _do_step(self) -> Any:
+        return (_STEP2 if self._major == 2 else _STEP3)(self._addresses[2])
+
+    @cached_property
+    def _input_arguments(self) -> tuple[int, ...]:
+        return self._arguments(0)
+
+    @cached_property
+    def _output_arguments(self) -> tuple[int, ...]:
+        return self._arguments(1)
+
+    @cached_property
+    def _places(self) -> list[int]:
+        return [self._scratch.ctypes.data + 8 * i for i in range(4)]
+
+    @property
+    def _values(self) -> Any:
+        return _VALUES2 if self._major == 2 else _VALUES3
+
+    def _arguments(self, side: int) -> tuple[int, ...]:
+        references, buffer = self._references[side], self._buffers[side]
+        again = (len(references),) if self._major == 3 else ()
+        return self._component, references.ctypes.data, len(references), buffer.ctypes.data, *again
 
     @property
     def output_address(self) -> int:
@@ -174,7 +201,7 @@ class Instance(StepFunctions):
             raise
         super().__init__(
             library.description.fmi_major,
-            library.addresses(),
+            library.addresses,
             self._component,
             [v.reference for v in inputs],
             [v.reference for v in outputs],

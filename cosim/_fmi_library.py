@@ -7,6 +7,7 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +63,9 @@ class Library(ABC):
         self._keep = keep  # a handle of our own: the binary stays even if someone closes fmpy's
         self.alive = 0
 
+    @cached_property
     def addresses(self) -> tuple[int, int, int]:
-        """Return the addresses of the functions of a step."""
+        """Addresses of the functions of a step."""
         get, set_, step = (
             ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0 for name in self.step_functions
         )
@@ -134,13 +136,16 @@ class Library2(Library):
 
     step_functions = ("fmi2GetReal", "fmi2SetReal", "fmi2DoStep")
 
+    @cached_property
+    def _resources(self) -> bytes:
+        return Path(self._slave.unzipDirectory, "resources").as_uri().encode()
+
     def create(self, name: str, messages: Messages) -> tuple[int, Any]:
         """See `Library.create`."""
         callbacks = callbacks2(messages)
-        resources = Path(self._slave.unzipDirectory, "resources").as_uri()
         token = self.description.token.encode()
         component = self.call(
-            "fmi2Instantiate", name.encode(), 1, token, resources.encode(), ctypes.byref(callbacks), 0, 1
+            "fmi2Instantiate", name.encode(), 1, token, self._resources, ctypes.byref(callbacks), 0, 1
         )
         if component:
             self._narrow_log("fmi2SetDebugLogging", component)
