@@ -7,6 +7,15 @@ from .bayesian import BayesianController as BayesianController, UnstableLoopWarn
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .explicit import ExplicitDetection as ExplicitDetection
+from .fault_modes import (
+    FAULT_MODES as FAULT_MODES,
+    Drifting as Drifting,
+    DroppedOut as DroppedOut,
+    FaultMode as FaultMode,
+    Frozen as Frozen,
+    Noisier as Noisier,
+    Offset as Offset,
+)
 from .gamma import GammaPrecision as GammaPrecision
 from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative
 from .modality import Modality as Modality
@@ -27,6 +36,7 @@ from .residuals import (
     state_estimation_residual as state_estimation_residual,
 )
 from .robust import StudentTUpdate as StudentTUpdate, WeightedLikelihood as WeightedLikelihood
+from .switching import SwitchingPrecision as SwitchingPrecision
 from .threshold import ChebyshevThreshold as ChebyshevThreshold, FittedThreshold as FittedThreshold
 from .validation import KalmanCheck as KalmanCheck, check_kalman as check_kalman, ser_reference as ser_reference
 from .variational import VariationalBayesKF as VariationalBayesKF

@@ -10,6 +10,7 @@ from bayesftc.controllers.nonlinear import NonlinearBayesianController
 from bayesftc.controllers.point_mass import PointMassPrecision
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.robust import StudentTUpdate, WeightedLikelihood
+from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.controllers.variational import VariationalBayesKF
 from bayesftc.controllers.wishart import WishartPrecision
 from bayesftc.cosim.block import Block
@@ -30,6 +31,7 @@ LEARNERS: tuple[type[PrecisionLearner], ...] = (
     VariationalBayesKF,
     StudentTUpdate,
     WeightedLikelihood,
+    SwitchingPrecision,
     ExplicitDetection,
 )
 """To add a learner, write it by the rules of `bayesftc.controllers.precision` and name it here."""

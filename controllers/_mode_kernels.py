@@ -1,0 +1,110 @@
+"""Step functions of fault modes: how probable a sample is if its sensor has failed in one way, and what is learned from it then.
+
+Each has the arguments of `drops` below: one sample of one sensor, and where the mode's numbers stand. It returns the logarithm of
+the sample's density, which counts only if there is a sample.
+"""
+
+from bayesftc.controllers._special import log_gamma_half_step
+from bayesftc.cosim.ops import absolute, log, maximum, minimum, select, sqrt
+
+WEIGHT, ENTERED, AGE, TRUST, SIZE, OWN = range(6)
+"""Places in the block of a mode: three for the switching; the precision that a sample deserves (nominal: 1); the size; own."""
+
+LOG_2_PI = 1.8378770664093453
+
+FURTHEST = 1e12
+"""Largest squared error, in units of its variance, that a density is computed of."""
+
+
+def log_density(squared, variance):
+    """Return the logarithm of a normal density where the error has this square."""
+    return -0.5 * (minimum(squared / variance, FURTHEST) + log(variance) + LOG_2_PI)
+
+
+def drops(e, present, variance, nominal, change, memory, at, settings, first):
+    """Send nothing; a sample that comes all the same is a healthy one.
+
+    Parameters
+    ----------
+    e : float
+        Innovation; 0 for a missing sample.
+    present : float
+        1 if there is a sample, else 0.
+    variance, nominal : float
+        Variance of a healthy sensor's innovation, and the part of its noise in it.
+    change : float
+        The sample minus the last one that there was; NaN if there is none.
+    memory : array
+        What is kept; the mode's block begins at the place ``at``. ``memory[at + ENTERED]`` is the probability that the mode
+        begins with this sample, if it is the sensor's mode at all.
+    settings : array
+        The mode's settings stand from the place ``first`` on.
+    """
+    return log_density(e * e, variance)
+
+
+def freezes(e, present, variance, nominal, change, memory, at, settings, first):
+    """Repeat the last sample, exactly or with a dither far below the noise.
+
+    ``settings``: the share of exact repetitions; the dither's standard deviation in those of the noise; the resolution in the
+    sensor's unit. A repetition has a probability, to which a density over the resolution corresponds: so equal samples tell
+    nothing beyond what a coarse resolution explains.
+    """
+    width = maximum(settings[first + 2], 1e-9 * sqrt(nominal))
+    exact = absolute(change) <= 0.5 * width
+    spread = 2.0 * settings[first + 1] * settings[first + 1] * nominal + width * width / 6.0
+    near = log(1.0 - settings[first]) + log_density(change * change, spread)
+    told = select(exact, log(settings[first] / width), near)
+    return select(change == change, told, log_density(e * e, variance))
+
+
+def shifts(e, present, variance, nominal, change, memory, at, settings, first):
+    """Add an offset c that moves by b a sample: each starts at zero, uncertain, and is then filtered.
+
+    ``settings``, in units of the noise's variance: how uncertain c is at the start; likewise b; how far c walks in a sample. Own
+    numbers: b; the covariance of c and b. Onsets and offsets that have been there are merged into one Gaussian
+    distribution, as interacting multiple models do.
+    """
+    jump, slope = settings[first] * nominal, settings[first + 1] * nominal
+    walk = settings[first + 2] * nominal
+    c, b = memory[at + SIZE] + memory[at + OWN], memory[at + OWN]
+    cc = memory[at + OWN + 1] + 2.0 * memory[at + OWN + 2] + memory[at + OWN + 3] + walk
+    cb = memory[at + OWN + 2] + memory[at + OWN + 3]
+    bb = memory[at + OWN + 3]
+    begins = memory[at + ENTERED]
+    lasts = 1.0 - begins
+    apart = begins * lasts
+    cc = lasts * cc + begins * (jump + slope) + apart * c * c
+    cb = lasts * cb + begins * slope + apart * c * b
+    bb = lasts * bb + begins * slope + apart * b * b
+    c, b = lasts * c, lasts * b
+    error = e - c
+    total = variance + cc
+    gain_c, gain_b = present * cc / total, present * cb / total
+    memory[at + SIZE] = c + gain_c * error
+    memory[at + OWN] = b + gain_b * error
+    memory[at + OWN + 1] = cc - gain_c * cc
+    memory[at + OWN + 2] = cb - gain_c * cb
+    memory[at + OWN + 3] = maximum(bb - gain_b * cb, 0.0)
+    return log_density(error * error, total)
+
+
+def scatters(e, present, variance, nominal, change, memory, at, settings, first):
+    """Have noise of another precision, which is gamma distributed and learned from the innovations (paper, section 3.2).
+
+    ``settings``: shape and rate of the prior, the forgetting factor. Own numbers: shape, rate. The size is the standard deviation
+    in nominal ones.
+    """
+    a0, b0, rho = settings[first], settings[first + 1], settings[first + 2]
+    kept = (1.0 - memory[at + ENTERED]) * rho
+    a = kept * memory[at + OWN] + (1.0 - kept) * a0
+    b = kept * memory[at + OWN + 1] + (1.0 - kept) * b0
+    squared = minimum(e * e / variance, FURTHEST)
+    told = log_gamma_half_step(a) - 0.5 * (log(variance * b) + LOG_2_PI) - (a + 0.5) * log(1.0 + 0.5 * squared / b)
+    a = a + 0.5 * present
+    b = b + 0.5 * present * squared
+    memory[at + OWN] = a
+    memory[at + OWN + 1] = b
+    memory[at + TRUST] = minimum(a / b, 1.0)
+    memory[at + SIZE] = sqrt(b / a)
+    return told

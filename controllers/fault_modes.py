@@ -1,0 +1,218 @@
+"""Fault modes: the ways in which a sensor can fail, between which `SwitchingPrecision` decides.
+
+To write one you must:
+
+1. make it a frozen dataclass, a subclass of `FaultMode`, whose settings all have defaults;
+2. give it a step function ``evidence`` with exactly the arguments of `drops` in ``_mode_kernels.py``, which returns the logarithm
+   of a sample's density if the sensor has failed in this way. It may write ``memory[at + TRUST]`` (the precision, relative to
+   the nominal one, that the sample deserves), ``memory[at + SIZE]`` (the fault's size) and its own numbers from
+   ``memory[at + OWN]`` on. A fault that begins is not told from one that has been there: ``memory[at + ENTERED]`` is the share of
+   the former;
+3. return from ``first`` what it keeps before the first sample, and from ``settings(model, sensor)`` what it reads as
+   ``settings[first]``, ``settings[first + 1]``, ...;
+4. add it to `FAULT_MODES`, from which scenario files choose and over which the tests run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import nan
+from typing import TYPE_CHECKING, ClassVar
+
+from bayesftc.controllers import _mode_kernels as kernels
+from bayesftc.controllers._checks import check_number
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+
+
+@dataclass(frozen=True)
+class FaultMode:
+    """Base of all fault modes.
+
+    Parameters
+    ----------
+    time_to_fault : float
+        Mean time in seconds until a healthy sensor fails in this way.
+    time_to_recovery : float
+        Mean time in seconds until it is healthy again.
+    """
+
+    time_to_fault: float = 60.0
+    time_to_recovery: float = 20.0
+
+    evidence: ClassVar[Callable[..., float]]
+    arrival: ClassVar[float | None] = None
+    """Probability that there is a sample; None: as of a healthy sensor."""
+
+    def __post_init__(self) -> None:
+        for name in ("time_to_fault", "time_to_recovery"):
+            check_number(self, name, above=0)
+
+    @property
+    def kind(self) -> str:
+        """Its name in results."""
+        return type(self).__name__
+
+    @property
+    def first(self) -> tuple[float, ...]:
+        """What it keeps of a sensor, before the first sample: trust, size, and its own numbers."""
+        return 0.0, nan
+
+    def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
+        """Return the settings of its step function for one sensor of a model."""
+        return ()
+
+
+@dataclass(frozen=True)
+class Frozen(FaultMode):
+    """The sensor repeats its last sample.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `FaultMode`.
+    repeats : float
+        Share of the samples that repeat exactly, between 0 and 1; the others have a dither.
+    dither : float
+        Standard deviation of the dither, in those of the sensor's noise.
+    resolution : float
+        Resolution of the sensor in its unit: a healthy sensor repeats itself, too, if that is coarse.
+    """
+
+    repeats: float = 0.9
+    dither: float = 0.01
+    resolution: float = 0.0
+
+    evidence: ClassVar[Callable[..., float]] = kernels.freezes
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_number(self, "repeats", above=0, below=1)
+        check_number(self, "dither", above=0)
+        check_number(self, "resolution", least=0)
+
+    def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
+        """See `FaultMode.settings`."""
+        return self.repeats, self.dither, self.resolution
+
+
+@dataclass(frozen=True)
+class Offset(FaultMode):
+    """An unknown offset, which may drift, is added at once: injection and bias.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `FaultMode`.
+    jump : float
+        Standard deviation of the offset at its onset, in those of the sensor's noise.
+    slope : float
+        Standard deviation of its rate, in those of the sensor's noise per sample.
+    walk : float
+        Standard deviation of the offset's own random walk, in those of the sensor's noise per sample.
+    """
+
+    jump: float = 5.0
+    slope: float = 0.0
+    walk: float = 0.01
+
+    evidence: ClassVar[Callable[..., float]] = kernels.shifts
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("jump", "slope", "walk"):
+            check_number(self, name, least=0)
+
+    @property
+    def first(self) -> tuple[float, ...]:
+        """See `FaultMode.first`."""
+        return (0.0,) * 6
+
+    def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
+        """See `FaultMode.settings`."""
+        return self.jump**2, self.slope**2, self.walk**2
+
+
+@dataclass(frozen=True)
+class Drifting(Offset):
+    """An offset begins at zero and grows, so slowly at first that nothing jumps.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery, jump, slope, walk
+        See `Offset`.
+    """
+
+    jump: float = 0.0
+    slope: float = 0.02
+    walk: float = 0.0
+
+
+@dataclass(frozen=True)
+class DroppedOut(FaultMode):
+    """The sensor sends nothing.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `FaultMode`.
+    arrives : float
+        Probability of a sample all the same.
+    """
+
+    arrives: float = 0.001
+
+    evidence: ClassVar[Callable[..., float]] = kernels.drops
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_number(self, "arrives", above=0, below=1)
+
+    @property
+    def arrival(self) -> float:  # type: ignore[override]
+        """Probability that there is a sample."""
+        return self.arrives
+
+
+@dataclass(frozen=True)
+class Noisier(FaultMode):
+    """The sensor's noise has another precision, which is gamma distributed and learned: the paper's learner as a mode.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `FaultMode`.
+    scale : float
+        Expected standard deviation of the noise at the onset, in nominal ones.
+    shape : float
+        Shape of the gamma distribution at the onset; the smaller, the less is taken for known.
+    forgetting : float
+        Forgetting factor in (0, 1] per sample.
+    """
+
+    scale: float = 4.0
+    shape: float = 1.0
+    forgetting: float = 0.98
+
+    evidence: ClassVar[Callable[..., float]] = kernels.scatters
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_number(self, "scale", above=0)
+        check_number(self, "shape", above=0)
+        check_number(self, "forgetting", above=0, most=1)
+
+    @property
+    def first(self) -> tuple[float, ...]:
+        """See `FaultMode.first`."""
+        return min(self.scale**-2, 1.0), self.scale, self.shape, self.shape * self.scale**2
+
+    def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
+        """See `FaultMode.settings`."""
+        return self.shape, self.shape * self.scale**2, self.forgetting
+
+
+FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Noisier, DroppedOut)
+"""To add a fault mode, write it by the rules above and name it here."""

@@ -1,0 +1,179 @@
+"""Switching between fault modes: for each sensor a hidden Markov model over the ways in which it can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from math import log, log1p
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.controllers import _switching_kernels as kernels
+from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._mode_kernels import TRUST, log_density
+from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
+from bayesftc.controllers.precision import Learner, PrecisionLearner
+from bayesftc.cosim._written import function_from_text
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import select
+from bayesftc.cosim.ports import Port
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+
+# The learning step function but for the calls of the modes' own, which are written for each list of modes.
+_LEARN = """
+trust = work[0]
+for i in range(y.shape[0]):
+    at, row = i * LENGTH, i * SETTINGS
+    variance = spread[i, i] + nominal[i, i]
+    error, change = error_of(i, e, variance), y[i] - memory[at]
+    pass_time(memory, at, WIDTH, settings, row, WIDTH_OF_SETTINGS, MODES)
+    told = settings[row + ARRIVES] + log_density(error * error, variance)
+    memory[at + HEALTHY] = memory[at + HEALTHY] + select(present[i] > 0.5, told, settings[row + MISSING])
+{modes}
+    memory[at] = select(present[i] > 0.5, y[i], memory[at])
+    fault_probability[i] = normalise(memory, at, WIDTH, MODES)
+    trust[0, i] = trusted(memory, at, WIDTH, MODES)
+use_trust(trust, present, nominal, R, used, precision, beta)
+memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
+"""
+
+_MODE = """\
+    block, own = at + {block}, row + {settings}
+    told = mode{k}(error, present[i], variance, nominal[i, i], change, memory, block, settings, own + OWN_SETTINGS)
+    told = select(present[i] > 0.5, settings[own + MODE_ARRIVES] + told, settings[own + MODE_MISSING])
+    memory[block] = memory[block] + told\
+"""
+
+_REPORT = """
+report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.shape[0] * SETTINGS], first, outputs)
+"""
+
+
+@cache
+def _make_steps(
+    evidence: tuple[Callable[..., float], ...], width: int, settings: int
+) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Return the learning and the reporting step function for these modes, whose blocks have these widths."""
+    modes = len(evidence)
+    names = {name: getattr(kernels, name) for name in dir(kernels) if not name.startswith("__")}
+    names |= {f"mode{k}": function for k, function in enumerate(evidence)}
+    names |= {
+        "select": select,
+        "log_density": log_density,
+        "MODES": modes,
+        "WIDTH": width,
+        "WIDTH_OF_SETTINGS": settings,
+    }
+    names |= {"LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings}
+    names["__name__"] = __name__
+    lines = [
+        _MODE.format(k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings)
+        for k in range(modes)
+    ]
+    text = _LEARN.format(modes="\n".join(lines)).strip("\n").split("\n")
+    arguments = [
+        "y",
+        "e",
+        "present",
+        "spread",
+        "nominal",
+        "memory",
+        "settings",
+        "work",
+        "R",
+        "used",
+        "precision",
+        "beta",
+    ]
+    learn = function_from_text("learn_switching", [*arguments, "fault_probability"], text, names)
+    reported = ["memory", "settings", "nominal", "first", "outputs"]
+    return learn, function_from_text("report_switching", reported, [_REPORT.strip("\n")], names)
+
+
+@dataclass(frozen=True)
+class SwitchingPrecision(PrecisionLearner):
+    """For each sensor a hidden Markov model over being healthy and failing in one of several ways.
+
+    The precision stays what is inferred: a sensor is used with ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal
+    precision, where ``trust_k`` is 0 of a sensor that is frozen or has an offset, and what has been learned of one that is
+    noisier (the paper's learner is that mode). At each sample time passes first (modes begin and end), then each mode says how
+    probable the sample is; probabilities are kept as logarithms. What a mode has learned about its fault is merged with what it
+    expects of one that has just begun, as in an interacting-multiple-model filter.
+
+    ``fault_probability`` is 1 - P(healthy), also of a sensor that sends nothing; ``beta`` is NaN. It adds the outputs
+    ``mode_probability`` (m x 1 + modes, healthy first), and for each sensor ``fault_kind`` (the most probable mode by its
+    number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard deviation of a noisier
+    sensor in nominal ones; NaN where there is none) and ``fault_onset`` (time in seconds since the first sample; NaN of a
+    healthy sensor).
+
+    Sensors are judged one by one by their innovation from the common prediction: two sensors that disagree by a slow drift are
+    not told apart before one of them leaves the prediction behind.
+
+    Parameters
+    ----------
+    modes : sequence of FaultMode
+        The ways in which a sensor can fail, with how often, all on top of each other; see `FAULT_MODES`.
+    loss : float
+        Probability with which a sample of a healthy sensor is missing.
+
+    Raises
+    ------
+    ModelError
+        If there is no mode, or with the model's sample time a fault would begin or end at each sample.
+    """
+
+    modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Noisier(), DroppedOut())
+    loss: float = 0.01
+
+    def __post_init__(self) -> None:
+        modes = tuple(self.modes) if isinstance(self.modes, Sequence) else ()
+        if not modes or not all(isinstance(mode, FaultMode) and hasattr(mode, "evidence") for mode in modes):
+            raise ModelError(
+                f"SwitchingPrecision has modes={self.modes!r}; give fault modes such as Offset(), at least one."
+            )
+        object.__setattr__(self, "modes", modes)
+        check_number(self, "loss", above=0, below=1)
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        m, step = model.sensors, float(model.step)
+        begins = [self._chance(mode, "time_to_fault", step) for mode in self.modes]
+        ends = [self._chance(mode, "time_to_recovery", step) for mode in self.modes]
+        if sum(begins) >= 1:
+            raise ModelError(
+                f"SwitchingPrecision has fault modes that begin with a probability of {sum(begins):.3g} together in each sample "
+                f"of {step:g} s; their times to a fault are too short."
+            )
+        own = [[mode.settings(model, i) for mode in self.modes] for i in range(m)]
+        width = TRUST + max(len(mode.first) for mode in self.modes)
+        settings_width = kernels.OWN_SETTINGS + max(len(values) for values in own[0])
+        settings = []
+        for i in range(m):
+            settings += [log1p(-sum(begins)), log1p(-self.loss), log(self.loss)]
+            for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
+                arrives = 1.0 - self.loss if mode.arrival is None else mode.arrival
+                block = [log(begin), log1p(-end), log(end), log(arrives), log1p(-arrives), *values]
+                settings += block + [0.0] * (settings_width - len(block))
+        memory = []
+        for _ in range(m):
+            memory += [np.nan, 0.0]
+            for mode in self.modes:
+                block = [kernels.LEAST, 0.0, 0.0, *mode.first]
+                memory += block + [0.0] * (width - len(block))
+        learn, report = _make_steps(tuple(type(mode).evidence for mode in self.modes), width, settings_width)
+        ports = [Port("mode_probability", (m, 1 + len(self.modes)))]
+        ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
+        return Learner(learn, np.array([*memory, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
+
+    def _chance(self, mode: FaultMode, name: str, step: float) -> float:
+        """Return the probability per sample of what takes a mean time in seconds."""
+        chance = step / float(getattr(mode, name))
+        if chance >= 1:
+            raise ModelError(
+                f"{mode.kind} has {name}={getattr(mode, name)!r}, which is not longer than the sample time of {step:g} s."
+            )
+        return chance

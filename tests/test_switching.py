@@ -1,0 +1,263 @@
+"""Switching between fault modes: densities and probabilities against scipy, filterpy and enumeration; faults in a loop."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy import integrate, special, stats
+
+from bayesftc import controllers
+from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision
+from bayesftc.controllers._mode_kernels import ENTERED, OWN, SIZE, scatters, shifts
+from bayesftc.controllers._special import log_gamma_half_step, log_sum
+from bayesftc.cosim.errors import ModelError
+
+STEP = 0.02
+MODEL = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], STEP)
+
+
+def test_the_step_of_the_log_gamma_function_is_scipys():
+    for a in np.logspace(-3, 6, 200):
+        above, below = special.gammaln([a + 0.5, a])  # of which large ones differ by little
+        assert log_gamma_half_step(a) == pytest.approx(above - below, abs=1e-12 + 4e-16 * abs(below))
+    assert log_gamma_half_step(0.5) == pytest.approx(-np.log(np.pi) / 2, abs=1e-12)
+
+
+def test_sums_of_exponentials_that_are_no_numbers():
+    assert log_sum(-1e4, -1e4) == pytest.approx(-1e4 + np.log(2))
+    assert log_sum(3.0, -500.0) == 3.0
+    assert log_sum(-0.3, 1.7) == pytest.approx(special.logsumexp([-0.3, 1.7]), rel=1e-15)
+
+
+def learned(learner, y, nominal=None, spread=None):
+    """Call the learning step for each row of y, with innovations from 20; yield fault probabilities and the memory."""
+    made = learner.learner(MODEL)
+    m, memory = y.shape[1], np.array(made.memory)
+    nominal = np.diag([1.0, 4.0]) if nominal is None else nominal
+    spread = np.zeros((m, m)) if spread is None else spread
+    work, R = np.zeros((made.work, m, m)), np.zeros((m, m))
+    used, precision, beta, probability = np.zeros((4, m))
+    for row in y:
+        present = np.isfinite(row).astype(float)
+        e = np.where(present > 0, row - 20.0, 0.0)
+        with np.errstate(all="ignore"):
+            made.step(
+                row, e, present, spread, nominal, memory, made.settings, work, R, used, precision, beta, probability
+            )
+        yield probability.copy(), memory.copy(), R.copy()
+
+
+def enumerated(y, variance, modes, loss):
+    """Return P(fault) at the last sample, by the sum over all sequences of modes of a sensor."""
+    frozen, dropped = modes
+    enter = [STEP / mode.time_to_fault for mode in modes]
+    leave = [STEP / mode.time_to_recovery for mode in modes]
+    T = np.array([[1 - sum(enter), *enter], [leave[0], 1 - leave[0], 0], [leave[1], 0, 1 - leave[1]]])
+    width, dither = 1e-9 * np.sqrt(variance), 2 * frozen.dither**2 * variance
+    last, evidence = np.nan, []
+    for value in y:
+        if np.isnan(value):
+            evidence.append([loss, loss, 1 - dropped.arrives])
+            continue
+        healthy = stats.norm.pdf(value - 20.0, scale=np.sqrt(variance))
+        change = value - last
+        near = (1 - frozen.repeats) * stats.norm.pdf(change, scale=np.sqrt(dither + width**2 / 6))
+        stuck = healthy if np.isnan(change) else frozen.repeats / width if change == 0 else near
+        evidence.append([(1 - loss) * healthy, (1 - loss) * stuck, dropped.arrives * healthy])
+        last = value
+    total = np.zeros(3)
+    for sequence in product(range(3), repeat=len(y)):
+        before, p = 0, 1.0
+        for mode, told in zip(sequence, evidence, strict=True):
+            p *= T[before, mode] * told[mode]
+            before = mode
+        total[before] += p
+    return 1 - total[0] / total.sum()
+
+
+def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
+    modes = (Frozen(time_to_fault=0.3, time_to_recovery=0.2), DroppedOut(time_to_fault=0.5, time_to_recovery=0.1))
+    rows = np.array([20.3, 19.1, 19.1, 19.10001, np.nan, np.nan, 21.9, 21.9])
+    found = learned(SwitchingPrecision(modes=modes, loss=0.1), np.column_stack([rows, rows[::-1]]))
+    for n, (probability, *_) in enumerate(found, start=1):
+        expected = [enumerated(rows[:n], 1.0, modes, 0.1), enumerated(rows[::-1][:n], 4.0, modes, 0.1)]
+        np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("begins", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("present", [0.0, 1.0])
+def test_an_offset_is_filtered_as_filterpy_does_from_the_merged_prior(begins, present):
+    nominal, variance, e = 4.0, 4.7, 6.0
+    jump, slope, walk = 25.0 * nominal, 0.04 * nominal, 0.01 * nominal
+    memory, settings = np.zeros(OWN + 4), np.array([25.0, 0.04, 0.01])
+    mean, P = np.array([2.0, 0.3]), np.array([[3.0, 0.2], [0.2, 0.1]])
+    memory[ENTERED], memory[SIZE], memory[OWN] = begins, *mean
+    memory[OWN + 1 :] = P[0, 0], P[0, 1], P[1, 1]
+    told = shifts(e, present, variance, nominal, np.nan, memory, 0, settings, 0)
+    filtered = KalmanFilter(2, 1)
+    filtered.F, filtered.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    filtered.Q, filtered.R, filtered.x, filtered.P = np.diag([walk, 0.0]), np.array([[variance]]), mean[:, None], P
+    filtered.predict()
+    new = np.array([[jump + slope, slope], [slope, slope]])
+    old, around = filtered.x[:, 0], begins * (1 - begins)
+    filtered.P = (1 - begins) * filtered.P + begins * new + around * np.outer(old, old)
+    filtered.x = (1 - begins) * filtered.x
+    expected = stats.norm.logpdf(e, filtered.x[0, 0], np.sqrt(variance + filtered.P[0, 0]))
+    if present:
+        filtered.update(e)
+    assert told == pytest.approx(expected, rel=1e-12)
+    np.testing.assert_allclose([memory[SIZE], memory[OWN]], filtered.x[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(memory[OWN + 1 :], filtered.P[[0, 0, 1], [0, 1, 1]], rtol=1e-9)
+
+
+def test_noise_of_unknown_precision_has_the_density_of_numerical_integration():
+    a, b, variance = 1.7, 12.0, 2.0
+    for e in (0.0, 0.5, 4.0, 30.0):
+        memory = np.array([0.0, 0.0, 0.0, 0.0, 0.0, a, b])
+        told = scatters(e, 1.0, variance, 1.0, np.nan, memory, 0, np.array([1.0, 16.0, 1.0]), 0)
+        density, _ = integrate.quad(
+            lambda w, e=e: stats.norm.pdf(e, scale=np.sqrt(variance / w)) * stats.gamma.pdf(w, a, scale=1 / b),
+            0,
+            np.inf,
+        )
+        assert told == pytest.approx(np.log(density), rel=1e-7)
+        np.testing.assert_allclose(memory[OWN:], [a + 0.5, b + 0.5 * e * e / variance], rtol=1e-12)
+
+
+def test_the_first_sample_is_bayes_rule():
+    modes = (Offset(time_to_fault=1.0, jump=3.0), Noisier(time_to_fault=2.0))
+    probability, _, R = next(learned(SwitchingPrecision(modes=modes), np.array([[24.0, 20.0]]), spread=0.5 * np.eye(2)))
+    S, enter = np.array([1.5, 4.5]), np.array([STEP / 1.0, STEP / 2.0])
+    for i, e in enumerate((4.0, 0.0)):
+        nominal = (1.0, 4.0)[i]
+        noisy = stats.t.pdf(e / np.sqrt(S[i] * 16.0), 2) / np.sqrt(S[i] * 16.0)
+        told = np.array(
+            [stats.norm.pdf(e, scale=np.sqrt(S[i])), stats.norm.pdf(e, scale=np.sqrt(S[i] + 9 * nominal)), noisy]
+        )
+        weights = told * [1 - enter.sum(), *enter]
+        weights /= weights.sum()
+        assert probability[i] == pytest.approx(1 - weights[0], rel=1e-9)
+        trust = weights[0] + weights[2] * min(1.0, 1.5 / (16.0 + 0.5 * e * e / S[i]))
+        assert R[i, i] == pytest.approx(nominal / trust, rel=1e-9)
+
+
+def car(kind, precision, steps=400, begins=150, ends=300, seed=0):
+    """Run the car with one faulty sensor in plain Python; yield the outputs."""
+    rng, x, last = np.random.default_rng(seed), 20.0, np.nan
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, STEP)
+    step = controllers.BayesianController(model, precision=precision, initial_mean=20.0).online(compiled=False)
+    for k in range(steps):
+        y = x + rng.normal(size=2)
+        noise = rng.normal()
+        if begins <= k < ends:
+            y[0] = {
+                "healthy": y[0],
+                "Frozen": last,
+                "Offset": y[0] + 5.0,
+                "Drifting": y[0] + 0.05 * (k - begins),
+                "Noisier": y[0] + 5.0 * noise,
+                "DroppedOut": np.nan,
+                "dither": last + 0.01 * noise,
+            }[kind]
+        last = y[0]
+        out = step(y=y, goal=[20.0 + 5.0 * np.sin(STEP * k)])
+        yield out, x
+        x = 0.999 * x + 2e-4 * out.u[0] + 0.03 * rng.normal()
+
+
+NUMBERS = {type(mode).__name__: 1 + k for k, mode in enumerate(SwitchingPrecision().modes)}
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [(name, name) for name in NUMBERS] + [("dither", "Frozen")],
+)
+def test_the_kind_of_fault_is_told_with_its_size_and_onset(kind, mode):
+    outs = [out for out, _ in car(kind, SwitchingPrecision())]
+    during, after = outs[160:299], outs[310:]
+    if kind == "Drifting":  # it grows by 2.5 standard deviations a second, so at first nothing shows
+        during, after = outs[250:299], outs[320:]
+    assert np.mean([out.fault_kind[0] == NUMBERS[mode] for out in during]) > 0.97
+    assert np.mean([out.fault_probability[0] > 0.9 for out in during]) > 0.97
+    assert np.mean([out.fault_probability[0] < 0.1 for out in after]) > 0.95
+    assert np.mean([out.fault_probability[1] < 0.1 for out in outs]) > 0.97
+    assert outs[250].fault_onset[0] == pytest.approx(150 * STEP, abs=1.0 if kind == "Drifting" else 0.1)
+    if kind in {"Offset", "Noisier"}:
+        assert outs[290].fault_size[0] == pytest.approx(5.0, abs=1.0)
+    for out in outs:
+        np.testing.assert_allclose(out.mode_probability.sum(axis=1), 1.0, rtol=1e-9)
+        np.testing.assert_allclose(1 - out.mode_probability[:, 0], out.fault_probability, atol=1e-12)
+
+
+def glitches(e, present, variance, nominal, change, memory, at, settings, first):
+    return settings[first] + 0.0 * e
+
+
+@dataclass(frozen=True)
+class Glitching(controllers.FaultMode):
+    """A mode of a user's: any value within a given range."""
+
+    span: float = 200.0
+
+    evidence = glitches
+
+    def settings(self, model, sensor):
+        """Return the logarithm of the density."""
+        return (-np.log(self.span),)
+
+
+def test_a_mode_of_ones_own():
+    learner = SwitchingPrecision(modes=(Glitching(), Frozen()))
+    rows = np.array([[20.1, 20.3], [75.0, 19.0], [-31.0, 22.0]])
+    probabilities = [p for p, *_ in learned(learner, rows)]
+    chance = (STEP / 60.0) / 200.0
+    healthy = (1 - 2 * STEP / 60.0) * stats.norm.pdf(0.1)
+    assert probabilities[0][0] == pytest.approx(
+        1 - healthy / (healthy + chance + STEP / 60.0 * stats.norm.pdf(0.1)), rel=1e-9
+    )
+    assert probabilities[2][0] > 0.999
+    assert probabilities[2][1] < 0.01
+
+
+def test_a_resolution_explains_equal_samples():
+    """Rounded to its standard deviation a healthy sensor repeats itself in a quarter of the samples: no freeze."""
+    rows = 20.0 + np.round(np.random.default_rng(5).normal(size=(2000, 2)))
+    assert (np.diff(rows[:, 0]) == 0).mean() > 0.2
+    for resolution, share in ((1.0, 0.02), (0.0, None)):
+        modes = (Frozen(resolution=resolution), Offset(), Noisier(), DroppedOut())
+        alarms = np.mean([p[0] > 0.5 for p, *_ in learned(SwitchingPrecision(modes=modes), rows)])
+        assert alarms < share if share else alarms > 0.1
+
+
+def test_insurance_costs_nothing_on_healthy_sensors():
+    squares = {}
+    for precision in (SwitchingPrecision(), controllers.FixedPrecision()):
+        errors = [out.x_hat[0] - x for seed in range(3) for out, x in car("healthy", precision, 1000, seed=seed)]
+        squares[type(precision)] = np.mean(np.square(errors))
+    assert squares[SwitchingPrecision] < 1.01 * squares[controllers.FixedPrecision]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: SwitchingPrecision(modes=()), "at least one"),
+        (lambda: SwitchingPrecision(modes=3), "give fault modes"),
+        (lambda: SwitchingPrecision(modes=("Offset",)), "give fault modes"),
+        (lambda: SwitchingPrecision(modes=(controllers.FaultMode(),)), "give fault modes"),
+        (lambda: SwitchingPrecision(loss=0.0), "loss=0.0"),
+        (
+            lambda: SwitchingPrecision(modes=(Offset(time_to_fault=0.01),)).learner(MODEL),
+            "not longer than the sample time",
+        ),
+        (lambda: SwitchingPrecision(modes=(Offset(0.03), Frozen(0.03))).learner(MODEL), "too short"),
+        (lambda: Offset(jump=-1.0), "Offset has jump=-1.0"),
+        (lambda: Frozen(repeats=1.0), "repeats=1.0"),
+        (lambda: Noisier(forgetting=0.0), "forgetting=0.0"),
+        (lambda: DroppedOut(time_to_fault="soon"), "time_to_fault='soon'"),
+    ],
+)
+def test_bad_settings(make, words):
+    with pytest.raises(ModelError, match=words):
+        make()
