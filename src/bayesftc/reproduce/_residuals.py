@@ -13,9 +13,12 @@ from bayesftc.cosim.block import Floats
 from bayesftc.reproduce._car import model
 from bayesftc.reproduce.settings import Car, Detection
 
-SIGNALS = ("controller.innovation", "controller.beta", "controller.precision")
+SIGNALS = ("controller.innovation", "controller.beta", "controller.precision", "controller.fault_probability")
 GRID = ("SER", "beta", "beta (PL of tracking)")
 """The residuals of the grid; each has one loop."""
+SWITCHING = "SwitchingPrecision"
+LEAST = 1e-16
+"""Least probability of which odds are taken: 1 - p cannot be told more closely."""
 
 
 class Stream(NamedTuple):
@@ -65,7 +68,7 @@ def papers(settings: Detection, chosen: controllers.GammaPrecision) -> dict[str,
 
 
 def known(settings: Detection, chosen: controllers.GammaPrecision, car: Car) -> dict[str, Residual]:
-    """Return all residuals by name: the paper's two, variations of them, and the beta of every other learner that has one."""
+    """Return all residuals by name: the paper's two, variations of them, log odds of fault modes, the betas of all learners."""
     base, best = papers(settings, chosen).values()
     plain = controllers.GammaPrecision(forgetting=settings.plain_forgetting)
     kept = chosen.forgetting or 1.0
@@ -92,11 +95,23 @@ def known(settings: Detection, chosen: controllers.GammaPrecision, car: Car) -> 
         ),
         "precision": Residual("-log(precision) in the loop of beta", (chosen,), (_log_variance,)),
         "beta (PL of tracking)": beta(plain),
+        SWITCHING: Residual("log odds of a fault, with the experiment's hazards", (switching(settings),), (_log_odds,)),
+        f"{SWITCHING}, default": Residual(
+            "the same with default hazards", (controllers.SwitchingPrecision(),), (_log_odds,)
+        ),
     }
     for cls in controllers.LEARNERS:
         if cls is not controllers.GammaPrecision and _has_beta(cls(), car):
             residuals[f"beta ({cls.__name__})"] = beta(cls())
     return residuals
+
+
+def switching(settings: Detection) -> controllers.SwitchingPrecision:
+    """Return the learner of fault modes, told how often the experiment's three kinds of faults come and go, but not how large."""
+    times = 3.0 * settings.mean_time_to_fault, settings.mean_time_to_recovery
+    return controllers.SwitchingPrecision(
+        [kind(*times) for kind in (controllers.Frozen, controllers.Offset, controllers.Drifting)]
+    )
 
 
 def _has_beta(learner: controllers.PrecisionLearner, car: Car) -> bool:
@@ -107,6 +122,11 @@ def _has_beta(learner: controllers.PrecisionLearner, car: Car) -> bool:
 
 def _log_beta(result: cosim.Result) -> Floats:
     return np.log(controllers.beta_residual(result))
+
+
+def _log_odds(result: cosim.Result) -> Floats:
+    p = result["controller.fault_probability"]
+    return np.log(np.maximum(p, LEAST)) - np.log(np.maximum(1.0 - p, LEAST))
 
 
 def _log_variance(result: cosim.Result) -> Floats:
