@@ -27,7 +27,7 @@ def drops(e, present, variance, nominal, change, memory, at, settings, first):
     Parameters
     ----------
     e : float
-        Innovation; 0 for a missing sample.
+        Innovation, held within a million of its standard deviations; 0 for a missing sample.
     present : float
         1 if there is a sample, else 0.
     variance, nominal : float
@@ -99,7 +99,7 @@ def scatters(e, present, variance, nominal, change, memory, at, settings, first)
     kept = (1.0 - memory[at + ENTERED]) * rho
     a = kept * memory[at + OWN] + (1.0 - kept) * a0
     b = kept * memory[at + OWN + 1] + (1.0 - kept) * b0
-    squared = minimum(e * e / variance, FURTHEST)
+    squared = e * e / variance
     told = log_gamma_half_step(a) - 0.5 * (log(variance * b) + LOG_2_PI) - (a + 0.5) * log(1.0 + 0.5 * squared / b)
     a = a + 0.5 * present
     b = b + 0.5 * present * squared

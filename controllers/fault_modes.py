@@ -7,7 +7,7 @@ To write one you must:
    of a sample's density if the sensor has failed in this way. It may write ``memory[at + TRUST]`` (the precision, relative to
    the nominal one, that the sample deserves), ``memory[at + SIZE]`` (the fault's size) and its own numbers from
    ``memory[at + OWN]`` on. A fault that begins is not told from one that has been there: ``memory[at + ENTERED]`` is the share of
-   the former;
+   the former. These places and `log_density` can be imported from here;
 3. return from ``first`` what it keeps before the first sample, and from ``settings(model, sensor)`` what it reads as
    ``settings[first]``, ``settings[first + 1]``, ...;
 4. add it to `FAULT_MODES`, from which scenario files choose and over which the tests run.
@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from bayesftc.controllers import _mode_kernels as kernels
 from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._mode_kernels import ENTERED, OWN, SIZE, TRUST, log_density
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
@@ -49,11 +50,6 @@ class FaultMode:
     def __post_init__(self) -> None:
         for name in ("time_to_fault", "time_to_recovery"):
             check_number(self, name, above=0)
-
-    @property
-    def kind(self) -> str:
-        """Its name in results."""
-        return type(self).__name__
 
     @property
     def first(self) -> tuple[float, ...]:
@@ -216,3 +212,8 @@ class Noisier(FaultMode):
 
 FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Noisier, DroppedOut)
 """To add a fault mode, write it by the rules above and name it here."""
+
+__all__ = [
+    "ENTERED", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Drifting", "DroppedOut", "FaultMode", "Frozen", "Noisier", "Offset",
+    "log_density",
+]  # fmt: skip

@@ -14,8 +14,9 @@ from bayesftc.controllers import _switching_kernels as kernels
 from bayesftc.controllers._checks import check_number
 from bayesftc.controllers._mode_kernels import TRUST, log_density
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
-from bayesftc.controllers.precision import Learner, PrecisionLearner
+from bayesftc.controllers.precision import Learner, PrecisionLearner, keep_nominal, report_nothing
 from bayesftc.cosim._written import function_from_text
+from bayesftc.cosim.block import argument_names
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import select
 from bayesftc.cosim.ports import Port
@@ -29,12 +30,12 @@ trust = work[0]
 for i in range(y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
     variance = spread[i, i] + nominal[i, i]
-    error, change = error_of(i, e, variance), y[i] - memory[at]
+    error, change = error_of(i, e, variance), y[i] - memory[at + LAST]
     pass_time(memory, at, WIDTH, settings, row, WIDTH_OF_SETTINGS, MODES)
     told = settings[row + ARRIVES] + log_density(error * error, variance)
     memory[at + HEALTHY] = memory[at + HEALTHY] + select(present[i] > 0.5, told, settings[row + MISSING])
 {modes}
-    memory[at] = select(present[i] > 0.5, y[i], memory[at])
+    memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
     fault_probability[i] = normalise(memory, at, WIDTH, MODES)
     trust[0, i] = trusted(memory, at, WIDTH, MODES)
 use_trust(trust, present, nominal, R, used, precision, beta)
@@ -59,39 +60,21 @@ def _make_steps(
 ) -> tuple[Callable[..., None], Callable[..., None]]:
     """Return the learning and the reporting step function for these modes, whose blocks have these widths."""
     modes = len(evidence)
-    names = {name: getattr(kernels, name) for name in dir(kernels) if not name.startswith("__")}
-    names |= {f"mode{k}": function for k, function in enumerate(evidence)}
-    names |= {
-        "select": select,
-        "log_density": log_density,
-        "MODES": modes,
-        "WIDTH": width,
-        "WIDTH_OF_SETTINGS": settings,
-    }
-    names |= {"LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings}
-    names["__name__"] = __name__
+    names = {
+        **{name: value for name, value in vars(kernels).items() if not name.startswith("__")},
+        **{f"mode{k}": function for k, function in enumerate(evidence)},
+        "select": select, "log_density": log_density, "__name__": __name__,
+        "MODES": modes, "WIDTH": width, "WIDTH_OF_SETTINGS": settings,
+        "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
+    }  # fmt: skip
     lines = [
         _MODE.format(k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings)
         for k in range(modes)
     ]
     text = _LEARN.format(modes="\n".join(lines)).strip("\n").split("\n")
-    arguments = [
-        "y",
-        "e",
-        "present",
-        "spread",
-        "nominal",
-        "memory",
-        "settings",
-        "work",
-        "R",
-        "used",
-        "precision",
-        "beta",
-    ]
-    learn = function_from_text("learn_switching", [*arguments, "fault_probability"], text, names)
-    reported = ["memory", "settings", "nominal", "first", "outputs"]
-    return learn, function_from_text("report_switching", reported, [_REPORT.strip("\n")], names)
+    learn = function_from_text("learn_switching", argument_names(keep_nominal), text, names)
+    report = function_from_text("report_switching", argument_names(report_nothing), [_REPORT.strip("\n")], names)
+    return learn, report
 
 
 @dataclass(frozen=True)
@@ -141,8 +124,8 @@ class SwitchingPrecision(PrecisionLearner):
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
         m, step = model.sensors, float(model.step)
-        begins = [self._chance(mode, "time_to_fault", step) for mode in self.modes]
-        ends = [self._chance(mode, "time_to_recovery", step) for mode in self.modes]
+        begins = [_chance(mode, "time_to_fault", step) for mode in self.modes]
+        ends = [_chance(mode, "time_to_recovery", step) for mode in self.modes]
         if sum(begins) >= 1:
             raise ModelError(
                 f"SwitchingPrecision has fault modes that begin with a probability of {sum(begins):.3g} together in each sample "
@@ -169,11 +152,12 @@ class SwitchingPrecision(PrecisionLearner):
         ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
         return Learner(learn, np.array([*memory, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
 
-    def _chance(self, mode: FaultMode, name: str, step: float) -> float:
-        """Return the probability per sample of what takes a mean time in seconds."""
-        chance = step / float(getattr(mode, name))
-        if chance >= 1:
-            raise ModelError(
-                f"{mode.kind} has {name}={getattr(mode, name)!r}, which is not longer than the sample time of {step:g} s."
-            )
-        return chance
+
+def _chance(mode: FaultMode, name: str, step: float) -> float:
+    """Return the probability per sample of what takes a mean time in seconds."""
+    chance = step / float(getattr(mode, name))
+    if chance >= 1:
+        raise ModelError(
+            f"{type(mode).__name__} has {name}={getattr(mode, name)!r}, which is not longer than the sample time of {step:g} s."
+        )
+    return chance

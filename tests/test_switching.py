@@ -10,8 +10,9 @@ from scipy import integrate, special, stats
 
 from bayesftc import controllers
 from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision
-from bayesftc.controllers._mode_kernels import ENTERED, OWN, SIZE, scatters, shifts
+from bayesftc.controllers._mode_kernels import scatters, shifts
 from bayesftc.controllers._special import log_gamma_half_step, log_sum
+from bayesftc.controllers.fault_modes import ENTERED, OWN, SIZE
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02
