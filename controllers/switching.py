@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers import _switching_kernels as kernels
-from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._checks import as_number, as_vector
 from bayesftc.controllers._mode_kernels import TRUST, log_density
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
 from bayesftc.controllers.precision import Learner, PrecisionLearner, keep_nominal, report_nothing
@@ -100,17 +100,19 @@ class SwitchingPrecision(PrecisionLearner):
     ----------
     modes : sequence of FaultMode
         The ways in which a sensor can fail, with how often, all on top of each other; see `FAULT_MODES`.
-    loss : float
-        Probability with which a sample of a healthy sensor is missing.
+    loss : float or sequence of float
+        Probability with which a sample of a healthy sensor is missing, for all sensors or for each: of one that is not due at
+        every step (a slow one) the share of the steps without a sample.
 
     Raises
     ------
     ModelError
-        If there is no mode, or with the model's sample time a fault would begin or end at each sample.
+        If there is no mode, the losses are not one for each sensor, or with the model's sample time a fault would begin or end
+        at each sample.
     """
 
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Noisier(), DroppedOut())
-    loss: float = 0.01
+    loss: float | Sequence[float] = 0.01
 
     def __post_init__(self) -> None:
         modes = tuple(self.modes) if isinstance(self.modes, Sequence) else ()
@@ -119,7 +121,11 @@ class SwitchingPrecision(PrecisionLearner):
                 f"SwitchingPrecision has modes={self.modes!r}; give fault modes such as Offset(), at least one."
             )
         object.__setattr__(self, "modes", modes)
-        check_number(self, "loss", above=0, below=1)
+        given = self.loss
+        each = (tuple(given) or (given,)) if isinstance(given, list | tuple | np.ndarray) else (given,)
+        for value in each:
+            as_number("SwitchingPrecision has loss", value, above=0, below=1)
+        object.__setattr__(self, "loss", each if len(each) > 1 else each[0])
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
@@ -131,14 +137,16 @@ class SwitchingPrecision(PrecisionLearner):
                 f"SwitchingPrecision has fault modes that begin with a probability of {sum(begins):.3g} together in each sample "
                 f"of {step:g} s; their times to a fault are too short."
             )
+        losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         own = [[mode.settings(model, i) for mode in self.modes] for i in range(m)]
         width = TRUST + max(len(mode.first) for mode in self.modes)
         settings_width = kernels.OWN_SETTINGS + max(len(values) for values in own[0])
         settings = []
         for i in range(m):
-            settings += [log1p(-sum(begins)), log1p(-self.loss), log(self.loss)]
+            loss = float(losses[i])
+            settings += [log1p(-sum(begins)), log1p(-loss), log(loss)]
             for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
-                arrives = 1.0 - self.loss if mode.arrival is None else mode.arrival
+                arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 block = [log(begin), log1p(-end), log(end), log(arrives), log1p(-arrives), *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []

@@ -81,9 +81,9 @@ def enumerated(y, variance, modes, loss):
 def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
     modes = (Frozen(time_to_fault=0.3, time_to_recovery=0.2), DroppedOut(time_to_fault=0.5, time_to_recovery=0.1))
     rows = np.array([20.3, 19.1, 19.1, 19.10001, np.nan, np.nan, 21.9, 21.9])
-    found = learned(SwitchingPrecision(modes=modes, loss=0.1), np.column_stack([rows, rows[::-1]]))
+    found = learned(SwitchingPrecision(modes=modes, loss=(0.1, 0.8)), np.column_stack([rows, rows[::-1]]))
     for n, (probability, *_) in enumerate(found, start=1):
-        expected = [enumerated(rows[:n], 1.0, modes, 0.1), enumerated(rows[::-1][:n], 4.0, modes, 0.1)]
+        expected = [enumerated(rows[:n], 1.0, modes, 0.1), enumerated(rows[::-1][:n], 4.0, modes, 0.8)]
         np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
 
 
@@ -248,6 +248,9 @@ def test_insurance_costs_nothing_on_healthy_sensors():
         (lambda: SwitchingPrecision(modes=("Offset",)), "give fault modes"),
         (lambda: SwitchingPrecision(modes=(controllers.FaultMode(),)), "give fault modes"),
         (lambda: SwitchingPrecision(loss=0.0), "loss=0.0"),
+        (lambda: SwitchingPrecision(loss=(0.1, 1.5)), "loss=1.5"),
+        (lambda: SwitchingPrecision(loss=()), r"loss=\(\)"),
+        (lambda: SwitchingPrecision(loss=(0.1, 0.1, 0.1)).learner(MODEL), "must be a vector of 2"),
         (
             lambda: SwitchingPrecision(modes=(Offset(time_to_fault=0.01),)).learner(MODEL),
             "not longer than the sample time",
