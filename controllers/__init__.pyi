@@ -6,6 +6,7 @@ from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
+from .estimator import StateEstimator as StateEstimator
 from .explicit import ExplicitDetection as ExplicitDetection
 from .fault_modes import (
     FAULT_MODES as FAULT_MODES,

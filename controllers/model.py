@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix
+from bayesftc.controllers._sensor_errors import with_sensor_errors
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.timebase import rational_step
@@ -33,7 +35,8 @@ class LinearModel:
     dt : float, str or Fraction
         Sample time in seconds.
     disturbances : int
-        How many states, the last ones, are input disturbances (see `with_disturbance`); goals do not concern them.
+        How many states, the last ones, are estimated disturbances: of the inputs (`with_disturbance`) or of the sensors
+        (`with_sensor_errors`); goals do not concern them.
 
     Raises
     ------
@@ -168,7 +171,9 @@ class LinearModel:
             Covariance of the walk per step (p x p), in units of the control.
         """
         if self.disturbances:
-            raise ModelError("The model has a disturbance already; apply with_disturbance() once.")
+            raise ModelError(
+                "The model has a disturbance already; apply with_disturbance() once, and before with_sensor_errors()."
+            )
         n, p = self.states, self.controls
         A = np.block([[self.matrix("A"), self.matrix("B")], [np.zeros((p, n)), np.eye(p)]])
         B = np.vstack([self.matrix("B"), np.zeros((p, p))])
@@ -177,3 +182,31 @@ class LinearModel:
         Q[:n, :n] = self.matrix("process_covariance")
         Q[n:, n:] = as_covariance("The disturbance's covariance", covariance, p)
         return replace(self, A=A, B=B, C=C, process_covariance=Q, disturbances=p)
+
+    def with_sensor_errors(
+        self,
+        std: float | Sequence[float],
+        time_constant: float | Sequence[float],
+        sensors: Sequence[int] | None = None,
+        *,
+        common: bool = False,
+    ) -> LinearModel:
+        """Return the model extended by errors of the sensors that last from sample to sample, which are then estimated.
+
+        Each error is a first-order autoregressive process (Ornstein and Uhlenbeck's, sampled), ``c_t+1 = exp(-dt /
+        time_constant) c_t + w``, and adds to what its sensor reads: a coloured noise, or with a time constant far beyond the
+        recording a bias. What the sensor's own white noise is stays in `sensor_covariance`. Apply it several times for a sensor
+        with errors of several kinds. A constant that all sensors have in common cannot be told from the state itself.
+
+        Parameters
+        ----------
+        std : number or vector
+            Standard deviation of the error in the sensor's unit, for all sensors or for each of `sensors`.
+        time_constant : number or vector
+            Seconds in which its autocorrelation falls to 1/e.
+        sensors : sequence of int, optional
+            Which sensors have it; by default all.
+        common : bool
+            Whether they all have the same error (wheels of one axle), `std` saying how much of it, instead of one each.
+        """
+        return with_sensor_errors(self, std, time_constant, sensors, common)

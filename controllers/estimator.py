@@ -1,0 +1,168 @@
+"""The state estimator of the Bayesian controller alone: it watches a plant that somebody else drives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers._bayesian_block import VARIANCE_CAP
+from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
+from bayesftc.controllers._filter import innovate, measure, predict
+from bayesftc.controllers._linalg import apply
+from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.precision import NAN, FixedPrecision, PrecisionLearner
+from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import select
+from bayesftc.cosim.ports import Port
+
+
+@cache
+def _make_estimate(learn: Callable[..., None], report: Callable[..., None], first: int) -> Callable[..., None]:
+    """Return the step function from the samples to the belief for a precision learner's two.
+
+    The learner's own outputs begin at the place `first` among all outputs.
+    """
+
+    def state_estimator(
+        y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, memory,
+        C, nominal, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
+    ):  # fmt: skip
+        apply(C, mean, expected)
+        innovate(y, expected, covariance, C, e, present, CP, spread)
+        for i in range(e.shape[0]):
+            innovation[i] = select(present[i] > 0.5, e[i], NAN)
+        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        report(memory, settings, nominal, first, outputs)
+        measure(e, used, R, C, mean, covariance, chol, D, whitened, v, gain, J, JP, x_hat, P)
+
+    return state_estimator
+
+
+def look_ahead(u, x_hat, P, applied, A, B, Q, largest, J, mean, covariance):
+    """Take the belief to the next step with the input, or with the last one where it is not finite."""
+    for i in range(u.shape[0]):
+        applied[i] = select(u[i] - u[i] == 0.0, u[i], applied[i])
+    predict(x_hat, P, applied, A, B, Q, largest, J, mean, covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class StateEstimator(Block):
+    """Infers the state and each sensor's precision from redundant and possibly faulty sensors, and controls nothing.
+
+    The estimator of `BayesianController` without its decision: for a plant that another controller or a person drives, and for
+    recorded data. With the same samples and controls both have the same belief, to the last bit.
+
+    Inputs ``y`` (m samples; NaN is a missing one) and ``u`` (p; the known input that acts until the next sample; where it is not
+    finite the last one goes on, unconnected it is 0). The belief at a sample does not wait for the input at it. Outputs
+    ``x_hat`` (n), ``P`` (n x n), ``R`` (m x m), ``innovation``, ``precision``, ``beta``, ``fault_probability`` (m each) and those
+    of the precision learner, as `BayesianController` has them.
+
+    Parameters
+    ----------
+    model : LinearModel
+        What is believed about plant and sensors.
+    precision : PrecisionLearner
+        How sensor precisions are learned; by default they are fixed.
+    initial_mean : number or vector
+        Belief before the first sample; where it is given for the plant's states alone, estimated disturbances begin at 0.
+    initial_covariance : number, vector, matrix or None
+        Its covariance. By default the plant's states have a variance of 1, and so have disturbances that wander without end; a
+        sensor's error (`LinearModel.with_sensor_errors`) has the variance that it keeps.
+
+    Raises
+    ------
+    ModelError
+        If the model is no linear one, dimensions do not fit, or the covariance is not positive semi-definite.
+    """
+
+    model: LinearModel
+    precision: PrecisionLearner = field(default_factory=FixedPrecision)
+    initial_mean: float | tuple[float, ...] = 0.0
+    initial_covariance: Matrix | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.model, LinearModel):
+            raise ModelError(f"StateEstimator needs a LinearModel, not {self.model!r}; see LinearModel.from_control.")
+        if not isinstance(self.precision, PrecisionLearner):
+            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
+        n = self.model.states
+        object.__setattr__(self, "initial_mean", as_vector("The initial_mean", self._extended(self.initial_mean), n))
+        start = self._start() if self.initial_covariance is None else self.initial_covariance
+        object.__setattr__(self, "initial_covariance", as_covariance("The initial_covariance", start, n, singular=True))
+        self.precision.learner(self.model)  # settings that do not fit the model fail here, not in the loop
+
+    def _extended(self, mean: object) -> object:
+        values = np.atleast_1d(as_numbers("The initial_mean", mean, "it must be a number or a list of numbers"))
+        plant = self.model.states - self.model.disturbances
+        if values.shape in {(plant,), (1,)}:
+            return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
+        return mean
+
+    def _start(self) -> Floats:
+        """Return the variances of a belief that knows of the disturbances what their model says."""
+        A, Q = self.model.matrix("A"), self.model.matrix("process_covariance")
+        variances = np.ones(len(A))
+        for i in range(len(A) - self.model.disturbances, len(A)):
+            if abs(A[i, i]) < 1:
+                variances[i] = Q[i, i] / (1 - A[i, i] ** 2)
+        return frozen(variances)
+
+    @property
+    def measurement_matrix(self) -> Floats:
+        """What each sensor reads of ``x_hat`` (m x n)."""
+        return self.model.matrix("C")
+
+    @property
+    def default_name(self) -> str:
+        """See `Block.default_name`."""
+        return "estimator"
+
+    @property
+    def sample_time(self) -> Fraction:
+        """The model's sample time in seconds, at which the estimator must run."""
+        step: Fraction = self.model.step
+        return step
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Inputs ``y`` and ``u``."""
+        return Port("y", (self.model.sensors,)), Port("u", (self.model.controls,), default=0.0, feedthrough=False)
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Outputs ``x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
+        return *self._own_outputs, *self.precision.learner(self.model).ports
+
+    @property
+    def _own_outputs(self) -> tuple[Port, ...]:
+        n, m = self.model.states, self.model.sensors
+        each = tuple(Port(name, (m,)) for name in ("innovation", "precision", "beta", "fault_probability"))
+        return Port("x_hat", (n,)), Port("P", (n, n)), Port("R", (m, m)), *each
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        model, learner = self.model, self.precision.learner(self.model)
+        n, p, m = model.states, model.controls, model.sensors
+        Q, nominal = model.matrix("process_covariance"), model.matrix("sensor_covariance")
+        scratch = {
+            "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
+            "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n),
+        }  # fmt: skip
+        state: dict[str, Any] = {
+            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
+            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
+        }  # fmt: skip
+        largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
+        parameters = {
+            **{name: model.matrix(name) for name in "ABC"},
+            **{"Q": Q, "nominal": nominal, "settings": learner.settings, "largest": largest},
+        }
+        first = sum(port.size for port in self._own_outputs)
+        estimate = _make_estimate(learner.step, learner.report, first)
+        return Definition(estimate, look_ahead, state=state, parameters=parameters)
