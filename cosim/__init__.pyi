@@ -33,6 +33,7 @@ from .faults import (
     NoiseIncrease as NoiseIncrease,
     RandomFaults as RandomFaults,
     Spikes as Spikes,
+    Stuck as Stuck,
 )
 from .fmu import FMU as FMU
 from .loops import closed_loop as closed_loop

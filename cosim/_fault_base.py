@@ -36,7 +36,7 @@ class Fault(Block):
     Parameters
     ----------
     sensor : int
-        Number of the channel, from 0.
+        Number of the channel, from 0; of a plant's input that is a scalar, 0.
     start, stop : float
         Seconds. The fault can be present while start <= t < stop.
     mean_time_to_fault, mean_time_to_recovery : float, optional

@@ -26,6 +26,11 @@ def frozen(sample, held, age, chance, noise, settings):
     return held
 
 
+def stuck(sample, held, age, chance, noise, settings):
+    """Show a given value; settings: at."""
+    return settings[0]
+
+
 def injected(sample, held, age, chance, noise, settings):
     """Add a constant and a sine; settings: magnitude, amplitude, period, phase."""
     return sample + (settings[0] + settings[1] * sin(TAU * age / settings[2] + settings[3]))

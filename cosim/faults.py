@@ -1,12 +1,14 @@
-"""Faults as modifiers of one channel of a vector signal: what reaches the controller is no longer what the sensor said.
+"""Faults as modifiers of one channel of a signal: what reaches its reader is no longer what was said.
 
-A fault stands between a vector signal (sensors, or a control) and its reader, and touches one channel; several are
-chained. It is *scheduled* (present while ``start <= t < stop``) or comes and goes at *random* in that window, as a
-two-state Markov chain. Its output ``active`` is the ground truth that a detector is judged by.
+A fault stands between a signal and its reader, and touches one channel: between sensors and controller it is a sensor's fault,
+between controller and plant an actuator's, between a disturbance and the plant one of the process (`closed_loop` has a place for
+each). What it stands behind knows nothing of it: a controller believes in the control that it sent. Several are chained. A
+fault is *scheduled* (present while ``start <= t < stop``) or comes and goes at *random* in that window, as a two-state Markov
+chain. Its output ``active`` is the ground truth that a detector is judged by.
 
 To add a kind of fault you must:
 
-1. write in ``_fault_kernels.py`` the value that a faulty sensor shows, ``value(sample, held, age, chance, noise,
+1. write in ``_fault_kernels.py`` the value that a faulty channel shows, ``value(sample, held, age, chance, noise,
    settings)``, by the rules for step functions (`Block`);
 2. write here a frozen, keyword-only dataclass derived from `Fault` whose fields, numbers all, are the settings in the
    order in which the function finds them, with ``value = staticmethod(...)``;
@@ -41,6 +43,14 @@ class Freeze(Fault):
     """
 
     value = staticmethod(kernels.frozen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stuck(Fault):
+    """The channel shows the value `at`, whatever comes in: a sensor at the end of its range, an actuator that is shut (0)."""
+
+    at: float
+    value = staticmethod(kernels.stuck)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +95,7 @@ class Drift(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class GainFault(Fault):
-    """The sample times `factor`."""
+    """The sample times `factor`; of an actuator, a loss of effectiveness (a factor below 1)."""
 
     factor: float
     value = staticmethod(kernels.scaled)
@@ -218,7 +228,7 @@ class RandomFaults(Fault):
 
 
 FAULTS: tuple[type[Fault], ...] = (
-    Freeze, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, RandomFaults,
+    Freeze, Stuck, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, RandomFaults,
 )  # fmt: skip
 """All kinds; the last one mixes the others."""
 

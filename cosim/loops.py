@@ -1,4 +1,4 @@
-"""The usual diagram in one call: reference, controller, plant, sensors and their faults."""
+"""The usual diagram in one call: reference, controller, plant, sensors, and faults of sensors, actuators and process."""
 
 from __future__ import annotations
 
@@ -12,8 +12,16 @@ import numpy as np
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram, Node
-from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError, UnknownNameError, did_you_mean
-from bayesftc.cosim.faults import Fault
+from bayesftc.cosim.errors import (
+    ConnectionError,
+    ModelError,
+    StepSizeError,
+    UnconnectedInputError,
+    UnknownNameError,
+    did_you_mean,
+)
+from bayesftc.cosim.faults import Dropout, Fault, RandomFaults
+from bayesftc.cosim.ports import PortRef
 from bayesftc.cosim.sensors import Sensors
 from bayesftc.cosim.sources import Constant
 from bayesftc.cosim.timebase import show
@@ -30,16 +38,17 @@ def closed_loop(
     reference: Block | float | Sequence[Block | float],
     sensors: Sensors | None = None,
     faults: Sequence[Fault] = (),
+    input_faults: Mapping[str, Fault | Sequence[Fault]] | None = None,
     noise: Mapping[str, Block] | None = None,
     monitors: Mapping[str, Block] | None = None,
     dt: float | str | Fraction | None = None,
 ) -> Diagram:
-    """Return the diagram of a plant under a controller that sees it through faulty sensors.
+    """Return the diagram of a plant under a controller that sees it through faulty sensors and moves it by faulty actuators.
 
-    ``reference -> controller.goal``; ``plant -> sensors -> faults -> controller.y``; ``controller.u -> plant``; ``noise`` into
-    further inputs of the plant. The blocks are named ``plant``, ``controller``, ``sensors``, ``reference`` (``reference_0``,
-    ... where there are several), ``freeze_0`` and the like for faults, and ``<input>_noise``; monitors have the
-    names given.
+    ``reference -> controller.goal``; ``plant -> sensors -> faults -> controller.y``; ``controller.u -> input_faults -> plant``;
+    ``noise -> input_faults -> plant`` into further inputs. The blocks are named ``plant``, ``controller``, ``sensors``,
+    ``reference`` (``reference_0``, ... where there are several), ``<input>_noise``, ``freeze_0`` and the like for faults of
+    sensors, ``<input>_freeze_0`` for those of an input; monitors have the names given.
 
     Parameters
     ----------
@@ -57,6 +66,9 @@ def closed_loop(
         By default one perfect sensor for each measured output.
     faults : sequence of Fault
         Applied to the samples one after the other.
+    input_faults : mapping of plant input to Fault or sequence of Fault, optional
+        Faults of actuators, where the input is a control, and else of the process: what the plant receives is no longer what the
+        controller has sent (it goes on believing in that), or what the noise was. An input with neither has its start value.
     noise : mapping of plant input to Block, optional
         Sources for further inputs of the plant.
     monitors : mapping of name to Block, optional
@@ -91,34 +103,77 @@ def closed_loop(
     sensors = _fitted(sensors, len(outputs))
     seen = diagram.add(sensors, "sensors")
     diagram.connect(outputs, seen["u"])
-    last: Node = seen
-    for fault in faults:
-        if not isinstance(fault, Fault):
-            raise ModelError(f"faults must be faults such as Freeze(sensor=0, start=6.0), not {fault!r}.")
-        modifier = diagram.add(replace(fault, channels=sensors.count))
-        diagram.connect(last["y"], modifier["u"])
-        last = modifier
+    samples = _through(diagram, seen["y"], faults)
     brain = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
     if len(brain["y"]) != sensors.count:
         raise ConnectionError(
             f"The controller has {len(brain['y'])} sensors, but the loop has {sensors.count}; give its model's C a row, or its "
             "modalities a sample, for each sensor, and Sensors the same count."
         )
-    diagram.connect(last["y"], brain["y"])
+    diagram.connect(samples, brain["y"])
     diagram.connect([g["y"] for g in goals], brain["goal"])
     inputs = _names(control, "control")
     if len(brain["u"]) != len(inputs):
         raise ConnectionError(
             f"The controller has {len(brain['u'])} controls, but control= names {len(inputs)} inputs of the plant: {inputs}."
         )
+    if not isinstance(input_faults, Mapping | None):
+        raise ModelError(
+            f"input_faults is {input_faults!r}; it must say which input of the plant each fault befalls: "
+            f"input_faults={{{inputs[0]!r}: GainFault(factor=0.5)}}."
+        )
+    befallen = dict(input_faults or {})
     for i, name in enumerate(inputs):
-        diagram.connect(brain["u"][i], node[name])
-    seen_by = {"y": last["y"], "goal": [g["y"] for g in goals]}
+        _feed(diagram, brain["u"][i], node[name], befallen.pop(name, ()))
+    seen_by = {"y": samples, "goal": [g["y"] for g in goals]}
     for name, monitor in (monitors or {}).items():
         _watch(diagram, brain, diagram.add(monitor, name, brain.every), seen_by)
     for name, source in (noise or {}).items():
-        diagram.connect(diagram.add(source, f"{name}_noise")["y"], node[name])
+        _feed(diagram, diagram.add(source, f"{name}_noise")["y"], node[name], befallen.pop(name, ()))
+    for name, chain in befallen.items():
+        _feed(diagram, _at_rest(diagram, node[name]), node[name], chain)
     return diagram.build()
+
+
+def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], prefix: str = "") -> PortRef:
+    """Lead a signal through faults; return what comes out."""
+    for fault in faults:
+        if not isinstance(fault, Fault):
+            raise ModelError(f"faults must be faults such as Freeze(sensor=0, start=6.0), not {fault!r}.")
+        modifier = diagram.add(replace(fault, channels=len(signal)), fault.name or prefix + fault.default_name)
+        diagram.connect(signal, modifier["u"])
+        signal = modifier["y"]
+    return signal
+
+
+def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Sequence[Fault]) -> None:
+    """Connect what feeds an input of the plant to it, through the faults of that input."""
+    name, chain = target.port.name, [faults] if isinstance(faults, Fault) else faults
+    for fault in chain:
+        kinds = fault.kinds if isinstance(fault, RandomFaults) else (fault,)
+        if any(isinstance(kind, Dropout) for kind in kinds):
+            raise ModelError(
+                f"input_faults has a Dropout for {name!r}, but a plant must always be given a number; take Stuck(at=0.0) for an "
+                "actuator that is off, or Freeze() for one that holds its last value."
+            )
+        if isinstance(fault, Fault) and fault.sensor >= len(signal):
+            raise ModelError(
+                f"input_faults has a {type(fault).__name__} with sensor={fault.sensor} for {name!r}, which has {len(signal)} "
+                f"element{'s' if len(signal) > 1 else ''}, numbered from 0; leave sensor out where there is one."
+            )
+    diagram.connect(_through(diagram, signal, chain, f"{name}_"), target)
+
+
+def _at_rest(diagram: Diagram, target: PortRef) -> PortRef:
+    """Return a source of the value that an input of the plant has while nothing feeds it."""
+    if target.direction == "output":
+        raise ConnectionError(f"input_faults names {target.name}, which is an output; name an input of the plant.")
+    if target.port.default is None or len(target) > 1:
+        raise UnconnectedInputError(
+            f"A fault is to befall {target.name}, which has no control, no noise and no start value; give it a source, as "
+            f"closed_loop(noise={{{target.port.name!r}: cosim.Constant(0.0)}})."
+        )
+    return diagram.add(Constant(target.port.default), f"{target.port.name}_start")["y"]
 
 
 def _watch(diagram: Diagram, brain: Node, monitor: Node, seen_by: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.roles import Flags, LoopSignals, SensorSignals
+from bayesftc.cosim.roles import Flags, InputSignals, LoopSignals, SensorSignals
 
 NAN = float("nan")
 
@@ -86,12 +86,38 @@ class Detection:
 
 
 @dataclass(frozen=True)
+class InputFaults:
+    """The faults of one input of the plant: those of an actuator, or of the process.
+
+    Attributes
+    ----------
+    name : str
+        The plant's variable.
+    unit : str or None
+        Its unit.
+    fault_share : float
+        Share of time in which a fault was present.
+    faults : float
+        How many there were.
+    deviation : float
+        Root mean square of what was received minus what was sent, while a fault was present.
+    """
+
+    name: str
+    unit: str | None
+    fault_share: float
+    faults: float
+    deviation: float
+
+
+@dataclass(frozen=True)
 class Figures:
-    """All figures of a run: errors by quantity, and detection by sensor."""
+    """All figures of a run: errors by quantity, detection by sensor, and faults by input of the plant."""
 
     tracking: dict[str, Errors]
     belief: dict[str, Errors]
     sensors: tuple[Detection, ...]
+    inputs: tuple[InputFaults, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""
@@ -184,6 +210,15 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     )
 
 
+def input_faults(signals: InputSignals) -> InputFaults:
+    """Return how often an input of the plant had a fault, and how far that went."""
+    faulty, difference = signals.faulty, _difference(signals.received, signals.sent)
+    if faulty is None:
+        return InputFaults(signals.name, signals.unit, NAN, NAN, NAN)
+    deviation = NAN if difference is None else rmse(difference, faulty)
+    return InputFaults(signals.name, signals.unit, _share(faulty), float(len(periods(faulty))), deviation)
+
+
 def figures(signals: LoopSignals) -> Figures:
     """Return all figures of a run.
 
@@ -195,6 +230,7 @@ def figures(signals: LoopSignals) -> Figures:
         tracking={q.name: errors_by_phase(_difference(q.truth, q.reference), faulty) for q in signals.quantities},
         belief={q.name: errors_by_phase(_difference(q.belief, q.truth), faulty) for q in signals.quantities},
         sensors=tuple(detection(sensor, signals.time) for sensor in signals.sensors),
+        inputs=tuple(input_faults(each) for each in signals.inputs),
     )
 
 
@@ -226,6 +262,6 @@ def without_nan(value: Any) -> Any:
 
 
 __all__ = [
-    *(cls.__name__ for cls in (Detection, Errors, Figures)), "auc", "detection", "errors_by_phase", "figures", "periods", "rmse",
-    "without_nan",
+    *(cls.__name__ for cls in (Detection, Errors, Figures, InputFaults)), "auc", "detection", "errors_by_phase", "figures",
+    "input_faults", "periods", "rmse", "without_nan",
 ]  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import periods
 from bayesftc.cosim.result import labels
-from bayesftc.cosim.roles import ALARM, Flags, LoopSignals, QuantitySignals, SensorSignals
+from bayesftc.cosim.roles import ALARM, Flags, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,10 +78,11 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None) -> Figure
 def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
     """Return the figure of a closed loop: what was measured and believed, the sensors' precisions, and the faults seen.
 
-    Above, a panel for each measured quantity: true value, reference, samples as dots, the controller's belief. Then the
+    Above, a panel for each measured quantity: true value, reference, samples as dots, the controller's belief; and one for each
+    input of the plant with a fault on its way: what was sent, and what the plant received. Then the
     standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``), with marks at the top for samples
     that it ignores altogether and for missing ones, and the fault probability of each sensor, or where there is none beta,
-    with marks where a fault is detected; both have gaps where samples are missing. Faults are shaded.
+    with marks where a fault is detected; both have gaps where samples are missing. Faults are shaded, those of an input hatched.
 
     Parameters
     ----------
@@ -90,9 +91,11 @@ def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
     title : str, optional
         Stands above.
     """
-    figure, axes = _panels(len(signals.quantities) + 2)
+    figure, axes = _panels(len(signals.quantities) + len(signals.inputs) + 2)
     for axis, quantity in zip(axes, signals.quantities, strict=False):
         _draw_quantity(axis, signals, quantity)
+    for axis, each in zip(axes[len(signals.quantities) :], signals.inputs, strict=False):
+        _draw_input(axis, signals.time, each)
     unit = signals.quantities[0].unit if len({q.unit for q in signals.quantities}) == 1 else None
     _draw_deviation(axes[-2], signals, unit)
     _draw_detection(axes[-1], signals)
@@ -130,6 +133,17 @@ def _draw_quantity(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) 
         if values is not None:
             axis.plot(*_thin(time, values), label=label, **look)
     axis.set_ylabel(f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name)
+
+
+def _draw_input(axis: Axes, time: Floats, signals: InputSignals) -> None:
+    lines: list[tuple[str, Floats | None, dict[str, Any]]] = [
+        ("sent", signals.sent, {"color": "#9ECAE1", "ls": "-", "lw": 3.0, "zorder": 3}),
+        ("received", signals.received, {"color": BLACK, "ls": "-", "lw": 0.9, "zorder": 4}),
+    ]
+    for label, values, look in lines:
+        if values is not None:
+            axis.plot(*_thin(time, values), label=label, **look)
+    axis.set_ylabel(f"{signals.name} ({signals.unit})" if signals.unit else signals.name)
 
 
 def _draw_deviation(axis: Axes, signals: LoopSignals, unit: str | None) -> None:
@@ -224,22 +238,37 @@ def _shade(axis: Axes, signals: LoopSignals) -> None:
                 "step": "post",
             }
             axis.fill_between(signals.time, 0, 1, where=where, transform=height, **style)
+    for each in signals.inputs:
+        if each.faulty is not None and each.faulty.any():
+            height = axis.get_xaxis_transform()
+            style = {"fc": "none", "ec": "0.8", "hatch": "///", "lw": 0, "zorder": 0, "step": "post"}
+            axis.fill_between(signals.time, 0, 1, where=each.faulty, transform=height, **style)
 
 
 def _name_faults(axis: Axes, signals: LoopSignals) -> None:
     """Write each fault's name above its period, in as many rows as they need, or one note where there are too many."""
     style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
-    faults = [(a, b, sensor, name) for name, (sensor, active) in signals.faults.items() for a, b in periods(active)]
+    faults = [
+        (a, b, f"sensor {i}: {_kind(name, '', f'_{i}')}", _colour(i))
+        for name, (i, active) in signals.faults.items()
+        for a, b in periods(active)
+    ]
+    faults += [
+        (a, b, f"{each.name}: {_kind(name, f'{each.name}_', '_0')}", "0.35")
+        for each in signals.inputs
+        for name, active in each.faults.items()
+        if active is not None
+        for a, b in periods(active)
+    ]
     length = float(signals.time[-1] - signals.time[0]) if len(signals.time) else 0.0
     rows: list[float] = []  # where the last name of each row ends
     names = []
-    for a, b, sensor, name in sorted(faults):
-        kind = name.rsplit("_", 1)[0].replace("_", " ") if name.endswith(f"_{sensor}") else name
-        text, middle = f"sensor {sensor}: {kind}", 0.5 * float(signals.time[a] + signals.time[b - 1])
+    for a, b, text, colour in sorted(faults):
+        middle = 0.5 * float(signals.time[a] + signals.time[b - 1])
         half = 0.5 * LETTER * length * (len(text) + 2)
         row = next((i for i, end in enumerate(rows) if end <= middle - half), len(rows))
         rows[row : row + 1] = [middle + half]
-        names.append((middle, 1.02 + 0.1 * row, text, _colour(sensor)))
+        names.append((middle, 1.02 + 0.1 * row, text, colour))
     if len(rows) > MOST_ROWS:
         axis.text(
             signals.time[0], 1.02, f"shaded: {len(faults)} faults, in the colour of their sensor", color="0.3", **style
@@ -247,6 +276,12 @@ def _name_faults(axis: Axes, signals: LoopSignals) -> None:
         return
     for middle, height, text, colour in names:
         axis.text(middle, height, text, ha="center", color=colour, **style)
+
+
+def _kind(name: str, of: str, number: str) -> str:
+    """Return the kind of fault in a default name such as ``freeze_1``; a name that was given stays as it is."""
+    kind = name.removeprefix(of).removesuffix(number)
+    return name if kind == name else kind.replace("_", " ")
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:

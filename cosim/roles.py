@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,8 +102,36 @@ class QuantitySignals:
 
 
 @dataclass(frozen=True, eq=False)
+class InputSignals:
+    """One input of the plant on whose way there is a fault, of an actuator or of the process, over time.
+
+    Attributes
+    ----------
+    name : str
+        The plant's variable.
+    unit : str or None
+        Its unit.
+    sent, received : array or None
+        What the controller (or a noise) has sent, and what the plant was given; None if that was not recorded.
+    faults : mapping of str to array of bool or None
+        For each fault on the way when it was present; None if that was not recorded.
+    """
+
+    name: str
+    unit: str | None
+    sent: Floats | None
+    received: Floats | None
+    faults: Mapping[str, Flags | None]
+
+    @property
+    def faulty(self) -> Flags | None:
+        """Whether any of the faults was present; None if not all of that was recorded."""
+        return _any(list(self.faults.values()))
+
+
+@dataclass(frozen=True, eq=False)
 class LoopSignals:
-    """A run of a closed loop: time in seconds, the measured quantities, the sensors.
+    """A run of a closed loop: time in seconds, the measured quantities, the sensors, the inputs with a fault on their way.
 
     ``faults`` has for each fault of a sensor that was recorded the number of that sensor and when it was present.
     """
@@ -112,12 +140,12 @@ class LoopSignals:
     quantities: tuple[QuantitySignals, ...]
     sensors: tuple[SensorSignals, ...]
     faults: Mapping[str, tuple[int, Flags]]
+    inputs: tuple[InputSignals, ...] = ()
 
     @property
     def faulty(self) -> Flags | None:
-        """Whether any sensor had a fault; None if not all of that was recorded."""
-        known = [s.faulty for s in self.sensors if s.faulty is not None]
-        return np.any(known, axis=0) if known and len(known) == len(self.sensors) else None
+        """Whether any sensor or input had a fault; None if not all of that was recorded."""
+        return _any([*(s.faulty for s in self.sensors), *(i.faulty for i in self.inputs)])
 
 
 def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
@@ -165,7 +193,8 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
         for name in chain:
             if (flags := active[name]) is not None:
                 known.setdefault(name, (i, flags))  # a channel that is read twice is named once
-    return LoopSignals(result.time, _quantities(reader, seen, brain, C, G), sensors, known)
+    inputs = _inputs(reader, {seen.name, brain.name})
+    return LoopSignals(result.time, _quantities(reader, seen, brain, C, G), sensors, known, inputs)
 
 
 def faults_before(diagram: Diagram, brain: Node, sensor: int) -> list[str]:
@@ -242,7 +271,32 @@ class _Reader:
 
 def _any(flags: list[Flags | None]) -> Flags | None:
     known = [f for f in flags if f is not None]
-    return np.any(known, axis=0) if len(known) == len(flags) else None
+    return np.any(known, axis=0) if known and len(known) == len(flags) else None
+
+
+def _inputs(reader: _Reader, others: Container[str]) -> tuple[InputSignals, ...]:
+    """Return the inputs that are fed through faults, but for those of the named blocks."""
+    found = []
+    for node in reader.diagram.nodes:
+        for port in () if isinstance(node.block, Fault) or node.name in others else node.block.inputs:
+            for i in range(port.size):
+                if chain := _chain(reader.diagram, node, port, i):
+                    faults = {fault.name: reader.flags(f"{fault.name}.active") for fault, _ in chain}
+                    first, element = chain[0]
+                    sent, received = reader.source(first, "u", element), reader.source(node, port.name, i)
+                    name = port.name + (f"[{i}]" if port.size > 1 else "")
+                    found.append(InputSignals(name, port.unit, sent, received, faults))
+    return tuple(found)
+
+
+def _chain(diagram: Diagram, node: Node, port: Port, element: int) -> list[tuple[Node, int]]:
+    """Return the faults right before one element of an input, in their order, each with its element that is meant."""
+    origin = diagram.source_of(node, port, element)
+    if origin is None or not isinstance(origin[0].node.block, Fault):
+        return []
+    fault, channel = origin[0].node, origin[1]
+    before = _chain(diagram, fault, fault.block.port("u"), channel)
+    return [*before, (fault, channel)] if origin[0].node.block.sensor == channel else before
 
 
 def _quantities(
@@ -311,4 +365,4 @@ def _controller(diagram: Diagram) -> Node:
     return found[0]
 
 
-__all__ = ["LoopSignals", "QuantitySignals", "SensorSignals", "loop_signals"]
+__all__ = ["InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals", "loop_signals"]

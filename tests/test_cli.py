@@ -79,6 +79,27 @@ def independent(arrays, stop=1000):
     }
 
 
+def test_faults_of_an_actuator_are_reported(bayesftc_, tmp_path):
+    fault = '[[input_faults.force]]\nkind = "GainFault"\nfactor = 0.5\nstart = 0.5\nstop = 1.0\n'
+    (tmp_path / "car.toml").write_text(CAR + fault)
+    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", 2, "--out", "out")
+    assert done.exit_code == 0, done.output
+    assert "Faults on the way to the plant" in done.output
+    assert "force (N)" in done.output
+    numbers = json.loads((tmp_path / "out" / "figures.json").read_text())
+    (force,) = numbers["inputs"]
+    sent = Result.load(tmp_path / "out" / "result.npz")["controller.u"][25:50, 0]
+    assert force == {
+        "name": "force",
+        "unit": "N",
+        "fault_share": pytest.approx(25 / 101),
+        "faults": 1,
+        "deviation": pytest.approx(0.5 * np.sqrt(np.mean(sent**2))),
+    }
+    assert numbers["sensors"][0]["faults"] == 0
+    assert numbers["tracking"]["v"]["during"] is not None
+
+
 def test_a_run_prints_and_writes_what_numpy_finds_as_well(bayesftc_, tmp_path):
     done = run_car(bayesftc_, "--out", "deep/er", "--seed", 2)
     assert done.exit_code == 0, done.output

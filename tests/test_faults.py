@@ -30,6 +30,7 @@ SIGNAL[110], SIGNAL[111] = 0.0, -0.0
 # uniform and normal numbers of its streams.
 KINDS = [
     (cosim.Freeze(), lambda f, u, held, age, chance, noise: held),
+    (cosim.Stuck(at=7.5), lambda f, u, held, age, chance, noise: np.full(len(u), 7.5)),
     (
         cosim.Injection(magnitude=3.0, amplitude=2.0, period=0.7, phase=0.4),
         lambda f, u, held, age, chance, noise: u + 3.0 + 2.0 * np.sin(2 * pi * age / 0.7 + 0.4),
@@ -330,6 +331,7 @@ def test_plain_settings(kind):
         (cosim.Injection, {"magnitude": nan}, "magnitude=nan"),
         (cosim.Injection, {"period": 0.0}, "positive"),
         (cosim.Bias, {"magnitude": inf}, "finite"),
+        (cosim.Stuck, {"at": nan}, "finite"),
         (cosim.Drift, {"slope": nan}, "finite"),
         (cosim.GainFault, {"factor": nan}, "finite"),
         (cosim.Spikes, {"magnitude": 1.0, "probability": 1.5}, "between 0 and 1"),

@@ -87,6 +87,33 @@ name = "any"
     assert short(scenario)["any.kind"].shape == (11,)
 
 
+INPUT_FAULTS = """
+[[input_faults.force]]
+kind = "GainFault"
+factor = 0.6
+start = 0.1
+[[input_faults.force]]
+kind = "stuck"
+at = 100
+start = 0.15
+[[input_faults.disturbance]]
+kind = "random_faults"
+kinds = [{ kind = "bias", magnitude = -0.05 }, { kind = "drift", slope = 0.1 }]
+"""
+
+
+def test_faults_of_actuators_and_process(write):
+    scenario = load_scenario(write(text=CAR + INPUT_FAULTS))
+    assert scenario.input_faults == {
+        "force": [cosim.GainFault(factor=0.6, start=0.1), cosim.Stuck(at=100.0, start=0.15)],
+        "disturbance": [cosim.RandomFaults(kinds=(cosim.Bias(magnitude=-0.05), cosim.Drift(slope=0.1)))],
+    }
+    result = short(scenario, record=["*", "plant.force"])
+    np.testing.assert_allclose(result["plant.force"][5:8], 0.6 * result["controller.u"][5:8, 0], rtol=1e-12)
+    np.testing.assert_array_equal(result["plant.force"][8:], np.full(3, 100.0))
+    assert result["disturbance_random_faults_0.kind"].shape == (11,)
+
+
 @pytest.mark.parametrize(
     ("section", "value"),
     [
@@ -199,6 +226,14 @@ WRONG = {
     "no key": (("amplitude = 5.0\n", ""), ScenarioError, ["'reference'", "amplitude", "Sine", "a number"]),
     "no plant": (('fmu = "CruiseControl"', "#"), ScenarioError, ["'plant'", "fmu = ", "A, B, C"]),
     "one bracket": (("[[faults]]", "[faults]"), ScenarioError, ["'faults'", "[[faults]]"]),
+    "one bracket of an input": (
+        ("[[faults]]", "[input_faults.force]"), ScenarioError, ["'input_faults.force'", "write [[input_faults.force]], with two"],
+    ),
+    "no input": (("[[faults]]", "[[input_faults]]"), ScenarioError, ["'input_faults'", "write [[input_faults.<input>]]"]),
+    "faulty input": (("[[faults]]", "[[input_faults.froce]]"), UnknownNameError, ["'froce'", "did you mean 'force'"]),
+    "setting of an input fault": (
+        ("[[faults]]", "[[input_faults.force]]\nbegin = 1"), ScenarioError, ["'input_faults.force[0]'", "'begin'"],
+    ),
     "function": (("count = 2", "count = 2\nfunction = 'sin'"), ScenarioError, ["sensors.function", "Python script"]),
     "syntax": (("count = 2", "count = "), ScenarioError, ["no valid TOML", "line 21"]),
     "twice": (("seed = 1", "seed = 1\nseed = 2"), ScenarioError, ["no valid TOML", "line 9"]),

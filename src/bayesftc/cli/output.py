@@ -38,6 +38,11 @@ SENSOR_ROWS = (
     ("mean precision without fault", "precision_healthy", "{:.3g}"),
     ("mean precision in fault", "precision_faulty", "{:.3g}"),
 )
+INPUT_ROWS = (
+    ("share of time in fault", "fault_share", "{:.1%}"),
+    ("faults", "faults", "{:.0f}"),
+    ("received - sent in fault (root mean square)", "deviation", "{:.4g}"),
+)
 MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
 """Rows that are shown only if a sensor has missing samples."""
 PHASES = (("overall", "whole run"), ("before", "before faults"), ("during", "during"), ("after", "after"))
@@ -143,6 +148,8 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
     title = f"{numbers['scenario']}: {numbers['duration']:g} s, {numbers['steps']} steps, seed {numbers['seed']}"
     console.print(Text(title), soft_wrap=True)
     tables = [(*_sensors(numbers["sensors"]), "")]
+    if numbers["inputs"]:
+        tables.append((*_inputs(numbers["inputs"]), ""))
     if numbers["tracking"]:
         tables.insert(0, (*_errors(numbers), TRACKING))
     if "kalman" in numbers:
@@ -181,6 +188,13 @@ def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
         of_beta = key == "auc" and any(s["ranked_by"] == "beta" for s in sensors)
         table.add_row("AUC of beta" if of_beta else label, *(_number(s[key], form) for s in sensors))
     return "Faults and their detection", table
+
+
+def _inputs(inputs: list[dict[str, Any]]) -> tuple[str, Table]:
+    table = _table(*(f"{i['name']} ({i['unit']})" if i["unit"] else i["name"] for i in inputs))
+    for label, key, form in INPUT_ROWS:
+        table.add_row(label, *(_number(i[key], form) for i in inputs))
+    return "Faults on the way to the plant", table
 
 
 def _kalman(check: Mapping[str, Any]) -> tuple[str, Table]:

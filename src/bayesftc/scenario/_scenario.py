@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.diagram import Diagram
     from bayesftc.cosim.result import Result
 
-SECTIONS = ("simulation", "plant", "noise", "sensors", "faults", "reference", "model", "controller")
+SECTIONS = ("simulation", "plant", "noise", "sensors", "faults", "input_faults", "reference", "model", "controller")
 REQUIRED = ("simulation", "plant", "reference", "controller")
 
 
@@ -49,6 +49,8 @@ class Scenario:
         In the order of the file.
     noise : mapping of str to Block
         Sources for further inputs of the plant.
+    input_faults : mapping of str to list of Fault
+        Faults of actuators and of the process, by input of the plant.
     """
 
     path: Path
@@ -60,6 +62,7 @@ class Scenario:
     sensors: Sensors | None
     faults: list[Fault]
     noise: Mapping[str, Block]
+    input_faults: Mapping[str, list[Fault]]
 
     def loop(self) -> Diagram:
         """Return the diagram, built and ready; see `bayesftc.cosim.closed_loop`.
@@ -78,6 +81,7 @@ class Scenario:
                 reference=self.reference,
                 sensors=self.sensors,
                 faults=self.faults,
+                input_faults=self.input_faults,
                 noise=self.noise,
                 dt=self.simulation.dt,
             )
@@ -147,4 +151,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
         sensors=sections.sensors(content["sensors"], root / "sensors", wiring) if "sensors" in content else None,
         faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],
         noise=sections.noise(content["noise"], root / "noise") if "noise" in content else {},
+        input_faults=sections.input_faults(content["input_faults"], root / "input_faults")
+        if "input_faults" in content
+        else {},
     )

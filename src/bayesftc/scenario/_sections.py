@@ -120,10 +120,19 @@ def sensors(table: object, place: Place, wiring: Wiring) -> Sensors:
 
 
 def fault_list(value: object, place: Place) -> list[faults.Fault]:
-    """Return the faults of ``[[faults]]``."""
+    """Return the faults of ``[[faults]]``, or of another such list."""
     if not isinstance(value, list):
-        raise place.error("must be a list of tables: write [[faults]], with two brackets, above each fault.")
+        raise place.error(f"must be a list of tables: write [[{place.key}]], with two brackets, above each fault.")
     return [build_one_of(faults.FAULTS, table, place / i) for i, table in enumerate(value)]
+
+
+def input_faults(table: object, place: Place) -> dict[str, list[faults.Fault]]:
+    """Return the faults of ``[[input_faults.<input>]]``."""
+    if isinstance(table, list):
+        raise place.error(
+            f"does not say which input of the plant is faulty; write [[{place.key}.<input>]] above each fault."
+        )
+    return {name: fault_list(value, place / name) for name, value in as_table(table, place).items()}
 
 
 def controller(table: object, model: object, place: Place, root: Place, simulation: Simulation) -> Block:
@@ -168,4 +177,4 @@ def _taken(table: dict[str, Any], cls: type[Any]) -> Mapping[str, Any]:
     return {f.name: table.pop(f.name) for f in fields(cls) if f.name in table}
 
 
-__all__ = ["Simulation", "Wiring", "controller", "fault_list", "noise", "plant", "reference", "sensors"]
+__all__ = ["Simulation", "Wiring", "controller", "fault_list", "input_faults", "noise", "plant", "reference", "sensors"]
