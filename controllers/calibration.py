@@ -15,6 +15,7 @@ from bayesftc.controllers.gamma import GammaPrecision
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.probabilities import reliability
 
 if TYPE_CHECKING:
     from bayesftc.controllers.precision import PrecisionLearner
@@ -139,19 +140,17 @@ def calibrate(
 
 def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]) -> CalibrationReport:
     """Return how a map does on features `x` (log or linear, as the map says) with known labels."""
-    from sklearn.metrics import brier_score_loss, roc_auc_score
+    from sklearn.metrics import roc_auc_score
 
     probability = 1.0 / (1.0 + np.exp(-(calibration.slope * x + calibration.intercept)))
-    bins = np.array_split(np.argsort(probability, kind="stable"), 10)
-    gaps = [abs(probability[b].mean() - faulty[b].mean()) * len(b) for b in bins]
-    share = float(faulty.mean())
+    found = reliability(probability, faulty)
     return CalibrationReport(
         calibration=calibration,
         auc=float(roc_auc_score(faulty, x)),
-        brier=float(brier_score_loss(faulty, probability)),
-        brier_of_constant=share * (1 - share),
-        calibration_error=float(sum(gaps) / len(x)),
-        fault_share=share,
+        brier=found.brier,
+        brier_of_constant=found.brier_of_constant,
+        calibration_error=found.calibration_error,
+        fault_share=float(faulty.mean()),
         samples=len(x),
     )
 

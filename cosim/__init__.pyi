@@ -1,6 +1,7 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
 from . import errors as errors, ops as ops, random as random
+from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .camera import arm_with_camera as arm_with_camera, planar_arm as planar_arm, radial_distortion as radial_distortion
 from .diagram import Diagram as Diagram, Node as Node
@@ -40,6 +41,7 @@ from .loops import closed_loop as closed_loop
 from .mathblocks import Gain as Gain, Saturation as Saturation, Sum as Sum, UnitDelay as UnitDelay
 from .online import Online as Online
 from .ports import Port as Port, PortRef as PortRef
+from .probabilities import Reliability as Reliability, reliability as reliability
 from .result import Result as Result
 from .sensors import Sensors as Sensors
 from .sources import (

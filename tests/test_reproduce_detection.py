@@ -12,6 +12,7 @@ from bayesftc.reproduce import _detection, _detection_figures, _detection_tables
 from bayesftc.reproduce._ensemble import Ensemble, seeds
 from bayesftc.reproduce._roc import auc, curve, rates
 from bayesftc.reproduce._statistics import interval
+from bayesftc.reproduce._streams import Streams
 from bayesftc.reproduce.settings import Car, Detection
 
 SMALL = Detection(
@@ -23,6 +24,10 @@ SMALL = Detection(
     grid_streams=1,
     grid_injections=(2.0, 10.0),
     grid_drifts=(1.0, 20.0),
+    false_alarm_rates=(30.0, 60.0),
+    healthy_streams=2,
+    alarm_streams=1,
+    alarm_sizes=((10.0, 20.0),),
 )
 
 
@@ -163,6 +168,63 @@ def test_a_baseline_that_cannot_be_reached():
         reproduce.detection(settings=hard, jobs=2)
 
 
+def test_fault_free_streams_have_no_fault_and_set_the_thresholds(report):
+    streams = Streams(SMALL, Car())
+    learner = controllers.GammaPrecision(**report["settings"]["beta"])
+    loop = streams.loop(None, learner)
+    runs = list(streams.run(loop, seeds(1, "detection/thresholds", 2), _residuals.SIGNALS))
+    assert not any(run.faulty.any() for run in runs)
+    scores = [np.log(run.result["controller.beta"])[SMALL.skipped :] for run in runs]
+    for rate in SMALL.false_alarm_rates:
+        mine = report["alarms"]["fault_free"]["beta"][f"{rate:g} per hour"]
+        assert mine["threshold"] == cosim.alarm_threshold(scores, step=0.02, per_hour=rate)
+        assert mine["fault_free_hours"] == pytest.approx(2 * 2 * (12_000 + 1 - SMALL.skipped) * 0.02 / 3_600)
+    assert report["alarms"]["fault_free"]["SwitchingPrecision"]["probability .5"]["threshold"] == 0
+
+
+def test_alarms_are_those_of_their_definition(report):
+    cell = report["alarms"]["cells"][1]
+    assert (cell["injection"], cell["drift"]) == SMALL.alarm_sizes[0]
+    streams = Streams(SMALL, Car())
+    loop = streams.loop(_detection.Faults(10.0, 20.0), controllers.SERFDI(threshold=SMALL.ser_threshold))
+    (run,) = streams.run(loop, seeds(1, "detection/alarms/1", 1), _residuals.SIGNALS)
+    score, kind = np.abs(run.result["controller.innovation"])[SMALL.skipped :], run.kind[SMALL.skipped :]
+    threshold = report["alarms"]["fault_free"]["SER"]["30 per hour"]["threshold"]
+    delays = []
+    for i in range(2):
+        starts = [k for k in range(len(kind)) if kind[k, i] == 1 and (k == 0 or kind[k - 1, i] != 1)]
+        for k in starts:
+            delay = 0
+            while kind[k + delay, i] == 1 and score[k + delay, i] < threshold:
+                delay += 1
+            delays.append(delay if kind[k + delay, i] == 1 else np.inf)
+    mine = cell["residuals"]["SER"]["30 per hour"]["injection"]
+    assert (mine["faults"], mine["missed"]) == (len(delays), sum(np.isinf(delays)))
+    assert mine["delay_samples"]["median"] == np.quantile(delays, 0.5, method="inverted_cdf") == 0
+    kinds = cell["residuals"]["SER"]["30 per hour"]
+    assert kinds["all"]["faults"] == sum(kinds[name]["faults"] for name in ("freeze", "injection", "drift"))
+    assert kinds["drift"]["missed_share"] > kinds["injection"]["missed_share"]
+    assert cell["residuals"]["SwitchingPrecision"]["30 per hour"]["freeze"]["delay_samples"]["quantile_90"] == 0
+
+
+def test_calibration_has_the_probability_of_the_learner_or_else_of_a_classifier(report):
+    known = report["calibration"]
+    bench = _detection._Bench(SMALL, Car(), Ensemble(1))
+    loop = bench.loop(_detection.Faults(**report["settings"]["faults"]), controllers.SwitchingPrecision())
+    errors = []
+    for stream in report["streams"]:
+        (run,) = bench.source.run(loop, [stream["seed"]], _residuals.SIGNALS)
+        p, truth = run.result["controller.fault_probability"][SMALL.skipped :], run.faulty[SMALL.skipped :]
+        errors.append(cosim.reliability(p, truth, bins=SMALL.bins).calibration_error)
+    mine = known["SwitchingPrecision, default"]
+    assert mine["ece"]["mean"] == pytest.approx(np.mean(errors), rel=1e-12)
+    assert mine["ece"]["ci"] == pytest.approx(interval(np.array(errors)))
+    assert "learner" in mine["of"]
+    assert "classifier" in known["beta"]["of"]
+    assert sum(b["share"] for b in mine["diagram"]["equal_widths"]) == pytest.approx(1.0)
+    assert all(of["brier"]["mean"] < of["brier_of_constant"]["mean"] for of in known.values())
+
+
 @pytest.mark.slow
 def test_headline_beta_beats_the_baseline():
     report = reproduce.detection(seed=0, jobs=2)
@@ -184,7 +246,16 @@ def test_grid_has_larger_areas_for_larger_faults_and_faster_references(report):
 
 def test_tables_fit_a_terminal_and_count_who_wins(report, printed):
     text = printed(_detection_tables.show(report))
-    for words in (f"f = {report['settings']['f']:.3f}", "SER, smoothed", "beta (Twin)", "0.873", "0.907", "drift 20"):
+    for words in (
+        "30 per hour of a sensor",
+        "Calibration of the fault probability",
+        f"f = {report['settings']['f']:.3f}",
+        "SER, smoothed",
+        "beta (Twin)",
+        "0.873",
+        "0.907",
+        "drift 20",
+    ):
         assert words in text
     low, high = report["difference"]["ci"]
     assert ("zero is not in it" in text) == (low > 0 or high < 0)
@@ -220,6 +291,12 @@ def test_figures_show_every_residual_once(report):
     for label, line in front.items():
         assert line.get_ydata().tolist() == report["roc"]["true_positive_rate"][label.split(":")[0]]
     assert "beta (Twin)" in axis.get_legend().get_texts()[-1].get_text()
+    diagram = _detection_figures.calibration(report)
+    assert [t.get_text().split(":")[0] for t in diagram.axes[0].get_legend().get_texts()] == [
+        "calibrated",
+        "SwitchingPrecision",
+        "SwitchingPrecision, default",
+    ]
     maps = _detection_figures.grid(report).axes[:9]
     assert all(len(axis.texts) == 4 for axis in maps)
     differences = [float(text.get_text()) for axis in maps[2::3] for text in axis.texts]

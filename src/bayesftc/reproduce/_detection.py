@@ -12,28 +12,19 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers, cosim
-from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce import _residuals, paper
-from bayesftc.reproduce._car import closed_loop
+from bayesftc.reproduce._calibration import Calibration, calibration
+from bayesftc.reproduce._detectors import Detectors
 from bayesftc.reproduce._ensemble import Ensemble, Progress, seeds
-from bayesftc.reproduce._residuals import Residual, Stream
+from bayesftc.reproduce._residuals import Residual
 from bayesftc.reproduce._roc import auc as area, curve, rates
 from bayesftc.reproduce._statistics import interval
+from bayesftc.reproduce._streams import Faults, Stream, Streams
 from bayesftc.reproduce.settings import Car, Detection
 
-HEADLINE = "fast"
 GROUP = 5
 """Streams that one task simulates: a tenth of a second or two, after which it can be stopped."""
-
-
-@dataclass(frozen=True)
-class Faults:
-    """How large the faults are, in m/s and m/s per second, and on which reference."""
-
-    injection: float
-    drift: float
-    reference: str = HEADLINE
 
 
 def run(
@@ -78,6 +69,7 @@ def run(
     residuals = _residuals.known(settings, beta, car) if beyond else _residuals.papers(settings, beta)
     judged = bench.judge(faults, own, residuals)
     auc = {name: np.array([stream[name][0] for stream in judged]) for name in residuals}
+    detectors = Detectors(bench.source, bench.ensemble, residuals)
     difference = auc["beta"] - auc["SER"]
     return {
         "settings": {
@@ -102,6 +94,10 @@ def run(
             "true_positive_rate": {name: np.mean([s[name][1] for s in judged], axis=0).tolist() for name in residuals},
         },
         "choice": tried,
+        "calibration": {
+            name: calibration([stream[name][2] for stream in judged], residual) for name, residual in residuals.items()
+        },
+        "alarms": detectors.report(faults) if beyond else None,
         "grid": bench.grid(residuals) if beyond else None,
         "paper": paper.AUC,
     }
@@ -154,7 +150,7 @@ class _Bench:
     def judge(
         self, faults: Faults, own: Sequence[int], residuals: Mapping[str, Residual]
     ) -> list[dict[str, tuple[Any, ...]]]:
-        """Return for each stream the test AUC of each residual with its curve, and the number of faults."""
+        """Return for each stream the test AUC of each residual with its curve and calibration, and the number of faults."""
         loops = {learner: self.loop(faults, learner) for r in residuals.values() for learner in r.learners}
         self.ensemble.prepare(list(loops.values()))
         tasks = [partial(self._judge_stream, loops, residuals, seed) for seed in own]
@@ -192,13 +188,24 @@ class _Bench:
         streams = {learner: next(self._streams(loop, [seed])) for learner, loop in loops.items()}
         faulty = next(iter(streams.values())).faulty
         training, test = self.parts()
+        whole = self._whole
         few = slice(training.start, training.stop, self.settings.training_stride)
         found: dict[str, tuple[Any, ...]] = {"faults": (int((np.diff(faulty.astype(int), axis=0) > 0).sum()),)}
         for name, residual in residuals.items():
             x = residual.features([streams[learner] for learner in residual.learners])
             fit = controllers.FaultClassifier().fit(_rows(x[few]), faulty[few].ravel())
             probability, truth = fit.predict_proba(_rows(x[test]))[:, 1], faulty[test].ravel()
-            found[name] = area(truth, probability), curve(truth, probability)
+            own = residual.probability
+            believed = (
+                (probability, truth)
+                if own is None
+                else (own(streams[residual.learners[0]].result)[whole], faulty[whole])
+            )
+            found[name] = (
+                area(truth, probability),
+                curve(truth, probability),
+                Calibration.of(*believed, self.settings.bins),
+            )
         return found
 
     @property
@@ -212,28 +219,16 @@ class _Bench:
         return slice(s.skipped, cut - s.gap), slice(cut, None)
 
     def _streams(self, loop: cosim.Diagram, own: Sequence[int]) -> Iterator[Stream]:
-        active = [f"fault_{i}.active" for i in range(self.car.sensors)]
-        for result in repeat(loop, self.settings.steps * self.car.step, own, [*_residuals.SIGNALS, *active]):
-            yield Stream(result, np.column_stack([result[name] for name in active]) > 0.5)
+        return self.source.run(loop, own, _residuals.SIGNALS)
 
     def loop(self, faults: Faults, learner: controllers.PrecisionLearner) -> cosim.Diagram:
-        s = self.settings
-        kinds = (cosim.Freeze(), cosim.Injection(magnitude=faults.injection), cosim.Drift(slope=faults.drift))
-        chain = [
-            cosim.RandomFaults(
-                kinds=kinds,
-                sensor=i,
-                mean_time_to_fault=s.mean_time_to_fault,
-                mean_time_to_recovery=s.mean_time_to_recovery,
-                name=f"fault_{i}",
-            )
-            for i in range(self.car.sensors)
-        ]
-        reference: cosim.Source = cosim.Constant(s.offset)
-        if faults.reference != "constant":
-            amplitude, period = getattr(s, faults.reference)
-            reference = cosim.Sine(amplitude, period, offset=s.offset)
-        return closed_loop(self.car, learner, chain, reference, s.offset)
+        """Return the loop with random faults and a learner."""
+        return self.source.loop(faults, learner)
+
+    @property
+    def source(self) -> Streams:
+        """Where streams come from."""
+        return Streams(self.settings, self.car)
 
 
 def _rows(x: Floats) -> Floats:

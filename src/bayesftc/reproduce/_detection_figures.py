@@ -85,4 +85,32 @@ def grid(report: dict[str, Any]) -> Figure | None:
     return made
 
 
-FIGURES = {"detection_roc": roc, "detection_grid": grid}
+def calibration(report: dict[str, Any]) -> Figure:
+    """Return the reliability diagram of the learners' fault probabilities (else of the classifiers'), in bins of equal widths."""
+    names = [name for name in report["calibration"] if "Switching" in name] or list(report["paper"])
+    made = figure(6.6, 5.4)
+    axis, below = made.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+    axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="calibrated")
+    styles = [(BLUE, "o", "-"), *((colour, mark, "--") for colour, mark in zip(SENSOR_COLOURS, "svD^P", strict=False))]
+    for name, (colour, mark, line) in zip(names, styles, strict=False):
+        of = report["calibration"][name]
+        bins = [b for b in of["diagram"]["equal_widths"] if b["ci"] is not None]
+        x, y = ([b[key] for b in bins] for key in ("predicted", "observed"))
+        error = np.abs(np.array([b["ci"] for b in bins]).T - y)
+        label = f"{name}: ECE {of['ece']['mean']:.3f}"
+        axis.errorbar(x, y, error, color=colour, marker=mark, ms=4.5, ls=line, lw=1.6, capsize=2.5, label=label)
+        below.plot(x, [100 * b["share"] for b in bins], color=colour, marker=mark, ms=4.5, ls=line, lw=1.2)
+    axis.set_ylabel("share of faulty samples")
+    axis.set_title(
+        f"{len(report['streams'])} streams, two sensors pooled; bars: 95 % intervals", fontsize=10, loc="left"
+    )
+    axis.legend(frameon=False, fontsize=9, loc="upper left")
+    below.set_yscale("log")
+    below.set_ylabel("% of samples")
+    below.set_xlabel("fault probability")
+    for each in (axis, below):
+        tidy(each)
+    return made
+
+
+FIGURES = {"detection_roc": roc, "detection_calibration": calibration, "detection_grid": grid}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.reproduce._detectors_tables import show_alarms, show_calibration
 from bayesftc.reproduce._tables import table
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ EDGE = 0.002
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield the AUC of all residuals beside the paper's, the two of the paper stream by stream, and the grid."""
+    """Yield the AUC of all residuals beside the paper's, the paper's two stream by stream, calibration, alarms, and the grid."""
     settings, auc, papers = report["settings"], report["auc"], report["paper"]
     faults, beta = settings["faults"], settings["beta"]
     yield (
@@ -53,6 +54,9 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         },
         corner="stream",
     )
+    yield from show_calibration(report)
+    if report["alarms"] is not None:
+        yield from show_alarms(report)
     if report["grid"] is not None:
         yield from _grid(report["grid"])
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce._car import model
+from bayesftc.reproduce._streams import Stream
 from bayesftc.reproduce.settings import Car, Detection
 
 SIGNALS = ("controller.innovation", "controller.beta", "controller.precision", "controller.fault_probability")
@@ -19,13 +19,6 @@ GRID = ("SER", "beta", "beta (PL of tracking)")
 SWITCHING = "SwitchingPrecision"
 LEAST = 1e-16
 """Least probability of which odds are taken: 1 - p cannot be told more closely."""
-
-
-class Stream(NamedTuple):
-    """A run and its ground truth, which has a row for each step and a column for each sensor."""
-
-    result: cosim.Result
-    faulty: np.ndarray[Any, np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True)
@@ -40,11 +33,14 @@ class Residual:
         Of the controllers from whose loops it is taken.
     columns : tuple of function
         For each learner the function from its run to a feature of each step and sensor.
+    probability : function, optional
+        From its learner's run to the fault probability of each step and sensor, if the learner gives one.
     """
 
     text: str
     learners: tuple[controllers.PrecisionLearner, ...]
     columns: tuple[Callable[[cosim.Result], Floats], ...]
+    probability: Callable[[cosim.Result], Floats] | None = None
 
     def features(self, streams: Sequence[Stream]) -> Floats:
         """Return the features from the learners' runs, of shape (steps, sensors, features)."""
@@ -95,15 +91,25 @@ def known(settings: Detection, chosen: controllers.GammaPrecision, car: Car) -> 
         ),
         "precision": Residual("-log(precision) in the loop of beta", (chosen,), (_log_variance,)),
         "beta (PL of tracking)": beta(plain),
-        SWITCHING: Residual("log odds of a fault, with the experiment's hazards", (switching(settings),), (_log_odds,)),
-        f"{SWITCHING}, default": Residual(
-            "the same with default hazards", (controllers.SwitchingPrecision(),), (_log_odds,)
-        ),
+        **posteriors(settings),
     }
     for cls in controllers.LEARNERS:
         if cls is not controllers.GammaPrecision and _has_beta(cls(), car):
             residuals[f"beta ({cls.__name__})"] = beta(cls())
     return residuals
+
+
+def posterior(text: str, learner: controllers.PrecisionLearner) -> Residual:
+    """Return the log odds of a fault by a learner that gives a fault probability."""
+    return Residual(text, (learner,), (_log_odds,), _probability)
+
+
+def posteriors(settings: Detection) -> dict[str, Residual]:
+    """Return the residuals of the learners of fault modes by name."""
+    return {
+        SWITCHING: posterior("log odds of a fault, with the experiment's hazards", switching(settings)),
+        f"{SWITCHING}, default": posterior("the same with default hazards", controllers.SwitchingPrecision()),
+    }
 
 
 def switching(settings: Detection) -> controllers.SwitchingPrecision:
@@ -124,8 +130,12 @@ def _log_beta(result: cosim.Result) -> Floats:
     return np.log(controllers.beta_residual(result))
 
 
+def _probability(result: cosim.Result) -> Floats:
+    return result["controller.fault_probability"]
+
+
 def _log_odds(result: cosim.Result) -> Floats:
-    p = result["controller.fault_probability"]
+    p = _probability(result)
     return np.log(np.maximum(p, LEAST)) - np.log(np.maximum(1.0 - p, LEAST))
 
 

@@ -288,6 +288,22 @@ class Detection(Repeated):
     grid_streams: int = chosen(2, "about 2000 faults for each cell")
     grid_injections: tuple[float, ...] = chosen((2.0, 3.0, 5.0, 7.0, 10.0), "m/s")
     grid_drifts: tuple[float, ...] = chosen((1.0, 2.0, 5.0, 10.0, 20.0), "m/s per second")
+    # Detectors at a threshold.
+    false_alarm_rates: tuple[float, ...] = chosen(
+        (1.0, 60.0),
+        "not published, false alarms per hour of one sensor at which thresholds are set: a rare and a frequent one",
+    )
+    healthy_streams: int = chosen(
+        28,
+        "fault-free streams on which thresholds are found, and as many on which they are judged: 25 hours of one sensor each, so "
+        "that one false alarm per hour is known within a factor of about 1.5",
+    )
+    alarm_streams: int = chosen(2, "for each of the sizes: about 700 faults of each kind")
+    alarm_sizes: tuple[tuple[float, float], ...] = chosen(
+        ((1.0, 1.0), (2.0, 2.0), (3.0, 5.0), (5.0, 10.0), (10.0, 20.0)),
+        "injection in m/s (standard deviations of a sensor) and drift in m/s per second, as in the grid",
+    )
+    bins: int = chosen(10, "of the calibration of the fault probability, as is usual")
 
     def __post_init__(self) -> None:
         super().__post_init__()
