@@ -4,7 +4,7 @@ Each has the arguments of `drops` below: one sample of one sensor, and where the
 the sample's density, which counts only if there is a sample.
 """
 
-from bayesftc.controllers._special import log_gamma_half_step
+from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.cosim.ops import absolute, log, maximum, minimum, select, sqrt
 
 WEIGHT, ENTERED, AGE, TRUST, SIZE, OWN = range(6)
@@ -13,15 +13,15 @@ WEIGHT, ENTERED, AGE, TRUST, SIZE, OWN = range(6)
 LOG_2_PI = 1.8378770664093453
 
 FURTHEST = 1e12
-"""Largest squared error, in units of its variance, that a density is computed of."""
+"""Largest squared innovation, in units of its variance, that a density is computed of: it is held there."""
 
 
 def log_density(squared, variance):
     """Return the logarithm of a normal density where the error has this square."""
-    return -0.5 * (minimum(squared / variance, FURTHEST) + log(variance) + LOG_2_PI)
+    return -0.5 * (squared / variance + log(variance) + LOG_2_PI)
 
 
-def drops(e, present, variance, nominal, change, memory, at, settings, first):
+def drops(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Send nothing; a sample that comes all the same is a healthy one.
 
     Parameters
@@ -34,31 +34,30 @@ def drops(e, present, variance, nominal, change, memory, at, settings, first):
         Variance of a healthy sensor's innovation, and the part of its noise in it.
     change : float
         The sample minus the last one that there was; NaN if there is none.
+    healthy : float
+        Logarithm of the sample's density if the sensor is healthy.
     memory : array
         What is kept; the mode's block begins at the place ``at``. ``memory[at + ENTERED]`` is the probability that the mode
         begins with this sample, if it is the sensor's mode at all.
     settings : array
         The mode's settings stand from the place ``first`` on.
     """
-    return log_density(e * e, variance)
+    return healthy
 
 
-def freezes(e, present, variance, nominal, change, memory, at, settings, first):
+def freezes(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Repeat the last sample, exactly or with a dither far below the noise.
 
-    ``settings``: the share of exact repetitions; the dither's standard deviation in those of the noise; the resolution in the
-    sensor's unit. A repetition has a probability, to which a density over the resolution corresponds: so equal samples tell
-    nothing beyond what a coarse resolution explains.
+    ``settings``: half the resolution in the sensor's unit; the logarithms of the density of an exact repetition, and of that of
+    another sample with no dither at all; the dither's variance. A repetition has a probability, to which a density over the
+    resolution corresponds: so equal samples tell nothing beyond what a coarse resolution explains.
     """
-    width = maximum(settings[first + 2], 1e-9 * sqrt(nominal))
-    exact = absolute(change) <= 0.5 * width
-    spread = 2.0 * settings[first + 1] * settings[first + 1] * nominal + width * width / 6.0
-    near = log(1.0 - settings[first]) + log_density(change * change, spread)
-    told = select(exact, log(settings[first] / width), near)
-    return select(change == change, told, log_density(e * e, variance))
+    near = settings[first + 2] - 0.5 * (change * change / settings[first + 3])
+    told = select(absolute(change) <= settings[first], settings[first + 1], near)
+    return select(change == change, told, healthy)
 
 
-def shifts(e, present, variance, nominal, change, memory, at, settings, first):
+def shifts(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Add an offset c that moves by b a sample: each starts at zero, uncertain, and is then filtered.
 
     ``settings``, in units of the noise's variance: how uncertain c is at the start; likewise b; how far c walks in a sample. Own
@@ -80,7 +79,8 @@ def shifts(e, present, variance, nominal, change, memory, at, settings, first):
     c, b = lasts * c, lasts * b
     error = e - c
     total = variance + cc
-    gain_c, gain_b = present * cc / total, present * cb / total
+    part = present / total
+    gain_c, gain_b = cc * part, cb * part
     memory[at + SIZE] = c + gain_c * error
     memory[at + OWN] = b + gain_b * error
     memory[at + OWN + 1] = cc - gain_c * cc
@@ -89,7 +89,7 @@ def shifts(e, present, variance, nominal, change, memory, at, settings, first):
     return log_density(error * error, total)
 
 
-def scatters(e, present, variance, nominal, change, memory, at, settings, first):
+def scatters(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Have noise of another precision, which is gamma distributed and learned from the innovations (paper, section 3.2).
 
     ``settings``: shape and rate of the prior, the forgetting factor. Own numbers: shape, rate. The size is the standard deviation
@@ -99,12 +99,14 @@ def scatters(e, present, variance, nominal, change, memory, at, settings, first)
     kept = (1.0 - memory[at + ENTERED]) * rho
     a = kept * memory[at + OWN] + (1.0 - kept) * a0
     b = kept * memory[at + OWN + 1] + (1.0 - kept) * b0
-    squared = e * e / variance
-    told = log_gamma_half_step(a) - 0.5 * (log(variance * b) + LOG_2_PI) - (a + 0.5) * log(1.0 + 0.5 * squared / b)
+    part = 1.0 / (variance * b)
+    squared = e * e * part
+    told = 0.5 * (log(squared_gamma_half_step(a) * part) - LOG_2_PI) - (a + 0.5) * log(1.0 + 0.5 * squared)
+    b = b + 0.5 * present * squared * b
     a = a + 0.5 * present
-    b = b + 0.5 * present * squared
+    part = 1.0 / (a * b)
     memory[at + OWN] = a
     memory[at + OWN + 1] = b
-    memory[at + TRUST] = minimum(a / b, 1.0)
-    memory[at + SIZE] = sqrt(b / a)
+    memory[at + TRUST] = minimum(a * a * part, 1.0)
+    memory[at + SIZE] = sqrt(b * b * part)
     return told

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import nan
+from math import log, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 from bayesftc.controllers import _mode_kernels as kernels
@@ -91,7 +91,11 @@ class Frozen(FaultMode):
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
-        return self.repeats, self.dither, self.resolution
+        nominal = float(model.matrix("sensor_covariance")[sensor, sensor])
+        width = max(self.resolution, 1e-9 * sqrt(nominal))
+        spread = 2 * self.dither**2 * nominal + width**2 / 6
+        near = log(1 - self.repeats) - 0.5 * (log(spread) + kernels.LOG_2_PI)
+        return 0.5 * width, log(self.repeats / width), near, spread
 
 
 @dataclass(frozen=True)

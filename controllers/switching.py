@@ -2,56 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import log, log1p
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.controllers import _switching_kernels as kernels
+from bayesftc.controllers import _mode_kernels as mode_kernels, _switching_kernels as kernels
 from bayesftc.controllers._checks import as_number, as_vector
-from bayesftc.controllers._mode_kernels import TRUST, log_density
+from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
 from bayesftc.controllers.precision import Learner, PrecisionLearner, keep_nominal, report_nothing
+from bayesftc.cosim import ops
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import argument_names
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import select
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
 
-# The learning step function but for the calls of the modes' own, which are written for each list of modes.
+# The functions of one sensor and the learning step function; those are written for each list of modes, whose own they call.
+_PASS_TIME = """
+healthy = memory[at + HEALTHY]
+stays = healthy * settings[row + STAYS]
+{modes}
+memory[at + HEALTHY] = stays
+"""
+
+_PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings, row + {settings})"
+
+_WEIGH = """
+error, sound = held(e, variance), log_density(minimum(e * e, FURTHEST * variance), variance)
+told = select(present > 0.5, settings[row + ARRIVES] + sound, settings[row + MISSING])
+{modes}
+most = {most}
+healthy = memory[at + HEALTHY] * share_of(told, most)
+{weights}
+total = {total}
+part = 1.0 / total
+memory[at + HEALTHY] = maximum(healthy * part, LEAST)
+{probabilities}
+memory[at + TRUSTED] = maximum(minimum(({trust}) * part, 1.0), LEAST_TRUST)
+return most + log(total)
+"""
+
+_WEIGH_MODE = """\
+block{k}, own = at + {block}, row + {settings}
+told{k} = mode{k}(error, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
+told{k} = select(present > 0.5, settings[own + MODE_ARRIVES] + told{k}, settings[own + MODE_MISSING])\
+"""
+
 _LEARN = """
-trust = work[0]
 for i in range(y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
     variance = spread[i, i] + nominal[i, i]
-    error, change = error_of(i, e, variance), y[i] - memory[at + LAST]
-    pass_time(memory, at, WIDTH, settings, row, WIDTH_OF_SETTINGS, MODES)
-    told = settings[row + ARRIVES] + log_density(error * error, variance)
-    memory[at + HEALTHY] = memory[at + HEALTHY] + select(present[i] > 0.5, told, settings[row + MISSING])
-{modes}
+    pass_time(memory, at, settings, row)
+    change = y[i] - memory[at + LAST]
+    weigh(e[i], present[i], variance, nominal[i, i], change, memory, at, settings, row)
     memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
-    fault_probability[i] = normalise(memory, at, WIDTH, MODES)
-    trust[0, i] = trusted(memory, at, WIDTH, MODES)
-use_trust(trust, present, nominal, R, used, precision, beta)
+    fault_probability[i] = failed(memory, at, WIDTH, MODES)
+    use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
 memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
-"""
-
-_MODE = """\
-    block, own = at + {block}, row + {settings}
-    told = mode{k}(error, present[i], variance, nominal[i, i], change, memory, block, settings, own + OWN_SETTINGS)
-    told = select(present[i] > 0.5, settings[own + MODE_ARRIVES] + told, settings[own + MODE_MISSING])
-    memory[block] = memory[block] + told\
 """
 
 _REPORT = """
 report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.shape[0] * SETTINGS], first, outputs)
 """
+
+_OF_TIME = ("memory", "at", "settings", "row")
+_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "change", *_OF_TIME)
 
 
 @cache
@@ -60,21 +82,43 @@ def _make_steps(
 ) -> tuple[Callable[..., None], Callable[..., None]]:
     """Return the learning and the reporting step function for these modes, whose blocks have these widths."""
     modes = len(evidence)
-    names = {
-        **{name: value for name, value in vars(kernels).items() if not name.startswith("__")},
+    names: dict[str, Any] = {
+        **{name: value for of in (mode_kernels, kernels, ops) for name, value in vars(of).items() if not name.startswith("__")},
         **{f"mode{k}": function for k, function in enumerate(evidence)},
-        "select": select, "log_density": log_density, "__name__": __name__,
-        "MODES": modes, "WIDTH": width, "WIDTH_OF_SETTINGS": settings,
+        "__name__": __name__, "MODES": modes, "WIDTH": width,
         "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
     }  # fmt: skip
-    lines = [
-        _MODE.format(k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings)
-        for k in range(modes)
-    ]
-    text = _LEARN.format(modes="\n".join(lines)).strip("\n").split("\n")
-    learn = function_from_text("learn_switching", argument_names(keep_nominal), text, names)
-    report = function_from_text("report_switching", argument_names(report_nothing), [_REPORT.strip("\n")], names)
-    return learn, report
+    places = [(kernels.FIRST + k * width, kernels.FIRST_SETTINGS + k * settings) for k in range(modes)]
+
+    def of_modes(text: str) -> list[str]:
+        return [text.format(k=k, block=block, settings=own) for k, (block, own) in enumerate(places)]
+
+    def function(name: str, arguments: Iterable[str], text: str, **parts: str) -> Callable[..., None]:
+        return function_from_text(name, arguments, text.format(**parts).strip("\n").split("\n"), names)
+
+    def lines(text: str) -> str:
+        return "\n".join(of_modes(text))
+
+    names["pass_time"] = function("pass_time", _OF_TIME, _PASS_TIME, modes=lines(_PASS_MODE))
+    names["weigh"] = function(
+        "weigh", _OF_A_SAMPLE, _WEIGH,
+        modes=lines(_WEIGH_MODE),
+        most=_paired(["told", *of_modes("told{k}")], "maximum({}, {})"),
+        weights=lines("weight{k} = memory[block{k} + WEIGHT] * share_of(told{k}, most)"),
+        total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
+        probabilities=lines("memory[block{k} + WEIGHT] = maximum(weight{k} * part, LEAST)"),
+        trust=_paired(["healthy", *of_modes("weight{k} * memory[block{k} + TRUST]")], "({} + {})"),
+    )  # fmt: skip
+    learn = function("learn_switching", argument_names(keep_nominal), _LEARN)
+    return learn, function("report_switching", argument_names(report_nothing), _REPORT)
+
+
+def _paired(terms: list[str], joined: str) -> str:
+    """Return the terms joined in pairs, and these again: so the processor computes them side by side."""
+    while len(terms) > 1:
+        pairs = [joined.format(*terms[k : k + 2]) for k in range(0, len(terms) - 1, 2)]
+        terms = pairs + terms[len(terms) - len(terms) % 2 :]
+    return terms[0]
 
 
 @dataclass(frozen=True)
@@ -84,7 +128,7 @@ class SwitchingPrecision(PrecisionLearner):
     The precision stays what is inferred: a sensor is used with ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal
     precision, where ``trust_k`` is 0 of a sensor that is frozen or has an offset, and what has been learned of one that is
     noisier (the paper's learner is that mode). At each sample time passes first (modes begin and end), then each mode says how
-    probable the sample is; probabilities are kept as logarithms. What a mode has learned about its fault is merged with what it
+    probable the sample is, as a logarithm, so that none is lost. What a mode has learned about its fault is merged with what it
     expects of one that has just begun, as in an interacting-multiple-model filter.
 
     ``fault_probability`` is 1 - P(healthy), also of a sensor that sends nothing; ``beta`` is NaN. It adds the outputs
@@ -144,14 +188,14 @@ class SwitchingPrecision(PrecisionLearner):
         settings = []
         for i in range(m):
             loss = float(losses[i])
-            settings += [log1p(-sum(begins)), log1p(-loss), log(loss)]
+            settings += [1.0 - sum(begins), math.log1p(-loss), math.log(loss)]
             for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
-                block = [log(begin), log1p(-end), log(end), log(arrives), log1p(-arrives), *values]
+                block = [begin, 1.0 - end, end, math.log(arrives), math.log1p(-arrives), *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):
-            memory += [np.nan, 0.0]
+            memory += [np.nan, 1.0, 1.0]
             for mode in self.modes:
                 block = [kernels.LEAST, 0.0, 0.0, *mode.first]
                 memory += block + [0.0] * (width - len(block))
