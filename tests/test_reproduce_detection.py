@@ -81,7 +81,7 @@ def test_factor_lets_the_baseline_reach_its_auc_on_streams_that_are_not_judged(r
 
 def test_beta_is_chosen_by_the_training_parts_alone(report):
     """The AUC of every candidate on the training rows, by scikit-learn from single runs; the best is the one that is judged."""
-    bench = _detection._Bench(SMALL, Car(), Ensemble(1))
+    bench = _detection.Bench(SMALL, Car(), Ensemble(1))
     faults = _detection.Faults(**report["settings"]["faults"])
     training, wanted = slice(200, 9_600 - 500), {}
     for rho, shape in product(SMALL.forgettings, SMALL.prior_shapes):
@@ -100,7 +100,7 @@ def test_beta_is_chosen_by_the_training_parts_alone(report):
 
 
 def test_parts_leave_a_gap_longer_than_faults_and_memory_reach():
-    training, test = _detection._Bench(SMALL, Car(), Ensemble(0)).parts()
+    training, test = _detection.Bench(SMALL, Car(), Ensemble(0)).parts()
     assert test.start - training.stop == SMALL.gap
     assert test.start == 0.8 * SMALL.steps
     assert max(SMALL.forgettings) ** SMALL.gap < 1e-10
@@ -108,7 +108,7 @@ def test_parts_leave_a_gap_longer_than_faults_and_memory_reach():
 
 
 def test_all_residuals_of_a_stream_have_the_same_faults_and_noise():
-    bench = _detection._Bench(SMALL, Car(), Ensemble(0))
+    bench = _detection.Bench(SMALL, Car(), Ensemble(0))
     faults = _detection.Faults(3.0, 5.0)
     runs = [
         bench.loop(faults, learner).simulate(40.0, seed=5)
@@ -209,7 +209,7 @@ def test_alarms_are_those_of_their_definition(report):
 
 def test_calibration_has_the_probability_of_the_learner_or_else_of_a_classifier(report):
     known = report["calibration"]
-    bench = _detection._Bench(SMALL, Car(), Ensemble(1))
+    bench = _detection.Bench(SMALL, Car(), Ensemble(1))
     loop = bench.loop(_detection.Faults(**report["settings"]["faults"]), controllers.SwitchingPrecision())
     errors = []
     for stream in report["streams"]:

@@ -127,7 +127,7 @@ def calibrate(
 
 @app.command()
 def reproduce(
-    experiment: Annotated[str, typer.Argument(help="arm, tracking, detection, or all.")],
+    experiment: Annotated[str, typer.Argument(help="arm, tracking, detection, bound, or all.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write a JSON file and figures for each experiment there."),

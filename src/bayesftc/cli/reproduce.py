@@ -46,7 +46,8 @@ def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any
     """
     if name != ALL and name not in EXPERIMENTS:
         raise UnknownNameError(f"There is no experiment {name!r}; {did_you_mean(name, [*EXPERIMENTS, ALL])}")
-    chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL}]
+    paper_only = name == ALL and not options["beyond"]
+    chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL} and not (paper_only and e.beyond)]
     jobs = options["jobs"]
     options = {**options, "seed": check_seed(options["seed"]), "jobs": check_jobs(_cores() if jobs is None else jobs)}
     if out is not None:

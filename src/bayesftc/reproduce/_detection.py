@@ -61,7 +61,7 @@ def run(
         reach its AUC.
     """
     settings, car = Detection.of(settings, runs), car or Car()
-    bench = _Bench(settings, car, Ensemble(seed, jobs, progress))
+    bench = Bench(settings, car, Ensemble(seed, jobs, progress))
     factor, baseline = bench.factor()
     faults = Faults(settings.injection * factor, settings.drift * factor)
     own = bench.ensemble.seeds("detection/streams", settings.streams)
@@ -104,7 +104,7 @@ def run(
 
 
 @dataclass(frozen=True)
-class _Bench:
+class Bench:
     """Runs streams of random faults through closed loops."""
 
     settings: Detection
@@ -118,7 +118,7 @@ class _Bench:
 
         def baseline(factor: float) -> float:
             faults = Faults(s.injection * factor, s.drift * factor)
-            return float(self._areas("Scaling the faults", [(faults, _residuals.ser(s))], own, self._whole).mean())
+            return float(self.areas("Scaling the faults", [(faults, _residuals.ser(s))], own).mean())
 
         low, high = s.factor_range
         if not baseline(low) < s.baseline_auc < baseline(high):
@@ -163,14 +163,18 @@ class _Bench:
         cells = [Faults(i, d, r) for r, i, d in product(("fast", "slow", "constant"), s.grid_injections, s.grid_drifts)]
         names = _residuals.GRID
         cases = [(cell, residuals[name]) for cell in cells for name in names]
-        means = self._areas("Other faults and references", cases, own, self._whole).mean(axis=1)
+        means = self.areas("Other faults and references", cases, own).mean(axis=1)
         return [
             {**asdict(cell), "auc": dict(zip(names, row, strict=True))}
             for cell, row in zip(cells, means.reshape(len(cells), -1).tolist(), strict=True)
         ]
 
+    def areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int]) -> Floats:
+        """Return the AUC over each whole stream, for residuals of one feature: cases x streams."""
+        return self._areas(what, cases, own, self._whole)
+
     def _areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int], rows: slice) -> Floats:
-        """Return the AUC over some rows of each stream, for residuals of one feature: cases x streams."""
+        """Return the AUC over some rows of each stream."""
         of = {self.loop(faults, residual.learners[0]): residual for faults, residual in cases}
 
         def areas(loop: cosim.Diagram, few: Sequence[int]) -> list[float]:

@@ -17,6 +17,8 @@ SIGNALS = ("controller.innovation", "controller.beta", "controller.precision", "
 GRID = ("SER", "beta", "beta (PL of tracking)")
 """The residuals of the grid; each has one loop."""
 SWITCHING = "SwitchingPrecision"
+PLAIN = controllers.FixedPrecision()
+"""A Kalman filter that trusts all sensors."""
 LEAST = 1e-16
 """Least probability of which odds are taken: 1 - p cannot be told more closely."""
 
@@ -86,7 +88,7 @@ def known(settings: Detection, chosen: controllers.GammaPrecision, car: Car) -> 
         ),
         "innovation of No FT": Residual(
             "|y - C x_t|t-1| of a Kalman filter that trusts all sensors",
-            (controllers.FixedPrecision(),),
+            (PLAIN,),
             (controllers.state_estimation_residual,),
         ),
         "precision": Residual("-log(precision) in the loop of beta", (chosen,), (_log_variance,)),

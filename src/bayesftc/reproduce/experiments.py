@@ -24,6 +24,9 @@ from bayesftc.reproduce import (
     _arm,
     _arm_figures,
     _arm_tables,
+    _bound,
+    _bound_figures,
+    _bound_tables,
     _detection,
     _detection_figures,
     _detection_tables,
@@ -41,12 +44,14 @@ Report = dict[str, Any]
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment of the paper: what it computes, prints and draws."""
+    """An experiment, the paper's or beyond it: what it computes, prints and draws."""
 
     name: str
     run: Callable[..., Report]
     show: Callable[[Report], Iterable[RenderableType]]
     figures: Mapping[str, Callable[[Report], Figure | None]]
+    beyond: bool = False
+    """Whether it is not in the paper: then ``all --paper-only`` leaves it out."""
 
 
 EXPERIMENTS = {
@@ -55,6 +60,7 @@ EXPERIMENTS = {
         Experiment("arm", _arm.run, _arm_tables.show, _arm_figures.FIGURES),
         Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.FIGURES),
         Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.FIGURES),
+        Experiment("bound", _bound.run, _bound_tables.show, _bound_figures.FIGURES, beyond=True),
     )
 }
 """All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""

@@ -1,0 +1,43 @@
+"""The figure of the bound, drawn from its report alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.plotting import BLACK, BLUE, SENSOR_COLOURS
+from bayesftc.reproduce._bound import BOUND
+from bayesftc.reproduce._drawing import figure, legend, tidy
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MARKS = "ovsD^Pph"
+
+
+def areas(report: dict[str, Any]) -> Figure:
+    """Return the AUC of each residual and the bound, for each size of the faults."""
+    cells = sorted(report["cells"], key=lambda cell: cell["auc"][BOUND]["mean"])
+    names = [name for name in cells[0]["auc"] if name != BOUND]
+    made = figure(8.2, 4.2)
+    axis = made.subplots()
+    x = np.arange(len(cells))
+    for i, name in enumerate([BOUND, *reversed(names)]):
+        mean = np.array([cell["auc"][name]["mean"] for cell in cells])
+        low, high = np.array([cell["auc"][name]["ci"] for cell in cells]).T
+        style: dict[str, Any] = {"color": BLACK, "lw": 1.6, "marker": "_", "ms": 22, "mew": 2.2, "ls": "none"}
+        if name != BOUND:
+            colour = (BLUE, *SENSOR_COLOURS)[(i - 1) % (1 + len(SENSOR_COLOURS))]
+            style = {"color": colour, "marker": MARKS[(i - 1) % len(MARKS)], "ms": 6, "ls": "none"}
+        axis.errorbar(x, mean, [mean - low, high - mean], capsize=3, label=name, **style)
+    axis.set_xticks(x, [f"{c['injection']:g} m/s\n{c['drift']:g} m/s per s" for c in cells], fontsize=9)
+    axis.set_xlabel("injection and drift")
+    axis.set_ylabel("AUC of the presence of a fault")
+    axis.set_title(f"Mean over {report['settings']['streams']} streams; bars: 95 % intervals", fontsize=10, loc="left")
+    tidy(axis)
+    legend(axis, [BOUND, *reversed(names)])
+    return made
+
+
+FIGURES = {"bound": areas}
