@@ -7,6 +7,7 @@ from .bayesian import BayesianController as BayesianController, UnstableLoopWarn
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .estimator import StateEstimator as StateEstimator
+from .detectability import Detectability as Detectability, detectability as detectability
 from .explicit import ExplicitDetection as ExplicitDetection
 from .fault_modes import (
     FAULT_MODES as FAULT_MODES,
