@@ -4,6 +4,7 @@ from ._rate import Calibration as Calibration, RateLearner as RateLearner
 from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
+from .burst import Burst as Burst
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .estimator import StateEstimator as StateEstimator

@@ -15,6 +15,7 @@ from .errors import (
     FMUVersionError as FMUVersionError,
     KernelError as KernelError,
     ModelError as ModelError,
+    RecordingError as RecordingError,
     ResultFileError as ResultFileError,
     ScenarioError as ScenarioError,
     SimulationError as SimulationError,

@@ -107,6 +107,12 @@ class ResultFileError(BayesFTCError):
     exit_code = 12
 
 
+class RecordingError(BayesFTCError, ValueError):
+    """A recording that cannot be read, or whose samples do not fit together."""
+
+    exit_code = 16
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the tail of a sentence about an unknown name: the near names, else all of them."""
     known = sorted(known)

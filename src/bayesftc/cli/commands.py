@@ -126,6 +126,27 @@ def calibrate(
 
 
 @app.command()
+def monitor(
+    recording: Annotated[list[Path], typer.Argument(help="CSV files with recorded samples, or a folder of them.")],
+    model: Annotated[
+        Path, typer.Option("--model", metavar="TOML", help="Which column is what, and what is known of the sensors.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write probabilities.csv, faults.json and figure.png there."),
+    ] = None,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Look for faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large."""
+    with guarded(debug):
+        from bayesftc.cli.monitor import monitor_files
+
+        monitor_files(recording, model, out, json=json, quiet=quiet)
+
+
+@app.command()
 def reproduce(
     experiment: Annotated[str, typer.Argument(help="arm, tracking, detection, bound, or all.")],
     out: Annotated[

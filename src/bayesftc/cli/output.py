@@ -169,7 +169,7 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
 
 
 def _errors(numbers: Mapping[str, Any]) -> tuple[str, Table]:
-    table = _table(*(label for _, label in PHASES))
+    table = empty_table(*(label for _, label in PHASES))
     for what in ("tracking", "belief"):
         for name, errors in numbers[what].items():
             unit = numbers["units"].get(name)
@@ -180,7 +180,7 @@ def _errors(numbers: Mapping[str, Any]) -> tuple[str, Table]:
 
 
 def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
-    table = _table(*(f"sensor {s['sensor']}" for s in sensors))
+    table = empty_table(*(f"sensor {s['sensor']}" for s in sensors))
     missing = any(s["missing_share"] for s in sensors)
     for label, key, form in SENSOR_ROWS:
         if key in MISSING_ROWS and not missing:
@@ -191,20 +191,21 @@ def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
 
 
 def _inputs(inputs: list[dict[str, Any]]) -> tuple[str, Table]:
-    table = _table(*(f"{i['name']} ({i['unit']})" if i["unit"] else i["name"] for i in inputs))
+    table = empty_table(*(f"{i['name']} ({i['unit']})" if i["unit"] else i["name"] for i in inputs))
     for label, key, form in INPUT_ROWS:
         table.add_row(label, *(_number(i[key], form) for i in inputs))
     return "Faults on the way to the plant", table
 
 
 def _kalman(check: Mapping[str, Any]) -> tuple[str, Table]:
-    table = _table("relative", "absolute")
+    table = empty_table("relative", "absolute")
     for what in ("mean", "covariance"):
         table.add_row(what, *(_number(check[f"{what}_{kind}"], "{:.2e}") for kind in ("difference", "absolute")))
     return f"Largest differences from filterpy's Kalman filter over {check['steps']} samples", table
 
 
-def _table(*columns: str) -> Table:
+def empty_table(*columns: str) -> Table:
+    """Return a table in the house's style: a column for what a row is, and these."""
     from rich import box
     from rich.table import Table
     from rich.text import Text

@@ -1,0 +1,119 @@
+"""``bayesftc monitor``: recorded samples to fault probabilities, a figure and a list of faults."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from bayesftc.cli import output
+from bayesftc.monitoring import FaultEvent, Monitored, load_monitor
+
+PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
+
+
+def monitor_files(recording: Sequence[Path], model: Path, out: Path | None, *, json: bool, quiet: bool) -> None:
+    """Look for faults in a recording, print what was found and write the files.
+
+    Parameters
+    ----------
+    recording : sequence of pathlib.Path
+        CSV files or folders.
+    model : pathlib.Path
+        The model file.
+    out : pathlib.Path or None
+        Folder for ``probabilities.csv``, ``faults.json`` and ``figure.png``: all of them, or none.
+    json, quiet : bool
+        How it is printed: as JSON, or not at all.
+    """
+    monitor = load_monitor(model)
+    samples = monitor.read(recording)
+    if out is not None:
+        output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE))
+    found = monitor.run(samples)
+    numbers = summary(found)
+    if out is not None:
+        _write(out, found, numbers)
+    if json:
+        typer.echo(output.as_json(numbers))
+    elif not quiet:
+        _print(found, numbers, out)
+
+
+def summary(found: Monitored) -> dict[str, Any]:
+    """Return what was found as plain data."""
+    recording = found.recording
+    seconds = len(recording.y) * float(recording.dt)
+    sensors = {}
+    for i, name in enumerate(recording.sensors):
+        count = int(np.isfinite(recording.y[:, i]).sum())
+        sensors[name] = {
+            "samples": count,
+            "rate": (count + recording.replaced[i]) / seconds,
+            "replaced": recording.replaced[i],
+            "mean_probability": float(found.fault_probability[:, i].mean()),
+            "alarms": sum(event.sensor == name for event in found.events),
+        }
+    return {
+        "start": float(found.time[0]),
+        "end": float(found.time[-1]),
+        "sensors": sensors,
+        "faults": [asdict(event) for event in found.events],
+        "why_no_probability": found.why_no_probability,
+    }
+
+
+def _write(folder: Path, found: Monitored, numbers: dict[str, Any]) -> None:
+    picture = io.BytesIO()
+    found.plot().savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+    table, text = found.to_pandas(), output.as_json(numbers) + "\n"
+    with output.staged(folder) as stage:
+        table.to_csv(stage / PROBABILITIES, index=False, float_format="%.9g")
+        (stage / FAULTS).write_text(text, encoding="utf-8")
+        (stage / FIGURE).write_bytes(picture.getbuffer())
+
+
+def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False)
+
+    def say(sentence: str, style: str = "") -> None:
+        console.print(Text(sentence, style=style), soft_wrap=True)
+
+    say(f"{numbers['start']:g} to {numbers['end']:g} s, {len(found.time)} steps of {float(found.recording.dt):g} s\n")
+    sensors = output.empty_table("samples", "a second", "left out", "mean probability", "alarms")
+    for name, row in numbers["sensors"].items():
+        mean = "{:.4f}".format(row["mean_probability"])
+        sensors.add_row(name, str(row["samples"]), f"{row['rate']:.4g}", str(row["replaced"]), mean, str(row["alarms"]))
+    console.print(sensors)
+    if any(found.recording.replaced):
+        say("Left out: samples on whose step a later one of the same sensor fell as well. A shorter dt keeps more.")
+    if found.why_no_probability:
+        say(f"There is no fault probability: {found.why_no_probability}")
+    elif not found.events:
+        say("No fault was found.")
+    else:
+        faults = output.empty_table("kind", "onset (s)", "alarm (s)", "size")
+        units = dict(zip(found.recording.sensors, found.recording.units, strict=True))
+        for event in found.events:
+            onset = output.DASH if event.onset is None else f"{event.onset:.2f}"
+            span = f"{event.start:.2f} to {event.end:.2f}"
+            faults.add_row(event.sensor, event.kind or output.DASH, onset, span, _size(event, units[event.sensor]))
+        say("\nFaults", "bold")
+        console.print(faults)
+        say("Size: at the end of the alarm; of a noisier sensor its noise in what is expected of it.")
+    if folder is not None:
+        say(f"\nWritten to {folder}: {PROBABILITIES}, {FAULTS}, {FIGURE}")
+
+
+def _size(event: FaultEvent, unit: str) -> str:
+    if event.size is None:
+        return output.DASH
+    return f"x {event.size:.3g}" if event.kind == "Noisier" else f"{event.size:.3g} {unit}".rstrip()

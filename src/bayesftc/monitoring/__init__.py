@@ -1,0 +1,37 @@
+"""The estimator as a monitor: recorded samples of redundant sensors in, each sensor's fault probability out.
+
+>>> from bayesftc.monitoring import load_monitor
+>>> monitor = load_monitor("model.toml")  # doctest: +SKIP
+>>> found = monitor.run(monitor.read(["data.csv"]))  # doctest: +SKIP
+>>> print(found.events)  # doctest: +SKIP
+"""
+
+from bayesftc.monitoring._columns import Column, Input, Sensor, SensorErrors
+from bayesftc.monitoring._likelihood import log_likelihood
+from bayesftc.monitoring._model_file import load_monitor
+from bayesftc.monitoring._models import ConstantRate, Integrator, Matrices, PlantModel, RandomWalk
+from bayesftc.monitoring._monitor import Monitor
+from bayesftc.monitoring._recording import Recording, Signal, align
+from bayesftc.monitoring._run import Alarm, FaultEvent, Monitored, monitor_recording
+
+__all__ = [
+    "Alarm",
+    "Column",
+    "ConstantRate",
+    "FaultEvent",
+    "Input",
+    "Integrator",
+    "Matrices",
+    "Monitor",
+    "Monitored",
+    "PlantModel",
+    "RandomWalk",
+    "Recording",
+    "Sensor",
+    "SensorErrors",
+    "Signal",
+    "align",
+    "load_monitor",
+    "log_likelihood",
+    "monitor_recording",
+]

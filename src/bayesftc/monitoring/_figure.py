@@ -1,0 +1,82 @@
+"""The figure of a monitored recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.plotting import BLACK, LINES, MARKERS, SENSOR_COLOURS, _close, _legend, _panels, _thin
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from bayesftc.cosim.block import Floats
+    from bayesftc.monitoring._run import Monitored
+
+MOST_NAMES = 10
+"""More alarms than this are shaded, but their kinds are not written above."""
+
+
+def plot_monitored(found: Monitored) -> Figure:
+    """Return a figure: for each quantity that is measured the samples and the belief, then their distance, then the faults.
+
+    Parameters
+    ----------
+    found : Monitored
+        Alarms are shaded in the colour of their sensor.
+    """
+    plant = found.model.states - found.model.disturbances
+    rows = found.model.matrix("C")[:, :plant]
+    quantities, of = np.unique(rows, axis=0, return_inverse=True)
+    figure, axes = _panels(len(quantities) + 2)
+    believed = found.x_hat[:, :plant] @ rows.T
+    units = found.recording.units
+    for q, axis in enumerate(axes[: len(quantities)]):
+        members = [i for i, quantity in enumerate(of.reshape(-1)) if quantity == q]
+        for i in members:
+            _dots(axis, found, i, found.recording.y[:, i])
+        axis.plot(*_thin(found.time, believed[:, members[0]]), color=BLACK, lw=1.2, label="belief")
+        axis.set_ylabel("samples" + _of(units[members[0]]))
+    for i in range(len(units)):
+        _dots(axes[-2], found, i, found.recording.y[:, i] - believed[:, i])
+    axes[-2].set_ylabel("sample minus belief" + _of(units[0] if len(set(units)) == 1 else ""))
+    for i, sensor in enumerate(found.recording.sensors):
+        style: dict[str, Any] = {"color": _colour(i), "ls": LINES[i % len(LINES)]}
+        axes[-1].plot(*_thin(found.time, found.fault_probability[:, i]), lw=1.3, label=sensor, **style)
+    axes[-1].set_ylim(-0.04, 1.04)
+    axes[-1].set_ylabel("fault probability")
+    for axis in axes:
+        for event in found.events:
+            axis.axvspan(
+                event.start, event.end, color=_colour(found.recording.sensors.index(event.sensor)), alpha=0.12, lw=0
+            )
+    for axis in (*axes[:-2], axes[-1]):
+        _legend(axis)
+    if len(found.events) <= MOST_NAMES:
+        for event in found.events:
+            style = {
+                "fontsize": 8,
+                "ha": "left",
+                "va": "bottom",
+                "color": _colour(found.recording.sensors.index(event.sensor)),
+            }
+            axes[0].text(event.start, 1.01, event.kind or "", transform=axes[0].get_xaxis_transform(), **style)
+    _close(axes, found.time)
+    return figure
+
+
+def _dots(axis: Axes, found: Monitored, i: int, values: Floats) -> None:
+    known = np.isfinite(values)
+    time, shown = _thin(found.time[known], values[known])
+    marker = MARKERS[i % len(MARKERS)]
+    axis.plot(time, shown, marker, ms=1.6, mew=0, color=_colour(i), alpha=0.7, label=found.recording.sensors[i])
+
+
+def _colour(i: int) -> str:
+    return SENSOR_COLOURS[i % len(SENSOR_COLOURS)]
+
+
+def _of(unit: str) -> str:
+    return f" ({unit})" if unit else ""

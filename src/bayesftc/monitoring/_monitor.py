@@ -1,0 +1,179 @@
+"""A monitor: a recording's columns, the model of what they measure, and how faults are looked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers._checks import as_vector
+from bayesftc.controllers.estimator import StateEstimator
+from bayesftc.controllers.fault_modes import Frozen
+from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.precision import PrecisionLearner
+from bayesftc.controllers.switching import SwitchingPrecision
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError, RecordingError
+from bayesftc.cosim.timebase import rational_step
+from bayesftc.monitoring._columns import Column, Input, Sensor, SensorErrors
+from bayesftc.monitoring._csv import Tables
+from bayesftc.monitoring._models import PlantModel
+from bayesftc.monitoring._recording import Recording, Signal, align
+from bayesftc.monitoring._run import Alarm, Monitored, frozen_of_each, monitor_recording
+
+FLAT = 10.0
+"""The first samples begin the belief; so that they do not count twice, it is this many times less certain than they are."""
+
+SMALL = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Monitor:
+    """What a model file says: the recording's columns, the model, the learner, the alarm.
+
+    Parameters
+    ----------
+    dt : float, str or Fraction
+        Sample time in seconds.
+    plant : PlantModel
+        How the state moves.
+    sensors, inputs : mapping of str to Sensor or Input
+        By name.
+    errors : sequence of SensorErrors
+        Errors of the sensors that are estimated.
+    precision : PrecisionLearner, optional
+        By default that of `monitor_recording`.
+    own_loss : bool
+        Whether a `SwitchingPrecision` takes its loss from the sensors' own rates.
+    alarm : Alarm
+        When there is one.
+    time : str
+        The column of the time stamps, in seconds.
+    initial_mean, initial_std : optional
+        Belief about the plant's states before the first sample; by default from the first samples.
+    """
+
+    dt: float | str | Fraction
+    plant: PlantModel
+    sensors: Mapping[str, Sensor]
+    inputs: Mapping[str, Input] = field(default_factory=dict)
+    errors: Sequence[SensorErrors] = ()
+    precision: PrecisionLearner | None = None
+    own_loss: bool = False
+    alarm: Alarm = field(default_factory=Alarm)
+    time: str = "t"
+    initial_mean: float | Sequence[float] | None = None
+    initial_std: float | Sequence[float] | None = None
+
+    @property
+    def _input_errors(self) -> bool:
+        return any(given.error_std or given.error_walk for given in self.inputs.values())
+
+    @property
+    def model(self) -> LinearModel:
+        """The linear model, with the errors of inputs and sensors as states."""
+        states = len(self.plant.matrices(1.0)[0])
+        first = [1.0] + [0.0] * (states - 1)
+        C = np.array(
+            [
+                as_vector(f"'reads' of the sensor {name!r}", first if s.reads is None else s.reads, states)
+                for name, s in self.sensors.items()
+            ]
+        )
+        noise = np.diag([sensor.std**2 for sensor in self.sensors.values()])
+        model = self.plant.linear(rational_step(self.dt), len(self.inputs), C, noise)
+        if self.inputs and len(self.inputs) != model.controls:
+            raise ModelError(f"The model has {model.controls} input(s), but [inputs] names {len(self.inputs)}.")
+        if self._input_errors:
+            # The covariance must be positive, also that of an error which never changes.
+            walks = [max(given.error_walk, SMALL) for given in self.inputs.values()]
+            model = model.with_disturbance([walk**2 * float(model.step) for walk in walks])
+        order = list(self.sensors)
+        for errors in self.errors:
+            chosen = None if errors.sensors is None else [order.index(name) for name in errors.sensors]
+            model = model.with_sensor_errors(errors.std, errors.time_constant, chosen, common=errors.common)
+        return model
+
+    def read(self, paths: Sequence[str | os.PathLike[str]]) -> Recording:
+        """Read the recording from CSV files, or folders of them.
+
+        Raises
+        ------
+        RecordingError
+            If a file or column is missing, or holds something else than increasing times and numbers.
+        """
+        tables = Tables(paths)
+
+        def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
+            file = tables.find(given.file, f"The {what} {name!r}")
+            time = tables.column(file, given.time or self.time)
+            values = tables.column(file, given.column or name)
+            try:
+                return Signal(time, values, bias=given.bias, delay=given.delay, **more)
+            except RecordingError as error:
+                raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
+
+        return align(
+            {name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit) for name, s in self.sensors.items()},
+            {name: signal(name, i, "input", smooth=i.smooth) for name, i in self.inputs.items()},
+            self.dt,
+        )
+
+    def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:
+        """Run the estimator over a recording; see `monitor_recording`.
+
+        Parameters
+        ----------
+        recording : Recording
+            From `read`.
+        compiled : bool, optional
+            As of `monitor_recording`.
+        """
+        model = self.model
+        precision = self.precision
+        if isinstance(precision, SwitchingPrecision):
+            modes = [frozen_of_each(m, recording.resolution) if isinstance(m, Frozen) else m for m in precision.modes]
+            precision = replace(precision, modes=modes, loss=recording.loss if self.own_loss else precision.loss)
+        mean, covariance = self.start(recording, model)
+        return monitor_recording(
+            recording,
+            model,
+            precision,
+            initial_mean=mean,
+            initial_covariance=covariance,
+            alarm=self.alarm,
+            compiled=compiled,
+        )
+
+    def start(self, recording: Recording, model: LinearModel) -> tuple[tuple[float, ...], Floats]:
+        """Return the belief before the first sample: as given, else from each sensor's first sample.
+
+        Raises
+        ------
+        ModelError
+            If the sensors alone do not determine the state, and it is not given.
+        """
+        plant = model.states - model.disturbances
+        covariance = np.array(StateEstimator(model).initial_covariance)
+        if self._input_errors:
+            variances = [max(given.error_std, SMALL) ** 2 for given in self.inputs.values()]
+            covariance[plant : plant + len(variances), plant : plant + len(variances)] = np.diag(variances)
+        C = model.matrix("C")
+        given = self.initial_mean is not None and self.initial_std is not None
+        if not given and np.linalg.matrix_rank(C[:, :plant]) < plant:
+            raise ModelError(
+                "The sensors alone do not determine all states of the model; give initial_mean and initial_std in [model]."
+            )
+        first = np.array([column[np.isfinite(column)][0] for column in recording.y.T])
+        inverse = np.linalg.pinv(C[:, :plant])
+        mean = inverse @ first if self.initial_mean is None else as_vector("initial_mean", self.initial_mean, plant)
+        if self.initial_std is None:
+            errors = C[:, plant:] @ covariance[plant:, plant:] @ C[:, plant:].T + model.matrix("sensor_covariance")
+            covariance[:plant, :plant] = FLAT**2 * inverse @ errors @ inverse.T
+        else:
+            covariance[:plant, :plant] = np.diag(as_vector("initial_std", self.initial_std, plant) ** 2)
+        return tuple(map(float, mean)), (covariance + covariance.T) / 2

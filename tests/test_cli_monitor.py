@@ -1,0 +1,116 @@
+"""``bayesftc monitor``: what it prints and writes, and what it leaves behind when something is wrong."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from bayesftc.cli import app
+from bayesftc.monitoring import Monitored
+
+RUNNER = CliRunner()
+MODEL = """
+dt = 0.1
+[model]
+kind = "RandomWalk"
+std = 0.1
+[sensors.a]
+std = 0.1
+unit = "m"
+[sensors.b]
+std = 0.1
+unit = "m"
+[sensors.c]
+std = 0.1
+unit = "m"
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A minute of three level sensors, of which the second jumps by 2 m at 30 s."""
+    rng = np.random.default_rng(0)
+    t = 0.1 * np.arange(600)
+    level = 5.0 + np.cumsum(0.02 * rng.standard_normal(600))
+    table = pd.DataFrame({"t": t, **{name: level + 0.1 * rng.standard_normal(600) for name in "abc"}})
+    table.loc[table.t >= 30, "b"] += 2.0
+    table.to_csv(tmp_path / "tank.csv", index=False)
+    (tmp_path / "model.toml").write_text(MODEL, encoding="utf-8")
+    return [str(tmp_path / "tank.csv"), "--model", str(tmp_path / "model.toml")]
+
+
+def test_it_prints_the_fault_and_writes_all_files(files, tmp_path):
+    out = tmp_path / "deep" / "results"
+    done = RUNNER.invoke(app, ["monitor", *files, "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    for words in ("0 to 59.9 s, 600 steps of 0.1 s", "Offset", "30.00", "to 59.90", "1.98 m", f"Written to {out}"):
+        assert words in done.output
+    assert {f.name for f in out.iterdir()} == {"probabilities.csv", "faults.json", "figure.png"}
+    table = pd.read_csv(out / "probabilities.csv")
+    assert list(table.columns) == ["t", "a", "a_kind", "b", "b_kind", "c", "c_kind"]
+    assert len(table) == 600
+    assert table.b[305:].min() > 0.99
+    assert table[["a", "c"]].to_numpy().max() < 0.9
+    report = json.loads((out / "faults.json").read_text(encoding="utf-8"))
+    (fault,) = report["faults"]
+    assert (fault["sensor"], fault["kind"]) == ("b", "Offset")
+    assert fault["onset"] == pytest.approx(30.0, abs=0.2)
+    assert fault["size"] == pytest.approx(2.0, abs=0.2)
+    assert report["sensors"]["b"] == {
+        "samples": 600, "rate": pytest.approx(10.0), "replaced": 0, "alarms": 1,
+        "mean_probability": pytest.approx(table.b.mean(), rel=1e-6),
+    }  # fmt: skip
+    assert (out / "figure.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_json_and_quiet(files):
+    done = RUNNER.invoke(app, ["monitor", *files, "--json"])
+    assert done.exit_code == 0, done.output
+    assert [fault["sensor"] for fault in json.loads(done.output)["faults"]] == ["b"]
+    done = RUNNER.invoke(app, ["monitor", *files, "--quiet"])
+    assert (done.exit_code, done.output) == (0, "")
+
+
+def test_nothing_found_and_nothing_to_find(files, tmp_path):
+    table = pd.read_csv(files[0])
+    table[table.t < 30].to_csv(files[0], index=False)
+    done = RUNNER.invoke(app, ["monitor", *files])
+    assert done.exit_code == 0, done.output
+    assert "No fault was found." in done.output
+    (tmp_path / "model.toml").write_text(MODEL + '[precision]\nkind = "FixedPrecision"\n', encoding="utf-8")
+    done = RUNNER.invoke(app, ["monitor", *files])
+    assert "There is no fault probability: FixedPrecision does not look for faults." in done.output
+
+
+def test_a_file_that_cannot_be_written_leaves_none_behind(files, tmp_path, monkeypatch):
+    def full(self):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(
+        Monitored, "to_pandas", lambda self: type("Table", (), {"to_csv": lambda *_, **__: full(self)})()
+    )
+    out = tmp_path / "results"
+    done = RUNNER.invoke(app, ["monitor", *files, "--out", str(out)])
+    assert done.exit_code == 12
+    assert "No space left on device" in done.output
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("break_it", "code", "words"),
+    [
+        (lambda csv, toml: csv.unlink(), 16, "tank.csv cannot be read"),
+        (lambda csv, toml: toml.unlink(), 3, "model.toml cannot be read"),
+        (lambda csv, toml: csv.write_text("t,a,b\n0,1,2\n", encoding="utf-8"), 16, "no column 'c'"),
+        (lambda csv, toml: toml.write_text("dt = 1\n", encoding="utf-8"), 3, "lacks 'model'"),
+        (lambda csv, toml: (csv.parent / "out").write_text("", encoding="utf-8"), 12, "is no folder"),
+    ],
+)
+def test_mistakes_end_with_a_sentence_and_no_files(break_it, code, words, files, tmp_path):
+    break_it(tmp_path / "tank.csv", tmp_path / "model.toml")
+    done = RUNNER.invoke(app, ["monitor", *files, "--out", str(tmp_path / "out")])
+    assert done.exit_code == code
+    assert words in done.output
+    assert not (tmp_path / "out").is_dir()

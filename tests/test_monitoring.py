@@ -1,0 +1,387 @@
+"""Recordings at their own times, the model file, the likelihood, and what a monitor finds."""
+
+import numpy as np
+import pytest
+from scipy import linalg, stats
+
+from bayesftc.controllers import Burst, FixedPrecision, LinearModel, Noisier, SwitchingPrecision
+from bayesftc.cosim.errors import BayesFTCError, ModelError, RecordingError
+from bayesftc.monitoring import (
+    Alarm,
+    ConstantRate,
+    Integrator,
+    Matrices,
+    RandomWalk,
+    Signal,
+    align,
+    load_monitor,
+    log_likelihood,
+    monitor_recording,
+)
+from bayesftc.monitoring._run import alarms
+
+DT = 0.05
+
+
+def test_samples_go_to_the_nearest_step_and_nothing_is_interpolated():
+    fast = Signal([0.0, 0.049, 0.1, 0.149, 0.152, 0.21], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    slow = Signal([0.06, 0.16, 0.26], [11.0, np.nan, 13.0], bias=1.0, delay=0.01)
+    recording = align({"fast": fast, "slow": slow}, {}, DT)
+    assert recording.start == pytest.approx(0.05)  # the step at which each sensor has begun
+    np.testing.assert_allclose(recording.time, [0.05, 0.1, 0.15, 0.2, 0.25])
+    nan = np.nan
+    np.testing.assert_array_equal(recording.y, [[2, 10], [3, nan], [5, nan], [6, nan], [nan, 12]])
+    assert recording.replaced == (1, 0)
+    assert recording.loss == (0.01, 0.75)  # the slow one sends at every fourth step
+    np.testing.assert_array_equal(recording.u, np.zeros((5, 1)))
+
+
+def test_inputs_are_averaged_backwards_and_hold_in_between():
+    times = np.arange(0.0, 1.0, 0.01) + 0.003
+    values = np.random.default_rng(0).standard_normal(len(times))
+    sensor = Signal([0.2, 0.95], [0.0, 0.0])
+    recording = align(
+        {"s": sensor},
+        {
+            "smooth": Signal(times, values, smooth=0.2),
+            "step": Signal(times, values),
+            "slow": Signal([0.31, 0.62], [1, 2]),
+        },
+        DT,
+    )
+    for k, t in enumerate(recording.time):
+        for column, window in ((0, 0.2), (1, DT)):
+            inside = (times > t + DT - window) & (times <= t + DT)
+            assert recording.u[k, column] == pytest.approx(values[inside].mean(), abs=1e-12)
+    slow = np.where(recording.time + DT < 0.31, np.nan, np.where(recording.time + DT < 0.62, 1.0, 2.0))
+    np.testing.assert_array_equal(recording.u[:, 2], slow)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Signal([0, 1], [1.0]), "one value a time"),
+        (lambda: Signal([0, 1, 1], [1, 2, 3]), "sort the recording"),
+        (lambda: Signal([0, np.nan], [1, 2]), "without a time"),
+        (lambda: Signal([0, 1], [np.nan, np.inf]), "not a single sample"),
+        (lambda: Signal([0, 1], [1, 2], smooth=-1.0), "smooth=-1.0"),
+        (lambda: Signal([0, 1], [1, 2], delay=np.nan), "delay=nan"),
+        (lambda: align({}, {}, DT), "no sensor to monitor"),
+        (lambda: align({"a": Signal([0, 1], [1, 2]), "b": Signal([1e9, 1e9 + 1], [1, 2])}, {}, DT), "'a' .* and 'b' .* overlap"),
+        (lambda: align({"a": Signal([0, 1e9], [1, 2])}, {}, DT), "in seconds"),
+        (lambda: align({"a": Signal([0, 1], [1, 2])}, {"u": Signal([2, 3], [1, 2])}, DT), "do not overlap"),
+        (lambda: align({"a": Signal([0, 1], [1, 2])}, {}, 0.0), "sample time"),
+    ],
+)  # fmt: skip
+def test_recordings_that_do_not_fit(make, words):
+    with pytest.raises(BayesFTCError, match=words):
+        make()
+
+
+def drive(seconds=12.0, seed=0, truth=lambda t: 10.0 + 3.0 * np.sin(t / 2)):
+    """Return the columns of a made-up drive: two wheels of a coarse resolution, a slow third sensor, the acceleration."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, DT)
+    columns = {"t": t}
+    for name in ("left", "right"):
+        columns[name] = np.round((truth(t) + 0.2 * rng.standard_normal(len(t))) / 0.05) * 0.05
+    columns["gnss"] = np.where(np.arange(len(t)) % 4 == 2, truth(t) + 0.3 * rng.standard_normal(len(t)), np.nan)
+    columns["accel"] = np.gradient(truth(t), t) + 0.5 + 0.2 * rng.standard_normal(len(t))
+    return columns
+
+
+MODEL = """
+dt = 0.05
+[model]
+kind = "Integrator"
+std = 0.05
+[inputs.accel]
+error_std = 1.0
+error_walk = 0.02
+[sensors.left]
+std = 0.2
+resolution = 0.05
+unit = "m/s"
+[sensors.right]
+std = 0.2
+resolution = 0.05
+unit = "m/s"
+[sensors.gnss]
+std = 0.3
+unit = "m/s"
+[[errors]]
+sensors = ["left", "right"]
+std = 0.1
+time_constant = 20.0
+common = true
+"""
+
+
+def write(folder, columns, model=MODEL):
+    """Write the recording and the model file, and return both paths."""
+    names = list(columns)
+    rows = zip(*columns.values(), strict=True)
+    text = "\n".join([",".join(names), *(",".join("" if np.isnan(v) else f"{v:.9g}" for v in row) for row in rows)])
+    (folder / "data.csv").write_text(text + "\n", encoding="utf-8")
+    (folder / "model.toml").write_text(model, encoding="utf-8")
+    return folder / "data.csv", folder / "model.toml"
+
+
+def test_the_model_of_a_file_is_the_one_by_hand(tmp_path):
+    data, file = write(tmp_path, drive())
+    monitor = load_monitor(file)
+    by_hand = (
+        LinearModel([[1.0]], [[DT]], [[1.0]] * 3, 0.05**2 * DT, [0.04, 0.04, 0.09], DT)
+        .with_disturbance(0.02**2 * DT)
+        .with_sensor_errors(0.1, 20.0, (0, 1), common=True)
+    )
+    for name in ("A", "B", "C", "process_covariance", "sensor_covariance"):
+        np.testing.assert_allclose(monitor.model.matrix(name), by_hand.matrix(name), rtol=1e-12, err_msg=name)
+    recording = monitor.read([data])
+    mean, covariance = monitor.start(recording, monitor.model)
+    first = drive()["gnss"][2], drive()["left"][2], drive()["right"][2]
+    assert mean == pytest.approx((np.mean(first),))
+    errors = (0.04 + 0.04 + 0.09 + 4 * 0.01) / 9
+    np.testing.assert_allclose(covariance, np.diag([100 * errors, 1.0, 0.01]), rtol=1e-9)
+    assert recording.sensors == ("left", "right", "gnss")
+    assert recording.resolution == (0.05, 0.05, 0.0)
+    assert recording.loss == pytest.approx((0.01, 0.01, 0.75))
+
+
+def test_named_models_are_what_the_theory_says():
+    A, B, Q = ConstantRate(0.3).matrices(0.2)
+    van_loan = linalg.expm(np.array([[0, -1, 0, 0], [0, 0, 0, 0.09], [0, 0, 0, 0], [0, 0, 1, 0]]) * 0.2)
+    np.testing.assert_allclose(A, linalg.expm(np.array([[0, 0.2], [0, 0]])))
+    np.testing.assert_allclose(Q, van_loan[2:, 2:].T @ van_loan[:2, 2:], atol=1e-15)
+    assert B is None
+    assert RandomWalk(2.0).matrices(0.25)[2] == pytest.approx(1.0)
+    assert Integrator(2.0).matrices(0.25)[1] == pytest.approx(0.25)
+    A, B, Q = Matrices([[1.0, 0.1], [0.0, 0.9]], [0.0, 1e-3], [[0.0], [0.1]]).matrices(0.1)
+    assert A.shape == Q.shape == (2, 2)
+    assert B.shape == (2, 1)
+
+
+def test_the_likelihood_is_that_of_all_samples_together():
+    model = LinearModel([[0.9]], [[1.0]], [[1.0], [2.0]], 0.3, [[0.5, 0.1], [0.1, 0.4]], 1.0).with_sensor_errors(
+        0.7, 3.0
+    )
+    y = np.array([[1.0, 0.3], [np.nan, 1.2], [0.1, -0.4], [np.nan, np.nan], [2.0, 0.6]])
+    u = np.array([[0.5], [-0.2], [0.1], [0.7], [0.0]])
+    A, B, C, Q, R = (model.matrix(name) for name in ("A", "B", "C", "process_covariance", "sensor_covariance"))
+    start = np.diag([2.0, 0.49, 0.49])
+    mean, covariances, m = [np.zeros(3)], {(0, 0): start}, np.zeros(3)
+    for k in range(4):
+        m = A @ m + B @ u[k]
+        mean.append(m)
+        covariances[k + 1, k + 1] = A @ covariances[k, k] @ A.T + Q
+    for i in range(5):
+        for j in range(i):
+            covariances[i, j] = np.linalg.matrix_power(A, i - j) @ covariances[j, j]
+            covariances[j, i] = covariances[i, j].T
+    joint = np.block([[C @ covariances[i, j] @ C.T + (R if i == j else 0 * R) for j in range(5)] for i in range(5)])
+    there = np.isfinite(y).ravel()
+    expected = stats.multivariate_normal((np.array(mean) @ C.T).ravel()[there], joint[np.ix_(there, there)])
+    signal = Signal([0.0], [0.0])
+    recording = align({"a": signal, "b": signal}, {}, 1.0)
+    recording = type(recording)(**{**vars(recording), "y": y, "u": u})
+    found = log_likelihood(model, recording, initial_covariance=[2.0, 0.49, 0.49], compiled=False)
+    assert found == pytest.approx(expected.logpdf(y.ravel()[there]), rel=1e-10)
+
+
+def found_in(folder, columns, model=MODEL):
+    data, file = write(folder, columns, model)
+    monitor = load_monitor(file)
+    return monitor.run(monitor.read([data]), compiled=False)
+
+
+def test_a_healthy_recording_has_no_alarm(tmp_path):
+    """Coarse wheels repeat themselves, the third sensor is silent three times out of four: neither is a fault."""
+    columns = drive()
+    assert (np.diff(columns["left"]) == 0).mean() > 0.04
+    found = found_in(tmp_path, columns)
+    assert found.events == ()
+    assert found.fault_probability.max() < 0.5
+    assert np.isfinite(found.fault_probability).all()
+    assert found.kinds == ("healthy", "Frozen", "Offset", "Drifting", "Noisier", "DroppedOut", "Burst")
+    np.testing.assert_allclose(found.mode_probability.sum(axis=2), 1.0, atol=1e-9)
+
+
+def broken(fault):
+    """Return the drive with a fault from 6 to 10 s."""
+    columns = drive()
+    t, rng = columns["t"], np.random.default_rng(9)
+    during = (t >= 6.0) & (t < 10.0)
+    if fault == "Frozen":
+        columns["left"][during] = columns["left"][during][0]
+    if fault == "Offset":
+        columns["right"][during] += 2.0
+    if fault == "Drifting":
+        columns["left"][during] += 1.0 * (t[during] - 6.0)
+    if fault == "Noisier":
+        columns["left"][during] += 1.5 * rng.standard_normal(during.sum())
+    if fault == "DroppedOut":
+        columns["gnss"][during] = np.nan
+    return columns
+
+
+SENSORS = {"Frozen": "left", "Offset": "right", "Drifting": "left", "Noisier": "left", "DroppedOut": "gnss"}
+
+
+@pytest.mark.parametrize("fault", SENSORS)
+def test_a_fault_is_found_with_its_kind_onset_and_size(fault, tmp_path):
+    found = found_in(tmp_path, broken(fault))
+    event, *others = found.events
+    assert not others
+    assert (event.sensor, event.kind) == (SENSORS[fault], fault)
+    late = 3.0 if fault in {"DroppedOut", "Noisier"} else 1.5  # a silence, or a burst, must last before it is a fault
+    assert 6.0 <= event.start < 6.0 + late
+    assert event.onset == pytest.approx(6.0, abs=1.0)
+    assert 9.9 <= event.end < 11.0
+    sizes = {"Offset": 2.0, "Drifting": 4.0}
+    if fault in sizes:
+        assert event.size == pytest.approx(sizes[fault], abs=0.4)
+    table = found.to_pandas()
+    assert list(table.columns) == ["t", *(f"{s}{end}" for s in found.recording.sensors for end in ("", "_kind"))]
+    assert (table.loc[(table.t > 8) & (table.t < 9.8), f"{event.sensor}_kind"] == fault).mean() > 0.8
+
+
+def test_a_burst_is_no_fault_and_the_same_noise_for_long_is():
+    still = LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-6, 0.01, 0.02)
+    rng = np.random.default_rng(4)
+    y = 0.1 * rng.standard_normal((600, 3))
+    modes = (Noisier(600.0, 20.0, scale=5.0), Burst(scale=5.0))
+    spans = {"bump": slice(100, 115), "fault": slice(300, 500)}
+    for span in spans.values():
+        y[span, 1] *= 6.0
+    signals = {name: Signal(np.arange(600) * 0.02, column) for name, column in zip("abc", y.T, strict=True)}
+    found = monitor_recording(align(signals, {}, 0.02), still, SwitchingPrecision(modes), compiled=False)
+    assert [(e.sensor, e.kind) for e in found.events] == [("b", "Noisier")]
+    assert found.events[0].start > 6.0
+    assert found.mode_probability[105:115, 1, 2].mean() > 0.9
+    assert found.fault_probability[105:115, 1].max() < 0.5
+
+
+def test_without_a_probability_there_is_a_reason_and_no_alarm(tmp_path):
+    found = found_in(tmp_path, drive(1.0), MODEL + '[precision]\nkind = "FixedPrecision"\n')
+    assert found.events == ()
+    assert found.kinds == ()
+    assert found.why_no_probability == FixedPrecision().why_no_probability
+
+
+def test_an_alarm_holds_over_short_gaps():
+    p = np.array([0, 1, 0, 1, 0, 0, 0, 1, 1])
+    assert alarms(p, 0.5, 1) == [(1, 4), (7, 9)]
+    assert alarms(p, 0.5, 0) == [(1, 2), (3, 4), (7, 9)]
+    assert alarms(p, 0.5, 3) == [(1, 9)]
+    assert alarms(0 * p, 0.5, 3) == []
+
+
+def test_own_modes_and_losses_of_the_file(tmp_path):
+    _, file = write(
+        tmp_path,
+        drive(1.0),
+        MODEL + '[precision]\nkind = "SwitchingPrecision"\nloss = 0.2\nmodes = [{kind = "Offset"}, {kind = "Burst"}]\n',
+    )
+    monitor = load_monitor(file)
+    assert monitor.precision.loss == 0.2
+    assert not monitor.own_loss
+    found = monitor.run(monitor.read([tmp_path / "data.csv"]), compiled=False)
+    assert found.kinds == ("healthy", "Offset", "Burst")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("dt = 0.05", ""), "lacks 'dt'"),
+        (("dt = 0.05", "dt = 0.0"), "must be positive"),
+        (("[model]", "[modell]"), r"unknown section 'modell'; did you mean 'model'"),
+        (('kind = "Integrator"', 'kind = "Walk"'), r"'model.kind' is 'Walk'.*RandomWalk"),
+        (("std = 0.05\n[inputs", "stdd = 0.05\n[inputs"), "did you mean 'std'"),
+        (("error_std = 1.0", "error_std = -1.0"), "'inputs.accel'.*error_std=-1.0"),
+        (("std = 0.3", ""), "'sensors.gnss' lacks 'std'"),
+        (("std = 0.3", "std = 0"), "'sensors.gnss'.*std=0"),
+        (("std = 0.3", "std = 0.3\nreads = [1.0, 0.0]"), "'reads' of the sensor 'gnss' has the shape"),
+        (('["left", "right"]', '["left", "wrong"]'), r"'errors\[0\]' has the unknown sensor 'wrong'"),
+        (("time_constant = 20.0", "time_constant = 0.0"), "time_constant=0.0"),
+        (("[[errors]]", "[errors]"), "two brackets"),
+        (("dt = 0.05", 'dt = 0.05\nprecision = {kind = "Nothing"}'), "'precision.kind' is 'Nothing'"),
+        (("dt = 0.05", 'dt = 0.05\nprecision = {kind = "SwitchingPrecision", loss = [0.1, 0.1]}'), "vector of 3"),
+        (("dt = 0.05", "dt = 0.05\nalarm = {threshold = 2.0}"), "'alarm'.*threshold=2.0"),
+        (("dt = 0.05", "dt = = 0.05"), "no valid TOML"),
+        (("[inputs.accel]", '[inputs.gyro]\nfile = "x.csv"\n[inputs.accel]'), "names 2"),
+        ((MODEL, "dt = 1.0\n[model]\nkind = 'RandomWalk'\nstd = 1.0\n[sensors]\n"), "names no sensor"),
+    ],
+)
+def test_mistakes_in_the_file_are_named_with_their_place(change, words, tmp_path):
+    _, file = write(tmp_path, drive(1.0), MODEL.replace(*change))
+    with pytest.raises(BayesFTCError, match=words) as caught:
+        load_monitor(file)
+    assert str(file) in str(caught.value)
+
+
+def test_states_that_no_sensor_reads_need_a_beginning(tmp_path):
+    text = 'dt = 0.05\n[model]\nkind = "ConstantRate"\nstd = 1.0\n{}\n[sensors.left]\nstd = 0.2\n'
+    data, file = write(tmp_path, drive(2.0), text.format(""))
+    monitor = load_monitor(file)
+    with pytest.raises(ModelError, match="initial_mean and initial_std"):
+        monitor.run(monitor.read([data]), compiled=False)
+    write(tmp_path, drive(2.0), text.format("initial_mean = [10.0, 0.0]\ninitial_std = [1.0, 2.0]"))
+    monitor = load_monitor(file)
+    found = monitor.run(monitor.read([data]), compiled=False)
+    assert found.x_hat[-1] == pytest.approx([10 + 3 * np.sin(1), 1.5 * np.cos(1)], abs=1.0)
+
+
+def test_a_model_of_another_size_is_refused():
+    recording = align({"a": Signal([0, 1], [1, 2])}, {}, 1.0)
+    with pytest.raises(ModelError, match=r"2 sensors, 1 .* and steps of 1 s; the recording has 1"):
+        monitor_recording(recording, LinearModel([[1]], [[1]], [[1], [1]], 1.0, 1.0, 1.0))
+    with pytest.raises(ModelError, match=r"threshold=1\.5"):
+        monitor_recording(recording, LinearModel([[1]], [[1]], [[1]], 1.0, 1.0, 1.0), alarm=Alarm(1.5))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t,left,right,gnss,accel\n0,1,x,1,1\n", "'x' in row 2 of the column 'right' is no number"),
+        ("t,left,rigth,gnss,accel\n0,1,1,1,1\n", "no column 'right'; did you mean 'rigth'"),
+        ("time,left,right,gnss,accel\n0,1,1,1,1\n", "no column 't'"),
+        ("t,left,right,gnss,accel\n1,1,1,1,1\n0,1,1,1,1\n", "the sensor 'left': .* sort the recording"),
+        ("t,left,right,gnss,accel\n0,1,1,,1\n", "the sensor 'gnss': .* not a single sample"),
+        ("", "no table of values"),
+        ('t,left\n0,"1\n', "no table of values"),
+        (b"\xff\xfe\x00", "no text in UTF-8"),
+    ],
+)
+def test_tables_that_cannot_be_used(text, words, tmp_path):
+    data, file = write(tmp_path, drive(1.0))
+    data.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(RecordingError, match=words):
+        load_monitor(file).read([data])
+
+
+def test_several_files_and_folders(tmp_path):
+    columns = drive(2.0)
+    (tmp_path / "slow").mkdir()
+    wheels = {name: columns[name] for name in ("t", "left", "right", "accel")}
+    _, file = write(
+        tmp_path, wheels, MODEL.replace("[sensors.gnss]", '[sensors.gnss]\nfile = "gnss.csv"\ntime = "stamp"')
+    )
+    monitor = load_monitor(file)
+    with pytest.raises(RecordingError, match=r"'gnss' is in 'gnss.csv', which is not among the files"):
+        monitor.read([tmp_path / "data.csv"])
+    known = np.isfinite(columns["gnss"])
+    rows = zip(columns["t"][known] + 0.003, columns["gnss"][known], strict=True)
+    text = "stamp,gnss\n" + "".join(f"{t},{v}\n" for t, v in rows)
+    (tmp_path / "slow" / "gnss.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"does not say in which file"):
+        monitor.read([tmp_path / "data.csv", tmp_path / "slow"])
+    text = file.read_text(encoding="utf-8")
+    for name in ("[inputs.accel]", "[sensors.left]", "[sensors.right]"):
+        text = text.replace(name, f'{name}\nfile = "data.csv"')
+    file.write_text(text, encoding="utf-8")
+    recording = load_monitor(file).read([tmp_path / "data.csv", tmp_path / "slow"])
+    np.testing.assert_array_equal(np.isfinite(recording.y[:, 2]), known[2:])
+    with pytest.raises(RecordingError, match="cannot be read"):
+        load_monitor(file).read([tmp_path / "gone" / "data.csv", tmp_path / "slow"])
+    with pytest.raises(RecordingError, match="at least one CSV file"):
+        load_monitor(file).read([])
