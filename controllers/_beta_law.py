@@ -164,16 +164,25 @@ def loop_law(
 
 
 def _begins(precision: GammaPrecision, sum_of: Weights, x: float) -> float:
-    """Return the probability, without a fault, that the sum exceeds x at a sample and did not at the one before."""
-    if precision.window is None:
-        return Passage(float(precision.forgetting or 0.0), x).onset_of_alarms
-    from scipy.special import chdtr, chdtrc, gammaln
+    """Return the probability, without a fault, that the sum exceeds x at a sample and did not at the one before.
 
-    n = int(precision.window) - 1  # squares that both windows share
-    if n == 0:
+    Forgetting, the newest square z**2 has to lift what is left of a sum below x: E[Pr[(x - z**2) / rho < sum <= x]]. In a window
+    it has to be larger than the square that leaves.
+    """
+    from scipy.special import chdtr, chdtrc, gammaln, ndtr
+
+    g, weights = np.polynomial.legendre.leggauss(48)
+    if precision.window is None:
+        rho, above = float(precision.forgetting or 0.0), tails(x, sum_of)[1]
+        least, most = np.sqrt(x * (1.0 - rho)), min(np.sqrt(x), np.sqrt(x * (1.0 - rho)) + 12.0)
+        z = least + 0.5 * (most - least) * (1.0 + g)
+        lifted = np.array([tails((x - v * v) / rho, sum_of)[1] - above for v in z])
+        density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+        return float((most - least) * (weights * density * lifted).sum() + 2.0 * ndtr(-most) * (1.0 - above))
+    shared = int(precision.window) - 1
+    if shared == 0:
         return float(chdtr(1, x) * chdtrc(1, x))
-    g, weights = np.polynomial.legendre.leggauss(400)
     v = 0.5 * np.sqrt(x) * (1.0 + g)
-    density = 2.0 * np.exp((n - 1) * np.log(v) - 0.5 * v**2 - 0.5 * n * np.log(2.0) - gammaln(0.5 * n))
+    density = 2.0 * np.exp((shared - 1) * np.log(v) - 0.5 * v**2 - 0.5 * shared * np.log(2.0) - gammaln(0.5 * shared))
     rest = x - v**2
     return float(0.5 * np.sqrt(x) * (weights * density * chdtr(1, rest) * chdtrc(1, rest)).sum())

@@ -64,17 +64,19 @@ def _draw_tails(axis: Axes, results: Mapping[str, Detectability]) -> None:
 
 
 def _draw_delays(axis: Axes, results: Mapping[str, Detectability], kind: str) -> None:
+    least = np.inf
     for i, (label, result) in enumerate(results.items()):
         smallest = getattr(result, kind)
         sizes = smallest * np.array(MULTIPLES)
-        axis.loglog(sizes, result.delay(kind, sizes), label=label, **_look(i))  # type: ignore[arg-type]
+        delays = result.delay(kind, sizes)  # type: ignore[arg-type]
+        least = min(least, float(delays.min()))
+        axis.loglog(sizes, delays, label=label, **_look(i))
         delay = getattr(result, f"{kind}_delay")
         axis.plot([smallest], [delay], MARKERS[i % len(MARKERS)], ms=6, color=COLOURS[i % len(COLOURS)])
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    axis.set_ylim(
-        bottom=0.5 * min(result.dt for result in results.values())
-    )  # below, an alarm comes with the first sample
+    # Below half a sample an alarm comes with the first one.
+    axis.set_ylim(bottom=max(0.8 * least, 0.5 * min(result.dt for result in results.values())))
     for side in (axis.xaxis, axis.yaxis):
         side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         side.set_major_formatter(StrMethodFormatter("{x:g}"))

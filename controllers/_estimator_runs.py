@@ -63,7 +63,8 @@ class EstimatorRuns:
         seed: int,
         noise: float | None = None,
     ):
-        estimator = StateEstimator(model, precision, initial_covariance=steady_covariance(model))
+        P = steady_covariance(model)
+        estimator = StateEstimator(model, precision, initial_covariance=P)
         definition = estimator.define(model.step)
         assert definition.output is not None
         assert definition.update is not None
@@ -84,8 +85,10 @@ class EstimatorRuns:
         self._sensor_root, self._process_root = np.linalg.cholesky(R), _root(model.matrix("process_covariance"))
         self._sensor, self._runs, self._seed = sensor, runs, seed
         remembered = float(precision.window or 0) or 1.0 / (1.0 - float(precision.forgetting or 0.0))
-        self.warm_steps = int(WARM * max(remembered, 1.0 / (1.0 - slowest(model)))) + 1
+        self.warm_steps = min(int(WARM * max(remembered, 1.0 / (1.0 - slowest(model)))) + 1, MOST_STEPS)
         self._state = {name: _rows(np.atleast_1d(value), runs) for name, value in initial.items()}
+        # Errors of a filter at nominal precision in steady state: what the learner changes of them is what has to settle.
+        self._state["mean"] = _rows_of(_root(P) @ np.random.default_rng(seed).standard_normal((len(P), runs)))
         squares = spread = 0.0
         last = max(self.warm_steps // 4, 1)
         for k in range(self.warm_steps):

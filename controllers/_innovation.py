@@ -17,6 +17,9 @@ SETTLED = 1e-9
 
 MOST_STEPS = 50_000
 
+SLOWEST = 1.0 - 1e-6
+"""A filter with a slower pole counts as one that never comes to rest."""
+
 
 class Response(NamedTuple):
     """What becomes of a fault that begins at step 0; after the last step given both stay as they are.
@@ -64,7 +67,7 @@ def steady_covariance(model: LinearModel) -> Floats:
         P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
     except (np.linalg.LinAlgError, ValueError):
         P = np.full_like(A, np.nan)
-    if not np.isfinite(P).all() or np.abs(np.linalg.eigvals(_memory(A, C, P, R)[0])).max() >= 1 - 1e-12:
+    if not np.isfinite(P).all() or np.abs(np.linalg.eigvals(_memory(A, C, P, R)[0])).max() >= SLOWEST:
         raise ModelError(
             "The model's filter has no steady state, so no threshold holds for ever: a state is neither seen by a sensor nor "
             "stable, or is a constant without process noise, of which the filter grows ever more certain; give it a little "

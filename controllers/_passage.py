@@ -51,8 +51,6 @@ class Passage:
         x = low + self._span * self._places**2
         self._end = self._interpolation(np.ones(1))[0]
         below = np.array([tails(value, law)[0] for value in (*x, threshold)])
-        self.below = float(below[-1])
-        """Pr[x <= threshold] without a fault."""
         self.healthy = np.asarray(below[:-1] / below[-1])
         """F at the nodes for a healthy sum that is below the threshold."""
         last = np.sqrt(np.maximum(x - ratio * low, 0.0))
@@ -101,11 +99,6 @@ class Passage:
     def without_alarm(self, F: Floats) -> float:
         """Return the probability of no alarm so far."""
         return float(self._end @ F)
-
-    @property
-    def onset_of_alarms(self) -> float:
-        """Probability, without a fault, that a sample raises an alarm and the one before it did not."""
-        return self.below * (1.0 - self.without_alarm(self.advance(self.healthy, 0.0, 1.0)))
 
     def survival(self, means: Floats, variances: Floats) -> Floats:
         """Return the probability of no alarm up to each sample after the onset of a fault, the first faulty one included.

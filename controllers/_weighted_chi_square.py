@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 PRECISE = 1e-11
 """Relative change at which halving the step ends."""
 
-LEAST_WEIGHT = 1e-8
-"""Geometric weights end there; the rest counts by its mean, for its variance is 1e-16 of the whole."""
+LEAST_WEIGHT = 1e-6
+"""Geometric weights end there; the rest counts by its mean, for its variance is 1e-12 of the whole."""
 
 MOST_HALVINGS = 12
 
-NODES = 14
+NODES = 11
 """Number of weights that stand for all those of one octave: by Gauss's rule for sums that takes log M to twelve digits."""
 
 
@@ -85,8 +85,10 @@ def tails(x: float, sum_of: Weights) -> tuple[float, float]:
     def along(u: Floats) -> Floats:
         y = width * u
         s = c + kappa * y**2 + 1j * y
+        real, imaginary = 1.0 - 2.0 * np.outer(s.real, w), -2.0 * np.outer(y, w)
         # The path never crosses the cut beyond the branch point: each factor keeps to its principal branch.
-        logarithm = -0.5 * np.log(1.0 - 2.0 * np.outer(s, w)) @ counts - s * x - level
+        logarithm = -0.25 * np.log(real**2 + imaginary**2) @ counts - 0.5j * (np.arctan2(imaginary, real) @ counts)
+        logarithm = logarithm - s * x - level
         return np.asarray(np.imag(np.exp(logarithm) / s * (2.0 * kappa * y + 1j)) * width)
 
     area = float(np.exp(level)) * _half_line(along) / np.pi
@@ -129,8 +131,8 @@ def _saddle(x: float, w: Floats, counts: Floats, upper: bool) -> float:
 def _half_line(integrand: Callable[[Floats], Floats]) -> float:
     """Integrate an even function, which decays, over the positive half line by the trapezoidal rule."""
     middle, end = float(integrand(np.zeros(1))[0]), 8.0
-    while abs(integrand(np.array([end]))[0]) > 1e-17 * abs(middle):
-        end *= 1.5
+    while abs(integrand(np.array([end]))[0]) > 1e-15 * abs(middle):
+        end *= 1.2
     step = 0.25
     total = 0.5 * middle + float(integrand(step * np.arange(1.0, int(end / step) + 1)).sum())
     for _ in range(MOST_HALVINGS):
