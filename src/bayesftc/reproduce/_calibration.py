@@ -15,6 +15,9 @@ from bayesftc.reproduce._residuals import Residual
 from bayesftc.reproduce._roc import Flags
 from bayesftc.reproduce._statistics import interval
 
+OWN, FITTED = "its learner, on the whole stream", "its classifier, on the test part"
+"""Whose probability it is."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -50,9 +53,7 @@ def calibration(streams: Sequence[Calibration], residual: Residual) -> dict[str,
     }
     plain: dict[str, Any] = without_nan(
         {
-            "of": "its classifier, on the test part"
-            if residual.probability is None
-            else "its learner, on the whole stream",
+            "of": FITTED if residual.probability is None else OWN,
             **{name: {"mean": float(np.mean(v)), "ci": interval(np.array(v))} for name, v in numbers.items()},
             "diagram": {"equal_counts": _diagram(counts), "equal_widths": _diagram(widths)},
         }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.reproduce._calibration import OWN
 from bayesftc.reproduce._drawing import FURTHER_STYLE, figure, heat_map, legend, tidy
 
 if TYPE_CHECKING:
@@ -87,7 +88,8 @@ def grid(report: dict[str, Any]) -> Figure | None:
 
 def calibration(report: dict[str, Any]) -> Figure:
     """Return the reliability diagram of the learners' fault probabilities (else of the classifiers'), in bins of equal widths."""
-    names = [name for name in report["calibration"] if "Switching" in name] or list(report["paper"])
+    own = [name for name, of in report["calibration"].items() if of["of"] == OWN]
+    names = own or list(report["paper"])
     made = figure(6.6, 5.4)
     axis, below = made.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="calibrated")
