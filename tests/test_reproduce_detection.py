@@ -234,6 +234,11 @@ def test_headline_beta_beats_the_baseline():
     assert len(report["streams"]) == 20
     assert all(900 < s["faults"] < 1_100 for s in report["streams"])
     assert len(report["grid"]) == 5 * 5 * 3
+    (cell,) = (c for c in report["alarms"]["cells"] if c["injection"] == 5.0)
+    for name in ("SwitchingPrecision", "SwitchingPrecision, default"):
+        assert cell["residuals"][name]["1 per hour"]["injection"]["delay_samples"]["ci"][1] <= 2
+        assert report["alarms"]["fault_free"][name]["1 per hour"]["false_alarms_per_hour_ci"][0] < 1
+        assert report["calibration"][name]["ece"]["ci"][1] <= 0.02
 
 
 def test_grid_has_larger_areas_for_larger_faults_and_faster_references(report):
