@@ -8,6 +8,7 @@ from bayesftc.controllers._checks import Matrix
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.model import LinearModel
 from bayesftc.monitoring._recording import Recording
+from bayesftc.monitoring._run import SHORT
 
 
 def log_likelihood(
@@ -16,7 +17,7 @@ def log_likelihood(
     *,
     initial_mean: float | tuple[float, ...] = 0.0,
     initial_covariance: Matrix | None = None,
-    compiled: bool = True,
+    compiled: bool | None = None,
 ) -> float:
     """Return the logarithm of the samples' density under a model whose sensors are all healthy.
 
@@ -31,11 +32,11 @@ def log_likelihood(
         Without faults.
     initial_mean, initial_covariance : optional
         Belief before the first sample, as for `StateEstimator`.
-    compiled : bool
-        False for the plain Python form.
+    compiled : bool, optional
+        As of `monitor_recording`.
     """
     estimator = StateEstimator(model, initial_mean=initial_mean, initial_covariance=initial_covariance)
-    step = estimator.online(compiled=compiled)
+    step = estimator.online(compiled=len(recording.y) > SHORT if compiled is None else compiled)
     n, m = model.states, model.sensors
     e, P = np.empty((len(recording.y), m)), np.empty((len(recording.y), n, n))
     for k in range(len(recording.y)):

@@ -99,7 +99,17 @@ class Monitor:
         return model
 
     def read(self, paths: Sequence[str | os.PathLike[str]]) -> Recording:
-        """Read the recording from CSV files, or folders of them.
+        """Read the recording from CSV files, or folders of them, and bring it to the model's steps.
+
+        Raises
+        ------
+        RecordingError
+            As of `signals` and `align`.
+        """
+        return align(*self.signals(paths), self.dt)
+
+    def signals(self, paths: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Signal], dict[str, Signal]]:
+        """Return the sensors' and the inputs' signals from CSV files, or folders of them, by name.
 
         Raises
         ------
@@ -117,10 +127,9 @@ class Monitor:
             except RecordingError as error:
                 raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
 
-        return align(
+        return (
             {name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit) for name, s in self.sensors.items()},
             {name: signal(name, i, "input", smooth=i.smooth) for name, i in self.inputs.items()},
-            self.dt,
         )
 
     def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:

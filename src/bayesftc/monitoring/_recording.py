@@ -77,8 +77,13 @@ class Signal:
             raise RecordingError(
                 f"A signal's times do not increase: {time[back[0] + 1]!r} s follows on {time[back[0]]!r} s; sort the recording."
             )
-        object.__setattr__(self, "time", time - self.delay)
-        object.__setattr__(self, "values", values - self.bias)
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "values", values)
+
+    @property
+    def corrected(self) -> tuple[Floats, Floats]:
+        """When the samples were taken, in seconds, and what they were, without delay and bias."""
+        return np.asarray(self.time) - self.delay, np.asarray(self.values) - self.bias
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +158,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     steps = int(np.rint((end - start) / float(step))) + 1
     y, loss, replaced = np.full((steps, len(sensors)), np.nan), [], []
     for i, signal in enumerate(sensors.values()):
-        time, values = np.asarray(signal.time), np.asarray(signal.values)
+        time, values = signal.corrected
         at = np.rint((time - start) / float(step)).astype(np.int64)
         inside = at >= 0
         y[at[inside], i] = values[inside]
@@ -170,7 +175,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
 
 def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tuple[float, float]:
     """Return when every sensor has begun to send, and when the last one ends."""
-    spans = {name: (float(np.asarray(s.time)[0]), float(np.asarray(s.time)[-1])) for name, s in signals.items()}
+    spans = {name: (float(s.corrected[0][0]), float(s.corrected[0][-1])) for name, s in signals.items()}
     late, early = max(spans, key=lambda name: spans[name][0]), min(spans, key=lambda name: spans[name][1])
     if spans[late][0] > spans[early][1]:
         raise RecordingError(
@@ -182,7 +187,7 @@ def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tu
 
 def _mean_before(signal: Signal, ends: Floats, window: float) -> Floats:
     """Return the mean of the samples in the window that ends at each time; where there is none, the last one before."""
-    time, values = np.asarray(signal.time), np.asarray(signal.values)
+    time, values = signal.corrected
     total = np.concatenate([[0.0], np.cumsum(values)])
     upto = np.searchsorted(time, ends, side="right")
     first = np.minimum(np.searchsorted(time, ends - window, side="right"), np.maximum(upto - 1, 0))

@@ -1,0 +1,205 @@
+"""How well faults of the drive's sensors are found: AUC by kind and size, delays, false alarms.
+
+``python -m bayesftc.examples.redundant_speed_sensors.study [FOLDER] [--onsets 200] [--seed 0]``. FOLDER has the three CSV
+files; without it the recorded drive is taken, if the environment variable BAYESFTC_DATA names a folder with ``comma2k19`` in it,
+else the made-up one.
+
+Nobody knows the faults of a recording, so they are put in: into one sensor at a time, at random onsets, for 8 s. The drive's
+first 20 s are left alone, for the model was fitted to them. Judged is each sensor's fault probability at each step of the 8 s
+before the onset and of the 8 s of the fault; the other sensors, which are healthy, count as well. Each onset gives an AUC; the
+intervals are of its mean over the onsets, and speak of other onsets in this drive, not of other drives. The pooled AUC takes all
+samples of all onsets together, so that one threshold serves all.
+"""
+
+import argparse
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers import Burst, StateEstimator
+from bayesftc.monitoring import Monitor, Monitored, Recording, Signal, align, load_monitor
+from bayesftc.monitoring._run import default_precision
+from bayesftc.reproduce._roc import auc
+from bayesftc.reproduce._statistics import interval
+
+DATA = Path(__file__).parent / "data"
+CASES = (
+    ("freeze", 0.0), ("injection", 0.5), ("injection", 1.0), ("injection", 2.0), ("drift", 0.2), ("drift", 1.0), ("noise", 5.0),
+)  # fmt: skip
+UNITS = {"freeze": "", "injection": " m/s", "drift": " m/s per s", "noise": " times"}
+KINDS = {"freeze": "Frozen", "injection": "Offset", "drift": "Drifting", "noise": "Noisier"}
+FITTED, SPAN = 20.0, 8.0
+"""Seconds that the model was fitted to, and seconds before and after an onset."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What came of a kind and size of faults: means over the onsets, the AUC with its interval."""
+
+    kind: str
+    size: float
+    auc: float
+    low: float
+    high: float
+    pooled: float
+    missed: float
+    delay: float
+    named: float
+    others: int
+
+
+def recorded() -> Path | None:
+    """Return the folder of the recorded drive, if BAYESFTC_DATA says where it is."""
+    folder = os.environ.get("BAYESFTC_DATA")
+    return Path(folder) / "comma2k19" if folder else None
+
+
+def noise_of(monitor: Monitor, sensor: str) -> float:
+    """Return the standard deviation of a sensor's noise: its white part and errors that last less than a second."""
+    short = [e for e in monitor.errors if np.max(e.time_constant) < 1.0 and (e.sensors is None or sensor in e.sensors)]
+    return float(np.sqrt(monitor.sensors[sensor].std ** 2 + sum(float(np.max(e.std)) ** 2 for e in short)))
+
+
+def broken(
+    signal: Signal, kind: str, size: float, noise: float, span: tuple[float, float], rng: np.random.Generator
+) -> Signal:
+    """Return a sensor's signal with a fault from one time to another; its samples keep their resolution."""
+    time, _ = signal.corrected
+    values, during = np.array(signal.values), (time >= span[0]) & (time < span[1])
+    if kind == "freeze":
+        values[during] = values[time < span[0]][-1]
+    elif kind == "injection":
+        values[during] += size
+    elif kind == "drift":
+        values[during] += size * (time[during] - span[0])
+    elif kind == "dropout":
+        values[during] = np.nan
+    else:
+        values[during] += np.sqrt(size**2 - 1) * noise * rng.standard_normal(int(during.sum()))
+    if signal.resolution:
+        values[during] = np.round(values[during] / signal.resolution) * signal.resolution
+    return replace(signal, values=values)
+
+
+def until(recording: Recording, end: float) -> Recording:
+    """Return the recording up to a time."""
+    steps = round((end - recording.start) / float(recording.dt))
+    return replace(recording, y=recording.y[:steps], u=recording.u[:steps])
+
+
+def study(
+    folder: Path, onsets: int = 200, seed: int = 0, model: Path = DATA / "model.toml"
+) -> tuple[Monitored, list[Found]]:
+    """Return what is found in the drive as it is, and for each kind and size of fault how well it is found."""
+    monitor = load_monitor(model)
+    sensors, inputs = monitor.signals([folder])
+    healthy = monitor.run(align(sensors, inputs, monitor.dt), compiled=True)
+    first, last = max(FITTED, healthy.time[0]) + SPAN, healthy.time[-1] - SPAN
+    rows = []
+    for number, (kind, size) in enumerate(CASES):
+        rng = np.random.default_rng([seed, number])
+        areas, truths, scores, delays, names, others = [], [], [], [], [], 0
+        for k in range(onsets):
+            i, onset = k % len(sensors), rng.uniform(first, last)
+            name = list(sensors)[i]
+            faulty = broken(sensors[name], kind, size, noise_of(monitor, name), (onset, onset + SPAN), rng)
+            recording = until(align({**sensors, name: faulty}, inputs, monitor.dt), onset + SPAN)
+            found = monitor.run(recording, compiled=True)
+            window = found.time >= onset - SPAN
+            truth = np.zeros((window.sum(), len(sensors)), dtype=bool)
+            truth[found.time[window] >= onset, i] = True
+            score = found.fault_probability[window]
+            areas.append(auc(truth, score))
+            truths.append(truth.ravel())
+            scores.append(score.ravel())
+            own = [e for e in found.events if e.sensor == name and e.end >= onset]
+            delays.append(max(own[0].start - onset, 0.0) if own else np.inf)
+            names.append(bool(own) and own[-1].kind == KINDS[kind])
+            others += sum(e.sensor != name and e.start >= onset - SPAN for e in found.events)
+        low, high = interval(np.array(areas))
+        high = min(high, 1.0)  # Student's interval knows of no bound
+        rows.append(
+            Found(
+                kind, size, float(np.mean(areas)), low, high, auc(np.concatenate(truths), np.concatenate(scores)),
+                float(np.isinf(delays).mean()), float(np.median(delays)), float(np.mean(names)), others,
+            )
+        )  # fmt: skip
+    return healthy, rows
+
+
+def otherwise(monitor: Monitor, recording: Recording) -> dict[str, Monitor]:
+    """Return monitors that know less of what healthy sensors are like, or have it wrong, by name."""
+    total = {name: float(np.sqrt(variance)) for name, variance in _variances(monitor).items()}
+    white = {name: replace(sensor, std=total[name]) for name, sensor in monitor.sensors.items()}
+    known = default_precision(recording.loss, recording.resolution)
+    calm = replace(known, modes=tuple(mode for mode in known.modes if not isinstance(mode, Burst)))
+    monitors = {
+        "errors taken for white noise of the same size": replace(monitor, sensors=white, errors=()),
+        "no bursts": replace(monitor, precision=calm),
+    }
+    for factor in (0.2, 5.0):
+        modes = [m if isinstance(m, Burst) else replace(m, time_to_fault=factor * m.time_to_fault) for m in known.modes]
+        monitors[f"times to a fault times {factor:g}"] = replace(monitor, precision=replace(known, modes=modes))
+    for factor in (0.5, 2.0):
+        sensors = {name: replace(sensor, std=factor * sensor.std) for name, sensor in monitor.sensors.items()}
+        errors = [replace(error, std=factor * float(np.max(error.std))) for error in monitor.errors]
+        monitors[f"all standard deviations of sensors times {factor:g}"] = replace(
+            monitor, sensors=sensors, errors=errors
+        )
+    return monitors
+
+
+def _variances(monitor: Monitor) -> dict[str, float]:
+    """Return the variance of each sensor's errors altogether."""
+    model = monitor.model
+    covariance = np.asarray(StateEstimator(model).initial_covariance)
+    first = model.states - model.disturbances + model.controls  # the plant's states and the inputs' errors are none
+    C = model.matrix("C")[:, first:]
+    total = np.diag(C @ covariance[first:, first:] @ C.T + model.matrix("sensor_covariance"))
+    return dict(zip(monitor.sensors, total.tolist(), strict=True))
+
+
+def table(healthy: Monitored, rows: Sequence[Found]) -> str:
+    """Return what is printed."""
+    fitted = sum(event.start < FITTED for event in healthy.events)
+    lines = [
+        f"Without a fault, {healthy.time[-1] - healthy.time[0]:.0f} s: {len(healthy.events)} alarms, {fitted} of them in the "
+        f"first {FITTED:.0f} s, to which the model was fitted.",
+        "",
+        f"{'fault':22} {'AUC':>6} {'95 % interval':>15} {'pooled':>7} {'missed':>7} {'delay (s)':>9} {'named':>6} {'others':>7}",
+    ]
+    for r in rows:
+        name = r.kind if r.kind == "freeze" else f"{r.kind}, {r.size:g}{UNITS[r.kind]}"
+        lines.append(
+            f"{name:22} {r.auc:6.3f} {f'{r.low:.3f} to {r.high:.3f}':>15} {r.pooled:7.3f} {r.missed:7.1%} {r.delay:9.2f} "
+            f"{r.named:6.0%} {r.others:7d}"
+        )
+    lines.append(
+        "\nDelay: median; named: the right kind when the alarm ended; others: alarms of sensors without a fault."
+    )
+    return "\n".join(lines)
+
+
+def main(argv: Sequence[str] | None = None) -> list[dict[str, Any]]:
+    """Run the study, print the table and return its rows."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("folder", nargs="?", type=Path, default=recorded() or DATA, help="where the CSV files are")
+    parser.add_argument("--model", type=Path, default=DATA / "model.toml", help="the model file")
+    parser.add_argument("--onsets", type=int, default=200, help="random onsets of each kind and size, at least two")
+    parser.add_argument("--seed", type=int, default=0, help="of the onsets and of the added noise")
+    arguments = parser.parse_args(argv)
+    healthy, rows = study(arguments.folder, arguments.onsets, arguments.seed, arguments.model)
+    print(table(healthy, rows))
+    monitor = load_monitor(arguments.model)
+    print("\nAlarms in the drive without a fault, with another model:")
+    for name, other in otherwise(monitor, healthy.recording).items():
+        print(f"  {name}: {len(other.run(healthy.recording).events)}")
+    return [asdict(row) for row in rows]
+
+
+if __name__ == "__main__":
+    main()

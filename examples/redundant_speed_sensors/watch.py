@@ -1,0 +1,52 @@
+"""Four faults put into a drive, and what the monitor finds of them.
+
+``python -m bayesftc.examples.redundant_speed_sensors.watch [FOLDER] [--figure FILE]``. FOLDER has the three CSV files; without it
+the made-up drive is taken.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from bayesftc.examples.redundant_speed_sensors.study import DATA, broken, noise_of
+from bayesftc.monitoring import Monitored, align, load_monitor
+
+FAULTS = (
+    ("front_left", "noise", 5.0, (5.0, 11.0)),
+    ("rear_left", "freeze", 0.0, (14.0, 19.0)),
+    ("gnss", "dropout", 0.0, (22.0, 26.0)),
+    ("front_right", "drift", 0.2, (29.0, 36.0)),
+)
+"""Sensor, kind, size (times its noise; m/s per second), from when to when (s)."""
+
+
+def watch(folder: Path = DATA) -> Monitored:
+    """Put the faults into the drive and return what is found."""
+    monitor, rng = load_monitor(DATA / "model.toml"), np.random.default_rng(3)
+    sensors, inputs = monitor.signals([folder])
+    for name, kind, size, span in FAULTS:
+        sensors[name] = broken(sensors[name], kind, size, noise_of(monitor, name), span, rng)
+    return monitor.run(align(sensors, inputs, monitor.dt))
+
+
+def main(argv: Sequence[str] | None = None) -> Monitored:
+    """Print what was put in and what was found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("folder", nargs="?", type=Path, default=DATA, help="where the CSV files are")
+    parser.add_argument("--figure", type=Path, help="file to draw into")
+    arguments = parser.parse_args(argv)
+    found = watch(arguments.folder)
+    for name, kind, _, span in FAULTS:
+        print(f"put in  {name:12} {kind:10} {span[0]:6.2f} to {span[1]:6.2f} s")
+    for event in found.events:
+        since = "" if event.onset is None else f", since {event.onset:.2f} s"
+        print(f"found   {event.sensor:12} {event.kind:10} {event.start:6.2f} to {event.end:6.2f} s{since}")
+    if arguments.figure is not None:
+        found.plot().savefig(arguments.figure, dpi=150)
+    return found
+
+
+if __name__ == "__main__":
+    main()

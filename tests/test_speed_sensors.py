@@ -1,0 +1,99 @@
+"""The example of redundant speed sensors: its made-up drive, and that faults are found in it and in the recorded one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesftc.examples.redundant_speed_sensors import fit, study, synthetic, watch
+from bayesftc.monitoring import load_monitor
+
+FOLDER = Path(study.__file__).parent
+RECORDED = study.recorded()
+NEEDS_RECORDING = "the recorded drive is not here: BAYESFTC_DATA names no folder with comma2k19 in it"
+
+
+@pytest.fixture
+def recorded():
+    """The folder of the recorded drive."""
+    if RECORDED is None or not RECORDED.is_dir():
+        pytest.skip(NEEDS_RECORDING)
+    return RECORDED
+
+
+def test_no_part_is_forgotten_and_the_drive_is_small():
+    assert {p.stem for p in FOLDER.glob("*.py")} - {"__init__"} == {"fit", "study", "synthetic", "watch"}
+    assert sum(p.stat().st_size for p in (FOLDER / "data").iterdir()) < 300_000
+
+
+def test_the_drives_files_are_what_its_script_writes(tmp_path):
+    synthetic.main(tmp_path)
+    for file in tmp_path.iterdir():
+        # Sines and exponentials may differ in the last bit between machines, and so a wheel's sample by one step.
+        ours, theirs = (np.loadtxt(f, delimiter=",", skiprows=1) for f in (file, FOLDER / "data" / file.name))
+        np.testing.assert_allclose(ours, theirs, atol=0.003)
+
+
+def test_the_made_up_drive_is_like_the_recorded_one():
+    wheel = synthetic.drive()["wheel_speed.csv"]
+    readings = np.column_stack([wheel[name] for name in synthetic.WHEELS])
+    errors = readings - synthetic.speed(wheel["t"])[:, None]
+    repeats = (np.diff(readings, axis=0) == 0).mean(axis=0)
+    assert ((repeats > 0.037) & (repeats < 0.05)).all()
+    assert np.median(np.diff(wheel["t"])) == pytest.approx(1 / 83, abs=2e-4)
+    np.testing.assert_allclose(errors.mean(axis=0), -0.15, atol=0.02)
+    lasting = [np.corrcoef(errors[1:, i], errors[:-1, i])[0, 1] for i in range(4)]
+    assert 0.68 < min(lasting) < max(lasting) < 0.85
+    shared = np.corrcoef(errors.T)
+    assert shared[0, 1] == pytest.approx(0.83, abs=0.08)
+    assert shared[2, 3] == pytest.approx(0.70, abs=0.08)
+
+
+def test_four_faults_are_found_with_their_kinds(capsys):
+    found = watch.main([])
+    kinds = {"noise": "Noisier", "freeze": "Frozen", "dropout": "DroppedOut", "drift": "Drifting"}
+    assert [(e.sensor, e.kind) for e in found.events] == [(name, kinds[kind]) for name, kind, *_ in watch.FAULTS]
+    for event, (*_, span) in zip(found.events, watch.FAULTS, strict=True):
+        assert event.onset == pytest.approx(span[0], abs=0.2)
+        assert event.end == pytest.approx(span[1], abs=0.1)
+    assert len(capsys.readouterr().out.splitlines()) == 8
+
+
+def check(folder, onsets):
+    healthy, rows = study.study(folder, onsets=onsets)
+    assert len(healthy.events) <= 1
+    assert [(row.kind, row.size) for row in rows] == list(study.CASES)
+    for row in rows:
+        assert row.low <= row.auc <= row.high <= 1.0
+        if row.kind == "freeze" or row.size >= 1.0:
+            assert row.auc > 0.95
+            assert row.missed == 0.0
+    assert "95 % interval" in study.table(healthy, rows)
+    assert rows[1].delay >= rows[3].delay - 0.02  # half a metre a second is not found before two are
+    return rows
+
+
+def test_faults_of_the_made_up_drive_are_found():
+    check(FOLDER / "data", onsets=5)
+
+
+def test_faults_of_the_recorded_drive_are_found(recorded):
+    check(recorded, onsets=10)
+
+
+def test_the_numbers_of_the_model_are_the_likeliest_of_the_recorded_drive(recorded):
+    monitor = load_monitor(FOLDER / "data" / "model.toml")
+    recording = fit.part(monitor, recorded, 0.0, study.FITTED)
+    best, values = fit.likelihood(monitor, recording), fit.numbers(monitor)
+    for name, value in values.items():
+        for factor in (0.8, 1.25):
+            assert fit.likelihood(fit.changed(monitor, {**values, name: factor * value}), recording) < best + 0.5
+
+
+@pytest.mark.slow
+def test_fitting_makes_the_recording_likelier():
+    monitor = load_monitor(FOLDER / "data" / "model.toml")
+    recording = fit.part(monitor, FOLDER / "data", 0.0, study.FITTED)
+    fitted, best = fit.fit(monitor, recording, iterations=2)
+    assert best > fit.likelihood(monitor, recording) + 100.0  # the file's numbers are another drive's
+    assert fitted.keys() == fit.numbers(monitor).keys()
