@@ -32,6 +32,7 @@ from .faults import (
     Freeze as Freeze,
     GainFault as GainFault,
     Injection as Injection,
+    NoiseGrowth as NoiseGrowth,
     NoiseIncrease as NoiseIncrease,
     RandomFaults as RandomFaults,
     Spikes as Spikes,

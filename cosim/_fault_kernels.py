@@ -67,6 +67,11 @@ def noisier(sample, held, age, chance, noise, settings):
     return sample + settings[0] * noise
 
 
+def ageing(sample, held, age, chance, noise, settings):
+    """Add normal noise that grows since the onset; settings: slope."""
+    return sample + settings[0] * age * noise
+
+
 def gate(t, transition, window, hazard, on, age):
     """Let the fault come and go.
 

@@ -145,6 +145,24 @@ class NoiseIncrease(Fault):
 
 
 @dataclass(frozen=True, kw_only=True)
+class NoiseGrowth(Fault):
+    """Normal noise on top of the sensor's own, whose standard deviation grows by `slope` each second: a sensor that ages.
+
+    The age counts from the onset, in whole steps; the variances add.
+    """
+
+    slope: float
+    value = staticmethod(kernels.ageing)
+    draws = ("noise",)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.slope < 0:
+            raise ModelError(f"NoiseGrowth has slope={self.slope!r}; it must not be negative.")
+
+
+@dataclass(frozen=True, kw_only=True)
 class RandomFaults(Fault):
     """Faults of several kinds, one at a time: whenever the fault comes, its kind is drawn.
 
@@ -228,7 +246,7 @@ class RandomFaults(Fault):
 
 
 FAULTS: tuple[type[Fault], ...] = (
-    Freeze, Stuck, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, RandomFaults,
+    Freeze, Stuck, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, NoiseGrowth, RandomFaults,
 )  # fmt: skip
 """All kinds; the last one mixes the others."""
 

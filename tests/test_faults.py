@@ -48,6 +48,7 @@ KINDS = [
         lambda f, u, held, age, chance, noise: np.where(chance < 0.5, u + 20.0 * noise, u),
     ),
     (cosim.NoiseIncrease(std=4.0), lambda f, u, held, age, chance, noise: u + 4.0 * noise),
+    (cosim.NoiseGrowth(slope=3.0), lambda f, u, held, age, chance, noise: u + 3.0 * age * noise),
 ]
 FORMULAS = {type(fault): formula for fault, formula in KINDS if fault.name is None}
 MIXED = tuple(fault for fault, _ in KINDS if fault.name is None)
@@ -337,6 +338,7 @@ def test_plain_settings(kind):
         (cosim.Spikes, {"magnitude": 1.0, "probability": 1.5}, "between 0 and 1"),
         (cosim.Spikes, {"magnitude": nan}, "finite"),
         (cosim.NoiseIncrease, {"std": -1.0}, "not be negative"),
+        (cosim.NoiseGrowth, {"slope": -1.0}, "not be negative"),
         (cosim.RandomFaults, {"kinds": ()}, "at least one kind"),
         (cosim.RandomFaults, {"kinds": (cosim.RandomFaults(),)}, "at least one kind"),
         (cosim.RandomFaults, {"kinds": (cosim.Freeze(start=1.0),)}, "start=1.0 of its own"),

@@ -148,7 +148,7 @@ def monitor(
 
 @app.command()
 def reproduce(
-    experiment: Annotated[str, typer.Argument(help="arm, tracking, detection, bound, or all.")],
+    experiment: Annotated[str, typer.Argument(help="arm, tracking, detection, bound, models, or all.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write a JSON file and figures for each experiment there."),

@@ -30,6 +30,9 @@ from bayesftc.reproduce import (
     _detection,
     _detection_figures,
     _detection_tables,
+    _models,
+    _models_figures,
+    _models_tables,
     _tracking,
     _tracking_figures,
     _tracking_tables,
@@ -61,6 +64,7 @@ EXPERIMENTS = {
         Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.FIGURES),
         Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.FIGURES),
         Experiment("bound", _bound.run, _bound_tables.show, _bound_figures.FIGURES, beyond=True),
+        Experiment("models", _models.run, _models_tables.show, _models_figures.FIGURES, beyond=True),
     )
 }
 """All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""

@@ -312,6 +312,74 @@ class Detection(Repeated):
 
 
 @dataclass(frozen=True)
+class Models(Repeated):
+    """Beyond the paper: cars, roads and sensors that are not as the controller believes."""
+
+    runs: int = chosen(
+        30, "with one sensor failed: enough to tell what matters here, errors that are several times as large"
+    )
+    healthy_factor: int = chosen(
+        3, "times as many runs with healthy sensors: 90 of 20 s are half an hour, for false alarms"
+    )
+    duration: float = chosen(Tracking.duration, "s: as in tracking, so that with the right model the cells are alike")
+    fault_start: float = chosen(Tracking.fault_start, "s: as in tracking")
+    fault_stop: float = chosen(Tracking.fault_stop, "s: as in tracking")
+    faulty_sensor: int = chosen(Tracking.faulty_sensor, "the sensors are alike")
+    injection: float = chosen(Tracking.injection, "m/s: as in tracking")
+    drift: float = chosen(Tracking.drift, "m/s per second: as in tracking")
+    mean_speed: float = chosen(Tracking.constant, "m/s: of the reference")
+    amplitude: float = chosen(
+        Tracking.sine_amplitude, "m/s: of the reference; its acceleration of up to 3.9 m/s^2 shows a wrong mass"
+    )
+    period: float = chosen(Tracking.sine_period, "s: of the reference")
+    # What is not as the controller believes, one thing at a time, from the first step on.
+    heavier: float = chosen(1.4, "times the mass: what a full load adds to an empty car")
+    lighter: float = chosen(0.6, "times the mass: as far to the other side")
+    quadratic_drag: float = chosen(
+        0.4,
+        "N s^2/m^2: half the density of air times the drag area of a passenger car, 160 N at 20 m/s on top of the linear drag",
+    )
+    slope: float = chosen(0.05, "rise over run: a hill, 49 N")
+    noisier: float = chosen(2.0, "times the standard deviation of both sensors")
+    quieter: float = chosen(0.5, "times the standard deviation of both sensors")
+    ageing: float = chosen(
+        3.0,
+        "times the standard deviation of both sensors at the end of the run, up to which it grows: slowly beside the learners' "
+        "memories of a second or less",
+    )
+    force_limit: float = chosen(
+        400.0, "N, to both sides: four fifths of what the reference asks for at its peak, 493 N"
+    )
+    unmodelled_force: float = chosen(
+        160.0,
+        "N: of the disturbance that is estimated, standard deviation at the start: 40 % of the mass times the reference's "
+        "acceleration are 157 N, the drag that is not modelled 160 N",
+    )
+    unmodelled_time: float = chosen(
+        2.0, "s in which its random walk goes as far (a quarter of the reference's period): 16 N a step"
+    )
+    unmodelled_times: tuple[float, ...] = chosen((0.5, 8.0, 32.0), "s: of the grid, 32, 8 and 4 N a step")
+    # Alarms.
+    alarms_per_hour: float = chosen(
+        1.0,
+        "false alarms of one sensor with the right model, at which the thresholds of learners without a decision are set",
+    )
+    threshold_runs: int = chosen(360, "healthy runs (4 hours of one sensor) that set them, on seeds of their own")
+    bar: float = chosen(
+        1.1, "times fixed precision's error: more is a price too high for insurance with healthy sensors"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_size("healthy_factor", self.healthy_factor, 1, "times the runs with a failed sensor")
+        check_size("threshold_runs", self.threshold_runs, 1, "or there is no threshold")
+        for name in ("heavier", "lighter", "noisier", "quieter", "force_limit", "unmodelled_force", "unmodelled_time"):
+            check_number(self, name, above=0)
+        check_number(self, "ageing", above=1)
+        check_number(self, "alarms_per_hour", above=0)
+
+
+@dataclass(frozen=True)
 class Bound(Repeated):
     """How close residuals come to the best that can be had; the streams are those of `Detection`, with other sizes of faults."""
 
