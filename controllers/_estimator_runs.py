@@ -27,6 +27,9 @@ WARM = 12.0
 
 MOST_STEPS = 5_000
 
+THIN = 0.8
+"""Runs are left out once no more than this share of those still computed is without an alarm."""
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -111,16 +114,19 @@ class EstimatorRuns:
 
         It ends early once no run is left.
         """
-        kept = np.flatnonzero(self.beta <= threshold)
-        state, started = _taken(self._state, kept, self._runs), max(len(kept), 1)
-        shares = []
-        for age in range(steps):
+        quiet = self.beta <= threshold
+        state, kept, started = self._state, np.arange(self._runs), np.count_nonzero(quiet)
+        state = {name: array.copy() for name, array in state.items()}
+        shares: list[float] = []
+        for age in range(steps if started else 0):
+            if np.count_nonzero(quiet) <= THIN * len(
+                kept
+            ):  # to leave out every run at its alarm costs more than it saves
+                state, kept, quiet = _taken(state, quiet), kept[quiet], np.ones(np.count_nonzero(quiet), dtype=bool)
             self._advance(state, self.warm_steps + age, fault, age, kept)
-            quiet = state["beta"][self._sensor] <= threshold
-            if not quiet.all():
-                state, kept = _taken(state, np.flatnonzero(quiet), len(kept)), kept[quiet]
-            shares.append(len(kept) / started)
-            if not len(kept):
+            quiet = quiet & (state["beta"][self._sensor] <= threshold)
+            shares.append(np.count_nonzero(quiet) / started)
+            if not shares[-1]:
                 break
         return np.array(shares)
 
@@ -163,12 +169,13 @@ def _rows_of(values: Floats) -> Any:
     return made
 
 
-def _taken(state: dict[str, Any], kept: Any, runs: int) -> dict[str, Any]:
+def _taken(state: dict[str, Any], quiet: Any) -> dict[str, Any]:
     """Return some of the runs; what a step function has made one number for all stays one."""
     taken = {}
     for name, array in state.items():
         made = np.empty(array.shape, dtype=object)
         for index in np.ndindex(array.shape):
-            made[index] = np.broadcast_to(array[index], (runs,))[kept]
+            value = array[index]
+            made[index] = value[quiet] if np.ndim(value) else value
         taken[name] = made
     return taken

@@ -12,6 +12,8 @@ from bayesftc.controllers._estimator_runs import EstimatorRuns
 from bayesftc.controllers._innovation import response, steady_covariance
 from bayesftc.controllers._passage import Passage
 from bayesftc.controllers._weighted_chi_square import Weights, equal_weights, geometric_weights, quantile, tails
+from bayesftc.cosim import ops
+from bayesftc.cosim._batch_ops import OPERATIONS
 from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.errors import ModelError
 
@@ -133,6 +135,23 @@ def test_response_is_the_filters_own():
     assert response(CAR, 0).offset(10_000)[-1] == pytest.approx(0.5114, abs=1e-3)  # the other sensor holds half of it
 
 
+def test_operations_on_many_runs_are_the_plain_ones_for_each():
+    import inspect
+
+    values = [0.0, -0.0, 1.0, -1.5, 2.75, np.pi, 5e-324, 1e300, np.inf, -np.inf, np.nan]
+    pairs = np.array([(a, b) for a in values for b in values])
+    with np.errstate(all="ignore"):
+        for name, batch in OPERATIONS.items():
+            count = len(inspect.signature(getattr(ops, name)).parameters)
+            truths = name in {"both", "either", "negate"}
+            columns = [
+                pairs[:, i % 2] > 0 if truths or (count == 3 and i == 0) else pairs[:, i % 2] for i in range(count)
+            ]
+            ours = np.asarray(batch(*columns), dtype=float)
+            plain = [float(getattr(ops, name)(*row)) for row in zip(*columns, strict=True)]
+            np.testing.assert_allclose(ours, plain, rtol=1e-15, atol=0, err_msg=name)
+
+
 def test_runs_of_the_estimator_are_those_of_the_block(monkeypatch):
     """Its step functions on arrays of runs, the plant at rest, against one run of the block with a plant that moves."""
     monkeypatch.setattr("bayesftc.controllers._estimator_runs.WARM", 1.0)
@@ -208,7 +227,7 @@ def test_figure_has_a_line_for_each_result_and_no_delay_below_what_it_says():
     assert result.offset_delay in figure.axes[1].lines[1].get_ydata()
 
 
-HEALTHY, FAULTY = 1000, 3000
+HEALTHY, FAULTY, RUNS = 500, 8000, 20_000
 FAULTS = {
     "offset": lambda size, at: cosim.Injection(magnitude=size, start=at),
     "drift": lambda size, at: cosim.Drift(slope=size, start=at),
@@ -230,7 +249,7 @@ def real_loop(model, precision, fault, duration, seeds):
     loop = cosim.closed_loop(
         plant=plant,
         controller=controllers.BayesianController(
-            model, precision=precision, initial_covariance=steady_covariance(model), control_covariance=1e6
+            model, precision=precision, initial_covariance=steady_covariance(model), goal_on=[[1.0] + [0.5] * (n - 1)]
         ),
         control="u",
         measured=names,
@@ -241,39 +260,56 @@ def real_loop(model, precision, fault, duration, seeds):
             covariance=model.matrix("sensor_covariance").tolist(),
         ),
         faults=[fault] if fault else [],
-        reference=[cosim.Sine(amplitude=5.0, period=8.0)] * n,
+        reference=cosim.Sine(amplitude=5.0, period=8.0),
     )
     for result in repeat(loop, duration, seeds, ["controller.beta"]):
         yield result["controller.beta"][:, 0]
 
 
 def drill(model, precision, runs=5000):
-    """Return the ratio of each figure of `detectability` to that of the real loop, a row for each."""
+    """Return the ratio of each figure of `detectability` to the real loop's, and for delays its standard error.
+
+    Where one fault in ten waits for a false alarm, the mean delay scatters by several times itself.
+    """
     dt = model.step
-    result = detectability(precision, model)
+    result = detectability(precision, model, runs=RUNS)
     long = np.concatenate([beta[HEALTHY:] for beta in real_loop(model, precision, None, 40_000 * dt, range(100, 140))])
-    rows = {"threshold": result.threshold / np.quantile(long, 1 - result.false_alarm_probability)}
     alarm = long > result.threshold
-    rows["false alarms per hour"] = result.false_alarms_per_hour / (
-        np.count_nonzero(alarm[1:] & ~alarm[:-1]) / len(alarm) * 3600 / float(dt)
-    )
-    for kind, make in FAULTS.items():
+    count = np.count_nonzero(alarm[1:] & ~alarm[:-1])
+    begins = count / len(alarm) * 3600 / float(dt)
+    rows = {
+        "threshold": (result.threshold / np.quantile(long, 1 - result.false_alarm_probability), 0.0),
+        "false alarms per hour": (result.false_alarms_per_hour / begins, count**-0.5),
+    }
+    for kind in FAULTS:
         size, steps = getattr(result, kind), round(result.within / float(dt))
         chances, multiples = [], (0.9, 0.95, 1.0, 1.05, 1.1)
         for multiple in multiples:
-            fault = make(multiple * size, HEALTHY * dt)
-            lasting = HEALTHY + (FAULTY if multiple == 1.0 else steps)
-            alarms = [
-                b[HEALTHY - 1 :] > result.threshold
-                for b in real_loop(model, precision, fault, lasting * dt, range(runs))
-            ]
-            alarms = np.array([a[1:] for a in alarms if not a[0]])
-            chances.append(alarms[:, :steps].any(axis=1).mean())
+            ages = alarm_ages(
+                model, precision, result, kind, multiple * size, FAULTY if multiple == 1.0 else steps, runs
+            )
+            chances.append(np.mean(ages < steps))
             if multiple == 1.0:
-                assert alarms.any(axis=1).all()
-                rows[f"{kind}, delay"] = getattr(result, f"{kind}_delay") / (alarms.argmax(axis=1).mean() * float(dt))
-        rows[f"{kind}, size"] = 1 / np.interp(result.detection_probability, chances, multiples)
+                rows[f"{kind}, delay"] = delay_ratio(result, kind, ages)
+        rows[f"{kind}, size"] = 1 / np.interp(result.detection_probability, chances, multiples), 0.0
     return rows
+
+
+def alarm_ages(model, precision, result, kind, size, steps, runs):
+    """Return at which faulty sample the real loop has its first alarm, ``steps`` for none, in runs without one just before."""
+    fault, ages = FAULTS[kind](size, HEALTHY * model.step), []
+    for beta in real_loop(model, precision, fault, (HEALTHY + steps) * model.step, range(runs)):
+        alarm = beta[HEALTHY - 1 :] > result.threshold
+        if not alarm[0]:
+            ages.append(np.argmax(np.append(alarm[1 : steps + 1], True)))
+    return np.array(ages)
+
+
+def delay_ratio(result, kind, ages):
+    """Return the ratio of the mean delay to the real loop's, and its standard error."""
+    assert ages.max() < FAULTY
+    scatter = ages.std() / ages.mean() * (1 / len(ages) + 1 / RUNS) ** 0.5
+    return getattr(result, f"{kind}_delay") / (ages.mean() * result.dt), scatter
 
 
 CASES = {
@@ -288,12 +324,16 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(CASES)[:4])
 def test_every_figure_is_within_5_percent_of_the_real_loops(name):
-    for figure, ratio in drill(*CASES[name]).items():
-        if figure != "false alarms per hour":  # known to 5 % itself
-            assert ratio == pytest.approx(1.0, abs=0.05), figure
+    for figure, (ratio, error) in drill(*CASES[name]).items():
+        assert abs(ratio - 1) <= 0.05 + 2 * error, (figure, ratio, error)
 
 
 if __name__ == "__main__":
-    for title, case in CASES.items():
-        ratios = ", ".join(f"{figure} {ratio:.3f}" for figure, ratio in drill(*case).items())
+    import sys
+
+    for title in [name for name in CASES if not sys.argv[1:] or name in sys.argv[1:]]:
+        rows = drill(*CASES[title]).items()
+        ratios = ", ".join(
+            f"{figure} {ratio:.3f}" + (f" +- {error:.3f}" if error else "") for figure, (ratio, error) in rows
+        )
         print(f"{title}: {ratios}", flush=True)  # noqa: T201
