@@ -61,6 +61,8 @@ class Detectability:
         much a second, and the standard deviation of further noise in the sensor's units.
     offset_delay, drift_delay, noise_delay : float
         Expected delay in seconds from the first faulty sample to the first alarm, for the smallest detectable fault.
+    law : object
+        What `probability`, `delay` and `exceedance` ask.
     """
 
     form: str
@@ -78,7 +80,7 @@ class Detectability:
     offset_delay: float
     drift_delay: float
     noise_delay: float
-    _law: BetaLaw = field(repr=False, compare=False)
+    law: BetaLaw = field(repr=False, compare=False)
 
     def probability(self, kind: Kind, sizes: ArrayLike, within: float | None = None) -> Floats:
         """Return the probability that an alarm is raised within a time after the onset.
@@ -94,7 +96,7 @@ class Detectability:
         """
         asked = self.within if within is None else as_number("detectability has within", within, above=0)
         steps = _samples(asked, self.dt)
-        return np.array([self._law.detected(kind, size, steps) for size in _sizes(kind, sizes)])
+        return np.array([self.law.detected(kind, size, steps) for size in _sizes(kind, sizes)])
 
     def delay(self, kind: Kind, sizes: ArrayLike) -> Floats:
         """Return the expected delay, in seconds, from the first faulty sample to the first alarm; the fault stays.
@@ -106,7 +108,7 @@ class Detectability:
         sizes : number or array
             How large it is, in the units of the attributes of the same names.
         """
-        return np.array([self._law.mean_delay(kind, size) for size in _sizes(kind, sizes)]) * self.dt
+        return np.array([self.law.mean_delay(kind, size) for size in _sizes(kind, sizes)]) * self.dt
 
     def exceedance(self, thresholds: ArrayLike) -> Floats:
         """Return the probability, without a fault, that beta exceeds each of some thresholds at a sample.
@@ -116,7 +118,7 @@ class Detectability:
         thresholds : number or array
             In squared units of the sensor.
         """
-        return np.array([self._law.exceedance(float(b)) for b in np.atleast_1d(np.asarray(thresholds, float))])
+        return np.array([self.law.exceedance(float(b)) for b in np.atleast_1d(np.asarray(thresholds, float))])
 
     def plot(self, others: Mapping[str, Detectability] | None = None) -> Figure:
         """Return a figure: the tail of beta's distribution without a fault, and the expected delay for each kind of fault.
@@ -260,7 +262,7 @@ def detectability(
         within=time,
         **smallest,
         **{f"{kind}_delay": law.mean_delay(kind, size) * step for kind, size in smallest.items()},
-        _law=law,
+        law=law,
     )
 
 
