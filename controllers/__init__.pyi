@@ -7,8 +7,8 @@ from .bayesian import BayesianController as BayesianController, UnstableLoopWarn
 from .burst import Burst as Burst
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
-from .estimator import StateEstimator as StateEstimator
 from .detectability import Detectability as Detectability, detectability as detectability
+from .estimator import StateEstimator as StateEstimator
 from .explicit import ExplicitDetection as ExplicitDetection
 from .fault_modes import (
     FAULT_MODES as FAULT_MODES,
@@ -18,6 +18,7 @@ from .fault_modes import (
     Frozen as Frozen,
     Noisier as Noisier,
     Offset as Offset,
+    Ramping as Ramping,
 )
 from .gamma import GammaPrecision as GammaPrecision
 from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative

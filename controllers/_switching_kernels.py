@@ -3,9 +3,9 @@
 What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample, the probability of being `HEALTHY`, the precision
 that it deserves in nominal ones (`TRUSTED`); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
 it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). The settings
-likewise, from ``row`` on: the probability that a healthy sensor `STAYS` so, the logarithms of those that its sample `ARRIVES` and
-is `MISSING`, and a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, the logarithms of those that a
-sample arrives and is missing, and the mode's own settings.
+likewise, from ``row`` on: the logarithms of the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`, and a
+block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, the logarithms of those that a sample arrives and is
+missing, and the mode's own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
 sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.
@@ -16,7 +16,7 @@ from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import exp, maximum, minimum, select, sqrt
 
 LAST, HEALTHY, TRUSTED, FIRST = 0, 1, 2, 3
-STAYS, ARRIVES, MISSING, FIRST_SETTINGS = 0, 1, 2, 3
+ARRIVES, MISSING, FIRST_SETTINGS = 0, 1, 2
 BEGINS, LASTS, ENDS, MODE_ARRIVES, MODE_MISSING, OWN_SETTINGS = 0, 1, 2, 3, 4, 5
 
 LEAST = 5e-131
@@ -36,7 +36,7 @@ def held(e, variance):
 
 
 def pass_mode(memory, block, healthy, settings, row):
-    """Let the time of one sample pass for a mode: it begins and ends. Return the probability with which it has ended."""
+    """Let the time of one sample pass for a mode: it begins and ends. Return by how much that makes the sensor healthier."""
     ended = memory[block + WEIGHT] * settings[row + ENDS]
     begun = healthy * settings[row + BEGINS]
     weight = memory[block + WEIGHT] * settings[row + LASTS] + begun
@@ -44,7 +44,7 @@ def pass_mode(memory, block, healthy, settings, row):
     memory[block + WEIGHT] = weight
     memory[block + ENTERED] = entered
     memory[block + AGE] = (1.0 - entered) * (memory[block + AGE] + 1.0)
-    return ended
+    return ended - begun
 
 
 def share_of(told, most):

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, BayesianBlock
-from bayesftc.controllers._filter import decide, innovate, limit, measure, predict
+from bayesftc.controllers._belief import make_believe
+from bayesftc.controllers._filter import decide, innovate, limit, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import NAN
@@ -28,9 +29,9 @@ class UnstableLoopWarning(UserWarning):
 
 @cache
 def _make_step(
-    learn: Callable[..., None], report: Callable[..., None], fold: Callable[..., None], first: int
+    believe: Callable[..., None], report: Callable[..., None], fold: Callable[..., None], first: int
 ) -> Callable[..., None]:
-    """Return the controller's step function for a precision learner's two and a way of carrying the belief.
+    """Return the controller's step function for ways of coming to a belief, of reporting and of carrying it.
 
     The learner's own outputs begin at the place `first` among all outputs. The same functions give the same one, so that it
     is looked through and compiled once for however many controllers.
@@ -47,9 +48,11 @@ def _make_step(
         innovate(y, expected, covariance, C, e, present, CP, spread)
         for i in range(e.shape[0]):
             innovation[i] = select(present[i] > 0.5, e[i], NAN)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        believe(
+            y, e, present, spread, nominal, A, C, Q, largest, mean, covariance, memory, settings, work,
+            R, used, precision, beta, fault_probability, chol, D, whitened, v, gain, J, JP, x_hat, P,
+        )  # fmt: skip
         report(memory, settings, nominal, first, outputs)
-        measure(e, used, R, C, mean, covariance, chol, D, whitened, v, gain, J, JP, x_hat, P)
         decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
         limit(u, applied, u_min, u_max, u_change)
         for i in range(pull.shape[0]):
@@ -162,7 +165,8 @@ class BayesianController(BayesianBlock):
         }  # fmt: skip
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
-        return Definition(_make_step(learner.step, learner.report, fold, first), state=state, parameters=parameters)
+        believe = make_believe(learner.step, learner.infer)
+        return Definition(_make_step(believe, learner.report, fold, first), state=state, parameters=parameters)
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of plant and belief together in steady state, at fixed precision and without limits.

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP
+from bayesftc.controllers._belief import make_believe
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
-from bayesftc.controllers._filter import innovate, measure, predict
+from bayesftc.controllers._filter import innovate, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import NAN, FixedPrecision, PrecisionLearner
@@ -23,23 +24,25 @@ from bayesftc.cosim.ports import Port
 
 
 @cache
-def _make_estimate(learn: Callable[..., None], report: Callable[..., None], first: int) -> Callable[..., None]:
-    """Return the step function from the samples to the belief for a precision learner's two.
+def _make_estimate(believe: Callable[..., None], report: Callable[..., None], first: int) -> Callable[..., None]:
+    """Return the step function from the samples to the belief, for ways of coming to it and of reporting.
 
     The learner's own outputs begin at the place `first` among all outputs.
     """
 
     def state_estimator(
         y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, memory,
-        C, nominal, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
+        A, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(y, expected, covariance, C, e, present, CP, spread)
         for i in range(e.shape[0]):
             innovation[i] = select(present[i] > 0.5, e[i], NAN)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        believe(
+            y, e, present, spread, nominal, A, C, Q, largest, mean, covariance, memory, settings, work,
+            R, used, precision, beta, fault_probability, chol, D, whitened, v, gain, J, JP, x_hat, P,
+        )  # fmt: skip
         report(memory, settings, nominal, first, outputs)
-        measure(e, used, R, C, mean, covariance, chol, D, whitened, v, gain, J, JP, x_hat, P)
 
     return state_estimator
 
@@ -164,5 +167,5 @@ class StateEstimator(Block):
             **{"Q": Q, "nominal": nominal, "settings": learner.settings, "largest": largest},
         }
         first = sum(port.size for port in self._own_outputs)
-        estimate = _make_estimate(learner.step, learner.report, first)
+        estimate = _make_estimate(make_believe(learner.step, learner.infer), learner.report, first)
         return Definition(estimate, look_ahead, state=state, parameters=parameters)

@@ -46,6 +46,10 @@ class FaultMode:
     evidence: ClassVar[Callable[..., float]]
     arrival: ClassVar[float | None] = None
     """Probability that there is a sample; None: as of a healthy sensor."""
+    needs_witness: ClassVar[bool] = False
+    """Whether it is told from the state's own motion only while another sensor is healthy (in the joint form)."""
+    joint_only: ClassVar[bool] = False
+    """Whether it takes part only where its offset is estimated together with the state, as it gains nothing elsewhere."""
 
     def __post_init__(self) -> None:
         for name in ("time_to_fault", "time_to_recovery"):
@@ -149,6 +153,27 @@ class Drifting(Offset):
     slope: float = 0.02
     walk: float = 0.0
 
+    needs_witness: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class Ramping(Offset):
+    """An offset begins at zero and grows by more than a slow drift: after a few samples it is beyond the noise.
+
+    In the joint form; sensor by sensor an `Offset` does as well.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery, jump, slope, walk
+        See `Offset`.
+    """
+
+    jump: float = 0.0
+    slope: float = 0.3
+    walk: float = 0.0
+
+    joint_only: ClassVar[bool] = True
+
 
 @dataclass(frozen=True)
 class DroppedOut(FaultMode):
@@ -214,10 +239,10 @@ class Noisier(FaultMode):
         return self.shape, self.shape * self.scale**2, self.forgetting
 
 
-FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Noisier, DroppedOut)
+FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, Noisier, DroppedOut)
 """To add a fault mode, write it by the rules above and name it here."""
 
 __all__ = [
     "ENTERED", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Drifting", "DroppedOut", "FaultMode", "Frozen", "Noisier", "Offset",
-    "log_density",
+    "Ramping", "log_density",
 ]  # fmt: skip

@@ -63,6 +63,9 @@ class Learner:
         Further outputs that the controller gets from it.
     report : function
         Step function that writes these, one after the other, into ``outputs[first]``, ``outputs[first + 1]``, ...
+    infer : function or None
+        If it infers the state together with the faults: the step function (``make_infer`` in ``_bank.py``) that controllers with
+        a linear model then call instead of ``step`` and of Kalman's update. Others go on with ``step``.
     """
 
     step: Callable[..., None]
@@ -71,6 +74,7 @@ class Learner:
     work: int = 1
     ports: tuple[Port, ...] = ()
     report: Callable[..., None] = report_nothing
+    infer: Callable[..., None] | None = None
 
 
 @dataclass(frozen=True)

@@ -3,122 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.controllers import _mode_kernels as mode_kernels, _switching_kernels as kernels
-from bayesftc.controllers._checks import as_number, as_vector
+from bayesftc.controllers import _switching_kernels as kernels
+from bayesftc.controllers._bank import make_infer, start_bank
+from bayesftc.controllers._checks import as_number, as_vector, check_flags
 from bayesftc.controllers._mode_kernels import TRUST
-from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
-from bayesftc.controllers.precision import Learner, PrecisionLearner, keep_nominal, report_nothing
-from bayesftc.cosim import ops
-from bayesftc.cosim._written import function_from_text
-from bayesftc.cosim.block import argument_names
+from bayesftc.controllers._switching_text import learner_functions, sensor_functions
+from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
+from bayesftc.controllers.precision import Learner, PrecisionLearner
+from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-
-# The functions of one sensor and the learning step function; those are written for each list of modes, whose own they call.
-_PASS_TIME = """
-healthy = memory[at + HEALTHY]
-stays = healthy * settings[row + STAYS]
-{modes}
-memory[at + HEALTHY] = stays
-"""
-
-_PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings, row + {settings})"
-
-_WEIGH = """
-error, sound = held(e, variance), log_density(minimum(e * e, FURTHEST * variance), variance)
-told = select(present > 0.5, settings[row + ARRIVES] + sound, settings[row + MISSING])
-{modes}
-most = {most}
-healthy = memory[at + HEALTHY] * share_of(told, most)
-{weights}
-total = {total}
-part = 1.0 / total
-memory[at + HEALTHY] = maximum(healthy * part, LEAST)
-{probabilities}
-memory[at + TRUSTED] = maximum(minimum(({trust}) * part, 1.0), LEAST_TRUST)
-return most + log(total)
-"""
-
-_WEIGH_MODE = """\
-block{k}, own = at + {block}, row + {settings}
-told{k} = mode{k}(error, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
-told{k} = select(present > 0.5, settings[own + MODE_ARRIVES] + told{k}, settings[own + MODE_MISSING])\
-"""
-
-_LEARN = """
-for i in range(y.shape[0]):
-    at, row = i * LENGTH, i * SETTINGS
-    variance = spread[i, i] + nominal[i, i]
-    pass_time(memory, at, settings, row)
-    change = y[i] - memory[at + LAST]
-    weigh(e[i], present[i], variance, nominal[i, i], change, memory, at, settings, row)
-    memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
-    fault_probability[i] = failed(memory, at, WIDTH, MODES)
-    use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
-memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
-"""
-
-_REPORT = """
-report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.shape[0] * SETTINGS], first, outputs)
-"""
-
-_OF_TIME = ("memory", "at", "settings", "row")
-_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "change", *_OF_TIME)
-
-
-@cache
-def _make_steps(
-    evidence: tuple[Callable[..., float], ...], width: int, settings: int
-) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Return the learning and the reporting step function for these modes, whose blocks have these widths."""
-    modes = len(evidence)
-    names: dict[str, Any] = {
-        **{name: value for of in (mode_kernels, kernels, ops) for name, value in vars(of).items() if not name.startswith("__")},
-        **{f"mode{k}": function for k, function in enumerate(evidence)},
-        "__name__": __name__, "MODES": modes, "WIDTH": width,
-        "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
-    }  # fmt: skip
-    places = [(kernels.FIRST + k * width, kernels.FIRST_SETTINGS + k * settings) for k in range(modes)]
-
-    def of_modes(text: str) -> list[str]:
-        return [text.format(k=k, block=block, settings=own) for k, (block, own) in enumerate(places)]
-
-    def function(name: str, arguments: Iterable[str], text: str, **parts: str) -> Callable[..., None]:
-        return function_from_text(name, arguments, text.format(**parts).strip("\n").split("\n"), names)
-
-    def lines(text: str) -> str:
-        return "\n".join(of_modes(text))
-
-    names["pass_time"] = function("pass_time", _OF_TIME, _PASS_TIME, modes=lines(_PASS_MODE))
-    names["weigh"] = function(
-        "weigh", _OF_A_SAMPLE, _WEIGH,
-        modes=lines(_WEIGH_MODE),
-        most=_paired(["told", *of_modes("told{k}")], "maximum({}, {})"),
-        weights=lines("weight{k} = memory[block{k} + WEIGHT] * share_of(told{k}, most)"),
-        total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
-        probabilities=lines("memory[block{k} + WEIGHT] = maximum(weight{k} * part, LEAST)"),
-        trust=_paired(["healthy", *of_modes("weight{k} * memory[block{k} + TRUST]")], "({} + {})"),
-    )  # fmt: skip
-    learn = function("learn_switching", argument_names(keep_nominal), _LEARN)
-    return learn, function("report_switching", argument_names(report_nothing), _REPORT)
-
-
-def _paired(terms: list[str], joined: str) -> str:
-    """Return the terms joined in pairs, and these again: so the processor computes them side by side."""
-    while len(terms) > 1:
-        pairs = [joined.format(*terms[k : k + 2]) for k in range(0, len(terms) - 1, 2)]
-        terms = pairs + terms[len(terms) - len(terms) % 2 :]
-    return terms[0]
 
 
 @dataclass(frozen=True)
@@ -137,8 +40,10 @@ class SwitchingPrecision(PrecisionLearner):
     sensor in nominal ones; NaN where there is none) and ``fault_onset`` (time in seconds since the first sample; NaN of a
     healthy sensor).
 
-    Sensors are judged one by one by their innovation from the common prediction: two sensors that disagree by a slow drift are
-    not told apart before one of them leaves the prediction behind.
+    In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
+    slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs. It
+    is for controllers with a linear model; with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated,
+    sensors are judged one by one by their innovation from the common prediction (the per-sensor form).
 
     Parameters
     ----------
@@ -147,6 +52,8 @@ class SwitchingPrecision(PrecisionLearner):
     loss : float or sequence of float
         Probability with which a sample of a healthy sensor is missing, for all sensors or for each: of one that is not due at
         every step (a slow one) the share of the steps without a sample.
+    joint : bool
+        Whether offsets are estimated together with the state. The per-sensor form is faster and tells slow drifts later.
 
     Raises
     ------
@@ -155,10 +62,12 @@ class SwitchingPrecision(PrecisionLearner):
         at each sample.
     """
 
-    modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Noisier(), DroppedOut())
+    modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Noisier(), DroppedOut())
     loss: float | Sequence[float] = 0.01
+    joint: bool = True
 
     def __post_init__(self) -> None:
+        check_flags(self, "joint")
         modes = tuple(self.modes) if isinstance(self.modes, Sequence) else ()
         if not modes or not all(isinstance(mode, FaultMode) and hasattr(mode, "evidence") for mode in modes):
             raise ModelError(
@@ -188,7 +97,7 @@ class SwitchingPrecision(PrecisionLearner):
         settings = []
         for i in range(m):
             loss = float(losses[i])
-            settings += [1.0 - sum(begins), math.log1p(-loss), math.log(loss)]
+            settings += [math.log1p(-loss), math.log(loss)]
             for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 block = [begin, 1.0 - end, end, math.log(arrives), math.log1p(-arrives), *values]
@@ -199,10 +108,40 @@ class SwitchingPrecision(PrecisionLearner):
             for mode in self.modes:
                 block = [kernels.LEAST, 0.0, 0.0, *mode.first]
                 memory += block + [0.0] * (width - len(block))
-        learn, report = _make_steps(tuple(type(mode).evidence for mode in self.modes), width, settings_width)
+        evidence = tuple(type(mode).evidence for mode in self.modes)
+        single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
+        learn, report = learner_functions(evidence, single, width, settings_width)
+        infer, bank = self._together(model, evidence, width, settings_width, memory)
         ports = [Port("mode_probability", (m, 1 + len(self.modes)))]
         ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
-        return Learner(learn, np.array([*memory, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
+        kept = np.array([*memory, 0.0, *bank])
+        return Learner(learn, kept, np.array([*settings, step]), 1, tuple(ports), report, infer)
+
+    def _together(
+        self,
+        model: LinearModel,
+        evidence: tuple[Callable[..., float], ...],
+        width: int,
+        settings: int,
+        sensors: list[float],
+    ) -> tuple[Callable[..., None] | None, Floats]:
+        """Return the step function of the joint form, if there is one, and what its bank keeps before the first sample."""
+        nominal = model.matrix("sensor_covariance")
+        kinds = tuple(k for k, mode in enumerate(self.modes) if isinstance(mode, Offset))
+        if not self.joint or not kinds or np.any(nominal != np.diag(np.diag(nominal))):
+            return None, np.zeros(0)
+        slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
+        alone = tuple(k for k in range(len(evidence)) if k not in kinds)
+        other = tuple(k for k, mode in enumerate(self.modes) if not (mode.joint_only or mode.needs_witness))
+        functions = (
+            *sensor_functions(evidence, alone, width, settings),
+            *sensor_functions(evidence, other, width, settings),
+        )
+        spans = [
+            tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes)) for of in (alone, other)
+        ]
+        infer = make_infer(*functions, kinds, slow, *spans, width, settings)
+        return infer, start_bank(model.states, model.sensors, len(kinds), np.asarray(sensors))
 
 
 def _chance(mode: FaultMode, name: str, step: float) -> float:

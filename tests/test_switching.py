@@ -152,6 +152,7 @@ def car(kind, precision, steps=400, begins=150, ends=300, seed=0):
                 "Frozen": last,
                 "Offset": y[0] + 5.0,
                 "Drifting": y[0] + 0.05 * (k - begins),
+                "Ramping": y[0] + 0.4 * (k - begins),
                 "Noisier": y[0] + 5.0 * noise,
                 "DroppedOut": np.nan,
                 "dither": last + 0.01 * noise,

@@ -1,0 +1,138 @@
+"""The step functions of switching, written for each list of modes, whose own they call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import cache
+from typing import Any
+
+from bayesftc.controllers import _mode_kernels as mode_kernels, _switching_kernels as kernels
+from bayesftc.controllers.precision import keep_nominal, report_nothing
+from bayesftc.cosim import ops
+from bayesftc.cosim._written import function_from_text
+from bayesftc.cosim.block import argument_names
+
+_PASS_TIME = """
+healthy = memory[at + HEALTHY]
+stays = healthy
+{modes}
+memory[at + HEALTHY] = stays
+"""
+
+_PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings, row + {settings})"
+
+_WEIGH = """
+error, sound = held(e, variance), log_density(minimum(e * e, FURTHEST * variance), variance)
+told = select(present > 0.5, settings[row + ARRIVES] + sound, settings[row + MISSING])
+{modes}
+most = {most}
+healthy = memory[at + HEALTHY] * share_of(told, most)
+{weights}
+total = {total}
+part = 1.0 / total
+memory[at + HEALTHY] = maximum(healthy * part, LEAST)
+{probabilities}
+memory[at + TRUSTED] = maximum(minimum(({trust}) * part, 1.0), LEAST_TRUST)
+return most + log(total)
+"""
+
+_WEIGH_MODE = """\
+block{k}, own = at + {block}, row + {settings}
+told{k} = mode{k}(error, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
+told{k} = select(present > 0.5, settings[own + MODE_ARRIVES] + told{k}, settings[own + MODE_MISSING])\
+"""
+
+_LEARN = """
+for i in range(y.shape[0]):
+    at, row = i * LENGTH, i * SETTINGS
+    variance = spread[i, i] + nominal[i, i]
+    pass_time(memory, at, settings, row)
+    change = y[i] - memory[at + LAST]
+    weigh(e[i], present[i], variance, nominal[i, i], change, memory, at, settings, row)
+    memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
+    fault_probability[i] = failed(memory, at, WIDTH, MODES)
+    use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
+memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
+"""
+
+_REPORT = """
+report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.shape[0] * SETTINGS], first, outputs)
+"""
+
+_OF_TIME = ("memory", "at", "settings", "row")
+_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "change", *_OF_TIME)
+
+Evidence = tuple[Callable[..., float], ...]
+
+
+@cache
+def sensor_functions(
+    evidence: Evidence, chosen: tuple[int, ...], width: int, settings: int
+) -> tuple[Callable[..., None], Callable[..., float]]:
+    """Return the functions by which time passes for a sensor's modes, and by which they are weighed by a sample.
+
+    The latter returns the logarithm of the sample's density. Only the ``chosen`` modes take part.
+
+    Parameters
+    ----------
+    evidence : tuple of function
+        The modes' own step functions.
+    chosen : tuple of int
+        Their numbers.
+    width, settings : int
+        Widths of the block of a mode in the memory and in the settings.
+    """
+
+    def of_modes(text: str) -> list[str]:
+        places = [(k, kernels.FIRST + k * width, kernels.FIRST_SETTINGS + k * settings) for k in chosen]
+        return [text.format(k=k, block=block, settings=own) for k, block, own in places]
+
+    def lines(text: str) -> str:
+        return "\n".join(of_modes(text))
+
+    names = _names(evidence)
+    passing = _PASS_TIME.format(modes=lines(_PASS_MODE))
+    weighing = _WEIGH.format(
+        modes=lines(_WEIGH_MODE),
+        most=_paired(["told", *of_modes("told{k}")], "maximum({}, {})"),
+        weights=lines("weight{k} = memory[block{k} + WEIGHT] * share_of(told{k}, most)"),
+        total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
+        probabilities=lines("memory[block{k} + WEIGHT] = maximum(weight{k} * part, LEAST)"),
+        trust=_paired(["healthy", *of_modes("weight{k} * memory[block{k} + TRUST]")], "({} + {})"),
+    )
+    return _function("pass_time", _OF_TIME, passing, names), _function("weigh", _OF_A_SAMPLE, weighing, names)
+
+
+@cache
+def learner_functions(
+    evidence: Evidence, chosen: tuple[int, ...], width: int, settings: int
+) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Return the learning and the reporting step function of the per-sensor form for these modes."""
+    modes = len(evidence)
+    pass_time, weigh = sensor_functions(evidence, chosen, width, settings)
+    names = _names(evidence) | {
+        "MODES": modes, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
+        "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
+    }  # fmt: skip
+    learn = _function("learn_switching", argument_names(keep_nominal), _LEARN, names)
+    return learn, _function("report_switching", argument_names(report_nothing), _REPORT, names)
+
+
+def _names(evidence: Evidence) -> dict[str, Any]:
+    """Return what the text finds as global names."""
+    known = {name: value for of in (mode_kernels, kernels, ops) for name, value in vars(of).items()}
+    own = {f"mode{k}": function for k, function in enumerate(evidence)}
+    return {name: value for name, value in known.items() if not name.startswith("__")} | own | {"__name__": __name__}
+
+
+def _function(name: str, arguments: Iterable[str], text: str, names: dict[str, Any]) -> Callable[..., Any]:
+    lines = [line for line in text.strip("\n").split("\n") if line]
+    return function_from_text(name, arguments, lines, names)
+
+
+def _paired(terms: list[str], joined: str) -> str:
+    """Return the terms joined in pairs, and these again: so the processor computes them side by side."""
+    while len(terms) > 1:
+        pairs = [joined.format(*terms[k : k + 2]) for k in range(0, len(terms) - 1, 2)]
+        terms = pairs + terms[len(terms) - len(terms) % 2 :]
+    return terms[0]
