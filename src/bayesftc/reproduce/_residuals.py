@@ -109,17 +109,23 @@ def posterior(text: str, learner: controllers.PrecisionLearner) -> Residual:
 def posteriors(settings: Detection) -> dict[str, Residual]:
     """Return the residuals of the learners of fault modes by name."""
     return {
-        SWITCHING: posterior("log odds of a fault, with the experiment's hazards", switching(settings)),
-        f"{SWITCHING}, default": posterior("the same with default hazards", controllers.SwitchingPrecision()),
+        SWITCHING: posterior("log odds of a fault, with the experiment's hazards", switching(settings, True)),
+        f"{SWITCHING}, per sensor": posterior("the same, judged sensor by sensor", switching(settings, False)),
+        f"{SWITCHING}, default": posterior("with default hazards", controllers.SwitchingPrecision()),
     }
 
 
-def switching(settings: Detection) -> controllers.SwitchingPrecision:
-    """Return the learner of fault modes, told how often the experiment's three kinds of faults come and go, but not how large."""
-    times = 3.0 * settings.mean_time_to_fault, settings.mean_time_to_recovery
-    return controllers.SwitchingPrecision(
-        [kind(*times) for kind in (controllers.Frozen, controllers.Offset, controllers.Drifting)]
-    )
+def switching(settings: Detection, joint: bool) -> controllers.SwitchingPrecision:
+    """Return the learner of fault modes, told how often the experiment's three kinds of faults come and go, but not how large.
+
+    In the joint form a drift may be a slow or a fast one.
+    """
+    modes = [controllers.Frozen, controllers.Offset, controllers.Drifting]
+    between, lasts = settings.mean_time_to_fault, settings.mean_time_to_recovery
+    told = [kind(3.0 * between, lasts) for kind in modes]
+    if joint:
+        told[2:] = [kind(6.0 * between, lasts) for kind in (controllers.Drifting, controllers.Ramping)]
+    return controllers.SwitchingPrecision(told, joint=joint)
 
 
 def _has_beta(learner: controllers.PrecisionLearner, car: Car) -> bool:
