@@ -4,7 +4,6 @@ from ._rate import Calibration as Calibration, RateLearner as RateLearner
 from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
-from .burst import Burst as Burst
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .detectability import Detectability as Detectability, detectability as detectability
@@ -12,6 +11,7 @@ from .estimator import StateEstimator as StateEstimator
 from .explicit import ExplicitDetection as ExplicitDetection
 from .fault_modes import (
     FAULT_MODES as FAULT_MODES,
+    Burst as Burst,
     Drifting as Drifting,
     DroppedOut as DroppedOut,
     FaultMode as FaultMode,

@@ -82,7 +82,7 @@ def start_bank(n: int, m: int, kinds: int, sensors: Floats) -> Floats:
 def make_infer(
     pass_alone: Callable[..., None], weigh_alone: Callable[..., float],
     pass_other: Callable[..., None], weigh_other: Callable[..., float],
-    kinds: tuple[int, ...], slow: tuple[int, ...], alone: tuple[int, ...], other: tuple[int, ...],
+    kinds: tuple[int, ...], slow: tuple[int, ...], alone: tuple[int, ...], other: tuple[int, ...], faults: tuple[int, ...],
     width: int, width_of_settings: int,
 ) -> Callable[..., None]:  # fmt: skip
     """Return the step function that infers state and faults together.
@@ -100,6 +100,8 @@ def make_infer(
     alone, other : tuple of int
         For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
         takes no part.
+    faults : tuple of int
+        For each mode whether it is a fault (1 or 0).
     width, width_of_settings : int
         Widths of the blocks of modes.
     """
@@ -323,7 +325,7 @@ def make_infer(
             memory[sensor + TRUSTED] = maximum(minimum(trust, 1.0), LEAST_TRUST)
             memory[sensor + LAST] = select(present[i] > 0.5, y[i], memory[sensor + LAST])
             use_trust(memory, length, i, present, nominal, R, used, precision, beta)
-            fault_probability[i] = failed(memory, sensor, width, modes)
+            fault_probability[i] = failed(memory, sensor, width, faults)
         memory[m * length] = count + 1.0
 
     return infer

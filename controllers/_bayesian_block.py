@@ -98,9 +98,9 @@ class BayesianBlock(Block):
         return as_matrix("The matrix goal_on", np.atleast_2d(rows), columns=n)
 
     def _distinct_outputs(self) -> Floats:
-        """Return what the sensors read of the state, each distinct quantity once."""
-        C = np.asarray(self.model.matrix("C"))
-        return np.asarray(C[sorted(np.unique(C, axis=0, return_index=True)[1])])
+        """Return what the sensors measure of the plant, each distinct quantity once."""
+        rows = self.model.quantities
+        return np.asarray(rows[sorted(np.unique(rows, axis=0, return_index=True)[1])])
 
     @property
     def goals(self) -> int:

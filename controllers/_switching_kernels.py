@@ -52,11 +52,12 @@ def share_of(told, most):
     return exp(maximum(told - most, LEAST_LOG))
 
 
-def failed(memory, at, width, modes):
-    """Return the probability of a fault: small ones are not 1 minus another."""
+def failed(memory, at, width, faults):
+    """Return the probability of a fault, given for each mode whether it is one (1 or 0): small ones are not 1 minus another."""
     total = 0.0 * memory[at + HEALTHY]
-    for k in range(modes):
-        total = total + memory[at + FIRST + k * width + WEIGHT]
+    for k in range(len(faults)):
+        if faults[k] > 0:
+            total = total + memory[at + FIRST + k * width + WEIGHT]
     return minimum(total, 1.0)
 
 

@@ -50,7 +50,7 @@ for i in range(y.shape[0]):
     change = y[i] - memory[at + LAST]
     weigh(e[i], present[i], variance, nominal[i, i], change, memory, at, settings, row)
     memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
-    fault_probability[i] = failed(memory, at, WIDTH, MODES)
+    fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
     use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
 memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
 """
@@ -105,13 +105,21 @@ def sensor_functions(
 
 @cache
 def learner_functions(
-    evidence: Evidence, chosen: tuple[int, ...], width: int, settings: int
+    evidence: Evidence, chosen: tuple[int, ...], faults: tuple[int, ...], width: int, settings: int
 ) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Return the learning and the reporting step function of the per-sensor form for these modes."""
+    """Return the learning and the reporting step function of the per-sensor form for these modes.
+
+    Parameters
+    ----------
+    evidence, chosen, width, settings
+        As of `sensor_functions`.
+    faults : tuple of int
+        For each mode whether it is a fault (1 or 0).
+    """
     modes = len(evidence)
     pass_time, weigh = sensor_functions(evidence, chosen, width, settings)
     names = _names(evidence) | {
-        "MODES": modes, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
+        "MODES": modes, "FAULTS": faults, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
         "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
     }  # fmt: skip
     learn = _function("learn_switching", argument_names(keep_nominal), _LEARN, names)

@@ -129,8 +129,8 @@ class BayesianController(BayesianBlock):
 
     @property
     def measurement_matrix(self) -> Floats:
-        """What each sensor reads of ``x_hat`` (m x n)."""
-        return self.model.matrix("C")
+        """What each sensor measures of ``x_hat``, its own errors left out (m x n)."""
+        return self.model.quantities
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

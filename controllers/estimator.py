@@ -118,8 +118,8 @@ class StateEstimator(Block):
 
     @property
     def measurement_matrix(self) -> Floats:
-        """What each sensor reads of ``x_hat`` (m x n)."""
-        return self.model.matrix("C")
+        """What each sensor measures of ``x_hat``, its own errors left out (m x n)."""
+        return self.model.quantities
 
     @property
     def default_name(self) -> str:

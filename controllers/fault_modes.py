@@ -11,17 +11,22 @@ To write one you must:
 3. return from ``first`` what it keeps before the first sample, and from ``settings(model, sensor)`` what it reads as
    ``settings[first]``, ``settings[first + 1]``, ...;
 4. add it to `FAULT_MODES`, from which scenario files choose and over which the tests run.
+
+A mode with ``is_fault = False`` is harmless: the sensor is trusted as the mode says, but its probability is no part of
+``fault_probability``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import log, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from bayesftc.controllers import _mode_kernels as kernels
-from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._checks import as_number, as_vector, check_number
 from bayesftc.controllers._mode_kernels import ENTERED, OWN, SIZE, TRUST, log_density
 
 if TYPE_CHECKING:
@@ -48,6 +53,8 @@ class FaultMode:
     """Probability that there is a sample; None: as of a healthy sensor."""
     needs_witness: ClassVar[bool] = False
     """Whether it is told from the state's own motion only while another sensor is healthy (in the joint form)."""
+    is_fault: ClassVar[bool] = True
+    """Whether the sensor has failed that is in this mode."""
     joint_only: ClassVar[bool] = False
     """Whether it takes part only where its offset is estimated together with the state, as it gains nothing elsewhere."""
 
@@ -77,13 +84,13 @@ class Frozen(FaultMode):
         Share of the samples that repeat exactly, between 0 and 1; the others have a dither.
     dither : float
         Standard deviation of the dither, in those of the sensor's noise.
-    resolution : float
-        Resolution of the sensor in its unit: a healthy sensor repeats itself, too, if that is coarse.
+    resolution : float or sequence of float
+        Resolution of the sensors in their unit, for all or for each: a healthy sensor repeats itself, too, if that is coarse.
     """
 
     repeats: float = 0.9
     dither: float = 0.01
-    resolution: float = 0.0
+    resolution: float | Sequence[float] = 0.0
 
     evidence: ClassVar[Callable[..., float]] = kernels.freezes
 
@@ -91,12 +98,16 @@ class Frozen(FaultMode):
         super().__post_init__()
         check_number(self, "repeats", above=0, below=1)
         check_number(self, "dither", above=0)
-        check_number(self, "resolution", least=0)
+        each = self.resolution if isinstance(self.resolution, list | tuple | np.ndarray) else (self.resolution,)
+        for value in each:
+            as_number("Frozen has resolution", value, least=0)
+        object.__setattr__(self, "resolution", tuple(each) if each is self.resolution else self.resolution)
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
         nominal = float(model.matrix("sensor_covariance")[sensor, sensor])
-        width = max(self.resolution, 1e-9 * sqrt(nominal))
+        resolution = as_vector("The resolution of Frozen", self.resolution, model.sensors)
+        width = max(float(resolution[sensor]), 1e-9 * sqrt(nominal))
         spread = 2 * self.dither**2 * nominal + width**2 / 6
         near = log(1 - self.repeats) - 0.5 * (log(spread) + kernels.LOG_2_PI)
         return 0.5 * width, log(self.repeats / width), near, spread
@@ -239,10 +250,31 @@ class Noisier(FaultMode):
         return self.shape, self.shape * self.scale**2, self.forgetting
 
 
-FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, Noisier, DroppedOut)
+@dataclass(frozen=True)
+class Burst(Noisier):
+    """The noise swells for a moment and passes, as a wheel's does on a bump: such a sensor has not failed.
+
+    Samples of a burst are trusted as little as those of a noisier sensor, from which only its brevity tells it.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        Mean time in seconds between two bursts, and how long one lasts.
+    scale, shape, forgetting
+        See `Noisier`.
+    """
+
+    time_to_fault: float = 5.0
+    time_to_recovery: float = 0.3
+    forgetting: float = 0.9
+
+    is_fault: ClassVar[bool] = False
+
+
+FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, Noisier, DroppedOut, Burst)
 """To add a fault mode, write it by the rules above and name it here."""
 
 __all__ = [
-    "ENTERED", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Drifting", "DroppedOut", "FaultMode", "Frozen", "Noisier", "Offset",
-    "Ramping", "log_density",
+    "ENTERED", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Burst", "Drifting", "DroppedOut", "FaultMode", "Frozen", "Noisier",
+    "Offset", "Ramping", "log_density",
 ]  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, frozen
 from bayesftc.controllers._sensor_errors import with_sensor_errors
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError
@@ -94,6 +94,13 @@ class LinearModel:
     def step(self) -> Fraction:
         """Sample time in seconds, exact."""
         return rational_step(self.dt)
+
+    @property
+    def quantities(self) -> Floats:
+        """What each sensor measures of the plant's states, disturbances (its own error is one) left out (m x n)."""
+        rows = self.matrix("C").copy()
+        rows[:, self.states - self.disturbances :] = 0.0
+        return frozen(rows)
 
     def matrix(self, name: str) -> Floats:
         """Return one of the matrices by name, as an array."""

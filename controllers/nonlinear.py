@@ -247,8 +247,11 @@ class NonlinearBayesianController(BayesianBlock):
 
     @property
     def measurement_matrix(self) -> Floats:
-        """What each sensor reads of ``x_hat`` (m x n), a row of NaN where that is no linear function."""
-        return frozen(linear_rows(self.model.g, self.model.sensors, self.model.states))
+        """What each sensor measures of ``x_hat``, its own errors left out (m x n); a row of NaN: no linear function."""
+        rows = linear_rows(self.model.g, self.model.sensors, self.model.states)
+        plant = self.model.states - self.model.disturbances
+        rows[:, plant:] = np.where(np.isfinite(rows[:, plant:]), 0.0, np.nan)
+        return frozen(rows)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -34,7 +34,8 @@ class SwitchingPrecision(PrecisionLearner):
     probable the sample is, as a logarithm, so that none is lost. What a mode has learned about its fault is merged with what it
     expects of one that has just begun, as in an interacting-multiple-model filter.
 
-    ``fault_probability`` is 1 - P(healthy), also of a sensor that sends nothing; ``beta`` is NaN. It adds the outputs
+    ``fault_probability`` is that of all modes which are faults (all but `Burst`), also of a sensor that sends nothing; ``beta``
+    is NaN. It adds the outputs
     ``mode_probability`` (m x 1 + modes, healthy first), and for each sensor ``fault_kind`` (the most probable mode by its
     number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard deviation of a noisier
     sensor in nominal ones; NaN where there is none) and ``fault_onset`` (time in seconds since the first sample; NaN of a
@@ -110,12 +111,16 @@ class SwitchingPrecision(PrecisionLearner):
                 memory += block + [0.0] * (width - len(block))
         evidence = tuple(type(mode).evidence for mode in self.modes)
         single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
-        learn, report = learner_functions(evidence, single, width, settings_width)
+        learn, report = learner_functions(evidence, single, self._faults, width, settings_width)
         infer, bank = self._together(model, evidence, width, settings_width, memory)
         ports = [Port("mode_probability", (m, 1 + len(self.modes)))]
         ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
         kept = np.array([*memory, 0.0, *bank])
         return Learner(learn, kept, np.array([*settings, step]), 1, tuple(ports), report, infer)
+
+    @property
+    def _faults(self) -> tuple[int, ...]:
+        return tuple(int(mode.is_fault) for mode in self.modes)
 
     def _together(
         self,
@@ -140,7 +145,7 @@ class SwitchingPrecision(PrecisionLearner):
         spans = [
             tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes)) for of in (alone, other)
         ]
-        infer = make_infer(*functions, kinds, slow, *spans, width, settings)
+        infer = make_infer(*functions, kinds, slow, *spans, self._faults, width, settings)
         return infer, start_bank(model.states, model.sensors, len(kinds), np.asarray(sensors))
 
 

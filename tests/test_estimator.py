@@ -13,6 +13,8 @@ from bayesftc.controllers import (
     FixedPrecision,
     GammaPrecision,
     LinearModel,
+    NonlinearBayesianController,
+    NonlinearModel,
     Proportional,
     StateEstimator,
     SwitchingPrecision,
@@ -136,6 +138,17 @@ def test_a_bias_and_a_coloured_noise_are_estimated():
     for _ in range(200):
         out = step(y=[10.0, 10.0, 10.6])
     np.testing.assert_allclose(out.x_hat, [10.2, -0.2, -0.2, 0.4], atol=1e-2)
+
+
+def test_a_sensors_own_error_is_no_quantity_of_the_plant():
+    """Two sensors of one speed have one goal, and what they measure is the speed."""
+    model = CAR.with_sensor_errors((0.3, 0.1), (0.5, 5.0))
+    expected = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    controller = BayesianController(model, goal_on="outputs")
+    np.testing.assert_array_equal(controller.goal_matrix, expected[:1])
+    nonlinear = NonlinearBayesianController(NonlinearModel.from_linear(model), goal_on=expected[:1])
+    for block in (controller, StateEstimator(model), nonlinear):
+        np.testing.assert_array_equal(block.measurement_matrix, expected)
 
 
 @pytest.mark.parametrize(

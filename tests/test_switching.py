@@ -227,6 +227,25 @@ def test_a_resolution_explains_equal_samples():
         assert alarms < share if share else alarms > 0.1
 
 
+def test_each_sensor_has_its_resolution():
+    """Both repeat themselves; of the one with a fine resolution that is a freeze."""
+    rows = np.tile([[20.0], [20.0], [20.5], [21.0], [21.0], [20.5]], (50, 2))
+    modes = (Frozen(resolution=[0.5, 0.0]),)
+    *_, (probability, *_) = learned(SwitchingPrecision(modes=modes), np.vstack([rows, rows[-2:-1], rows[-2:-1]]))
+    assert probability[0] < 0.1 < 0.9 < probability[1]
+    assert Frozen(resolution=[0.5, 0.0]) == Frozen(resolution=(0.5, 0.0))
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_a_harmless_mode_is_no_part_of_the_fault_probability(joint):
+    modes = (Offset(), controllers.Burst())
+    outs = [out for out, _ in car("Noisier", SwitchingPrecision(modes, joint=joint), 170)]
+    for out in outs:
+        np.testing.assert_allclose(out.fault_probability, out.mode_probability[:, 1], rtol=1e-12)
+    assert max(out.mode_probability[0, 2] for out in outs[155:]) > 0.9
+    assert min(out.precision[0] for out in outs[155:]) < 0.5
+
+
 def test_insurance_costs_nothing_on_healthy_sensors():
     squares = {}
     for precision in (SwitchingPrecision(), controllers.FixedPrecision()):
@@ -253,6 +272,12 @@ def test_insurance_costs_nothing_on_healthy_sensors():
         (lambda: SwitchingPrecision(modes=(Offset(0.03), Frozen(0.03))).learner(MODEL), "too short"),
         (lambda: Offset(jump=-1.0), "Offset has jump=-1.0"),
         (lambda: Frozen(repeats=1.0), "repeats=1.0"),
+        (lambda: Frozen(resolution=(0.1, -1.0)), "resolution=-1.0"),
+        (lambda: Frozen(resolution="fine"), "resolution='fine'"),
+        (
+            lambda: SwitchingPrecision(modes=(Frozen(resolution=(0.1, 0.1, 0.1)),)).learner(MODEL),
+            "resolution of Frozen has the shape",
+        ),
         (lambda: Noisier(forgetting=0.0), "forgetting=0.0"),
         (lambda: DroppedOut(time_to_fault="soon"), "time_to_fault='soon'"),
     ],

@@ -28,7 +28,7 @@ def plot_monitored(found: Monitored) -> Figure:
         Alarms are shaded in the colour of their sensor.
     """
     plant = found.model.states - found.model.disturbances
-    rows = found.model.matrix("C")[:, :plant]
+    rows = found.model.quantities[:, :plant]
     quantities, of = np.unique(rows, axis=0, return_inverse=True)
     figure, axes = _panels(len(quantities) + 2)
     believed = found.x_hat[:, :plant] @ rows.T

@@ -23,7 +23,7 @@ from bayesftc.monitoring._columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring._csv import Tables
 from bayesftc.monitoring._models import PlantModel
 from bayesftc.monitoring._recording import Recording, Signal, align
-from bayesftc.monitoring._run import Alarm, Monitored, frozen_of_each, monitor_recording
+from bayesftc.monitoring._run import Alarm, Monitored, monitor_recording
 
 FLAT = 10.0
 """The first samples begin the belief; so that they do not count twice, it is this many times less certain than they are."""
@@ -145,7 +145,11 @@ class Monitor:
         model = self.model
         precision = self.precision
         if isinstance(precision, SwitchingPrecision):
-            modes = [frozen_of_each(m, recording.resolution) if isinstance(m, Frozen) else m for m in precision.modes]
+            known = recording.resolution
+            modes = [
+                replace(mode, resolution=known) if isinstance(mode, Frozen) and mode.resolution == 0.0 else mode
+                for mode in precision.modes
+            ]
             precision = replace(precision, modes=modes, loss=recording.loss if self.own_loss else precision.loss)
         mean, covariance = self.start(recording, model)
         return monitor_recording(

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, check_number
-from bayesftc.controllers.burst import Burst
 from bayesftc.controllers.estimator import StateEstimator
-from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
+from bayesftc.controllers.fault_modes import Burst, Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
@@ -160,7 +159,7 @@ def default_precision(loss: Sequence[float], resolution: Sequence[float]) -> Swi
     """
     rare = {"time_to_fault": 3600.0}
     modes = (
-        frozen_of_each(Frozen(**rare, dither=0.001), resolution),
+        Frozen(**rare, dither=0.001, resolution=tuple(resolution)),
         Offset(**rare, jump=30.0, walk=0.02),
         Drifting(**rare, slope=0.1),
         Noisier(**rare, scale=5.0),
@@ -168,26 +167,6 @@ def default_precision(loss: Sequence[float], resolution: Sequence[float]) -> Swi
         Burst(scale=5.0),
     )
     return SwitchingPrecision(modes, loss=tuple(loss))
-
-
-@dataclass(frozen=True)
-class _FrozenOfEach(Frozen):
-    """A freeze of sensors that have a resolution each."""
-
-    resolutions: tuple[float, ...] = ()
-
-    def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
-        """See `FaultMode.settings`."""
-        same = {name: getattr(self, name) for name in ("time_to_fault", "time_to_recovery", "repeats", "dither")}
-        return Frozen(**same, resolution=self.resolutions[sensor]).settings(model, sensor)
-
-
-def frozen_of_each(mode: Frozen, resolution: Sequence[float]) -> Frozen:
-    """Return the mode with a resolution for each sensor, where it has none of its own."""
-    if mode.resolution or not any(resolution):
-        return mode
-    same = {name: getattr(mode, name) for name in ("time_to_fault", "time_to_recovery", "repeats", "dither")}
-    return _FrozenOfEach(**same, resolutions=tuple(map(float, resolution)))
 
 
 def monitor_recording(
@@ -243,16 +222,13 @@ def monitor_recording(
         for name, values in signals.items():
             values[k] = out[name]
     kinds: tuple[str, ...] = ()
-    probability = signals["fault_probability"]
     if modes:
-        kinds = (HEALTHY, *map(kind_of, modes))
-        faults = [k for k, mode in enumerate(modes, start=1) if getattr(mode, "is_fault", True)]
-        probability = np.minimum(signals["mode_probability"][:, :, faults].sum(axis=2), 1.0)  # but for rounding it is
+        kinds = (HEALTHY, *(type(mode).__name__ for mode in modes))
     empty = np.empty((len(recording.y), model.sensors, 0))
     found = Monitored(
         recording,
         model,
-        probability,
+        signals["fault_probability"],
         kinds,
         signals.get("mode_probability", empty),
         signals["x_hat"],
@@ -262,11 +238,6 @@ def monitor_recording(
     )
     events = sorted(_events(found, signals, modes, alarm or Alarm()), key=lambda event: event.start)
     return replace(found, events=tuple(events))
-
-
-def kind_of(mode: FaultMode) -> str:
-    """Return a mode's name."""
-    return "Frozen" if isinstance(mode, _FrozenOfEach) else type(mode).__name__
 
 
 def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, int]]:
@@ -282,7 +253,7 @@ def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, 
 def _events(
     found: Monitored, signals: dict[str, Floats], modes: Sequence[FaultMode], alarm: Alarm
 ) -> Iterator[FaultEvent]:
-    time, faulty = found.time, [k for k, mode in enumerate(modes, start=1) if getattr(mode, "is_fault", True)]
+    time, faulty = found.time, [k for k, mode in enumerate(modes, start=1) if mode.is_fault]
     for i, sensor in enumerate(found.recording.sensors):
         for begin, end in alarms(
             found.fault_probability[:, i], alarm.threshold, round(alarm.hold / float(found.recording.dt))

@@ -125,7 +125,6 @@ def _dataclasses(hint: Any) -> list[type[Any]]:
 
 def registered(base: type[Any]) -> tuple[type[Any], ...]:
     """Return the classes that may stand where `base` is asked for, or none if it has no list of its own."""
-    from bayesftc.controllers.burst import Burst
     from bayesftc.controllers.fault_modes import FAULT_MODES, FaultMode
     from bayesftc.controllers.laws import ControlLaw
     from bayesftc.controllers.precision import PrecisionLearner
@@ -135,7 +134,7 @@ def registered(base: type[Any]) -> tuple[type[Any], ...]:
     single = tuple(fault for fault in FAULTS if fault is not RandomFaults)  # a mixture cannot be a part of a mixture
     lists: dict[type[Any], tuple[type[Any], ...]] = {
         PrecisionLearner: LEARNERS,
-        FaultMode: (*FAULT_MODES, Burst),
+        FaultMode: FAULT_MODES,
         ControlLaw: LAWS,
         Fault: single,
     }
