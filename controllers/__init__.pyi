@@ -2,6 +2,13 @@
 
 from ._rate import Calibration as Calibration, RateLearner as RateLearner
 from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
+from .actuator_modes import (
+    ACTUATOR_MODES as ACTUATOR_MODES,
+    ActuatorMode as ActuatorMode,
+    InputOffset as InputOffset,
+    LostEffect as LostEffect,
+    StuckActuator as StuckActuator,
+)
 from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate

@@ -19,30 +19,35 @@ def length_of(n, kept):
     return STATE + (n + 2) * (n + 3) + kept
 
 
-def move(memory, at, n, offset, jump, slope, walk, A, Q, first, covariance, largest, scratch):
-    """Take a hypothesis one sample ahead: the state by the model, the offset by its slope.
+def move(memory, at, n, offset, slides, c, cc, cb, bb, walk, A, Q, first, covariance, largest, couples, shift, scratch):
+    """Take a hypothesis one sample ahead: the state by the model, the offset by its slope if it ``slides``.
 
-    Before the ``first`` sample its belief is the controller's ``covariance``, and also where it no longer has one: with a variance
-    beyond the ``largest`` or below zero.
+    The offset moves the state by what stands at ``couples``, all else by what stands at ``shift``. Before the ``first`` sample
+    the belief is the controller's ``covariance``, and also where there is no longer one: with a variance beyond the ``largest``
+    or below zero. The offset is then what is expected at its onset: ``c`` and the covariance ``cc``, ``cb``, ``bb``.
     """
     N, used = n + 2, n + 2 * offset
     z, P = at + STATE, at + STATE + n + 2
     for a in range(n):
-        total = A[a, 0] * memory[z]
-        for s in range(1, n):
+        total = memory[shift + a]
+        for s in range(n):
             total = total + A[a, s] * memory[z + s]
+        if offset:
+            total = total + memory[couples + a] * memory[z + n]
         memory[scratch + a] = total
     for a in range(n):
-        memory[z + a] = memory[scratch + a]
-    if offset:
+        memory[z + a] = select(first, 0.0, memory[scratch + a])
+    if offset and slides:
         memory[z + n] = memory[z + n] + memory[z + n + 1]
     for a in range(used):
         for b in range(used):
             if a < n:
-                total = A[a, 0] * memory[P + b]
-                for s in range(1, n):
+                total = 0.0 * walk
+                for s in range(n):
                     total = total + A[a, s] * memory[P + s * N + b]
-            elif a == n:
+                if offset:
+                    total = total + memory[couples + a] * memory[P + n * N + b]
+            elif a == n and slides:
                 total = memory[P + n * N + b] + memory[P + (n + 1) * N + b]
             else:
                 total = memory[P + a * N + b]
@@ -50,10 +55,12 @@ def move(memory, at, n, offset, jump, slope, walk, A, Q, first, covariance, larg
     for a in range(used):
         for b in range(a + 1):
             if b < n:
-                total = A[b, 0] * memory[scratch + a * N]
-                for s in range(1, n):
+                total = 0.0 * walk
+                for s in range(n):
                     total = total + A[b, s] * memory[scratch + a * N + s]
-            elif b == n:
+                if offset:
+                    total = total + memory[couples + b] * memory[scratch + a * N + n]
+            elif b == n and slides:
                 total = memory[scratch + a * N + n] + memory[scratch + a * N + n + 1]
             else:
                 total = memory[scratch + a * N + b]
@@ -69,15 +76,17 @@ def move(memory, at, n, offset, jump, slope, walk, A, Q, first, covariance, larg
         sound = both(sound, both(memory[P + a * N + a] >= 0.0, memory[P + a * N + a] <= largest))
         sound = both(sound, absolute(memory[z + a]) <= MEAN_CAP)
     for a in range(used):
-        memory[z + a] = select(sound, memory[z + a], 0.0)
+        memory[z + a] = select(sound, memory[z + a], c if a == n else 0.0)
         for b in range(used):
             anew = 0.0 * largest
             if a < n and b < n:
                 anew = anew + covariance[a, b]
             elif a == n and b == n:
-                anew = anew + jump + slope
+                anew = anew + cc
+            elif a > n and b > n:
+                anew = anew + bb
             elif a >= n and b >= n:
-                anew = anew + slope
+                anew = anew + cb
             memory[P + a * N + b] = select(sound, memory[P + a * N + b], anew)
 
 

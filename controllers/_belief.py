@@ -8,27 +8,47 @@ from functools import cache
 from bayesftc.controllers._filter import measure
 
 
+def learn_later(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+    """Leave it to the update: there precision and state are inferred together."""
+
+
 @cache
-def make_believe(learn: Callable[..., None], infer: Callable[..., None] | None) -> Callable[..., None]:
-    """Return the step function from the innovations to the belief, for a precision learner's two ways (see `Learner`)."""
+def make_ways(
+    learn: Callable[..., None], infer: Callable[..., None] | None
+) -> tuple[Callable[..., None], Callable[..., None]]:
+    """Return the step functions that learn precisions and update the belief, for a precision learner's two (see `Learner`)."""
     if infer is None:
 
-        def believe(
-            y, e, present, spread, nominal, A, C, Q, largest, mean, covariance, memory, settings, work,
-            R, used, precision, beta, fault_probability, chol, D, whitened, v, gain, J, JP, x_hat, P,
+        def update(
+            y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+            R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         ):  # fmt: skip
-            learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
             measure(e, used, R, C, mean, covariance, chol, D, whitened, v, gain, J, JP, x_hat, P)
 
-        return believe
+        return learn, update
 
-    def believe_together(
-        y, e, present, spread, nominal, A, C, Q, largest, mean, covariance, memory, settings, work,
-        R, used, precision, beta, fault_probability, chol, D, whitened, v, gain, J, JP, x_hat, P,
+    def update_together(
+        y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+        R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
     ):  # fmt: skip
         infer(
-            y, e, present, nominal, A, C, Q, mean, covariance, largest, memory, settings,
-            R, used, precision, beta, fault_probability, x_hat, P,
+            y, e, present, nominal, A, B, C, Q, applied, mean, covariance, largest, memory, settings,
+            R, used, precision, beta, fault_probability, works, load, x_hat, P,
         )  # fmt: skip
 
-    return believe_together
+    return learn_later, update_together
+
+
+def plan(goal, works, load, GB, sought, GBw):
+    """Leave to the control what is left to do: of each control ``works`` arrives, and ``load`` is there without it."""
+    for i in range(sought.shape[0]):
+        sought[i] = goal[i]
+        for j in range(works.shape[0]):
+            sought[i] = sought[i] - GB[i, j] * load[j]
+            GBw[i, j] = GB[i, j] * works[j]
+
+
+def arrive(applied, works, load, effective):
+    """Compute what of the control arrives at the plant."""
+    for j in range(applied.shape[0]):
+        effective[j] = works[j] * applied[j] + load[j]

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 from bayesftc.controllers import _mode_kernels as mode_kernels, _switching_kernels as kernels
+from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers.precision import keep_nominal, report_nothing
 from bayesftc.cosim import ops
 from bayesftc.cosim._written import function_from_text
@@ -59,6 +60,10 @@ _REPORT = """
 report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.shape[0] * SETTINGS], first, outputs)
 """
 
+_REPORT_ACTUATORS = """
+report_actuators(memory, ACTUATORS, ACTUATOR_MODES, P, first + nominal.shape[0] * (MODES + 4), outputs)
+"""
+
 _OF_TIME = ("memory", "at", "settings", "row")
 _OF_A_SAMPLE = ("e", "present", "variance", "nominal", "change", *_OF_TIME)
 
@@ -105,8 +110,9 @@ def sensor_functions(
 
 @cache
 def learner_functions(
-    evidence: Evidence, chosen: tuple[int, ...], faults: tuple[int, ...], width: int, settings: int
-) -> tuple[Callable[..., None], Callable[..., None]]:
+    evidence: Evidence, chosen: tuple[int, ...], faults: tuple[int, ...], width: int, settings: int,
+    layout: Layout | None,
+) -> tuple[Callable[..., None], Callable[..., None]]:  # fmt: skip
     """Return the learning and the reporting step function of the per-sensor form for these modes.
 
     Parameters
@@ -115,6 +121,8 @@ def learner_functions(
         As of `sensor_functions`.
     faults : tuple of int
         For each mode whether it is a fault (1 or 0).
+    layout : Layout or None
+        Of the joint form's bank, where there is one: it has actuators to report on.
     """
     modes = len(evidence)
     pass_time, weigh = sensor_functions(evidence, chosen, width, settings)
@@ -123,7 +131,11 @@ def learner_functions(
         "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
     }  # fmt: skip
     learn = _function("learn_switching", argument_names(keep_nominal), _LEARN, names)
-    return learn, _function("report_switching", argument_names(report_nothing), _REPORT, names)
+    report = _REPORT
+    if layout is not None and layout.actuator_modes:
+        report += _REPORT_ACTUATORS
+        names |= {"ACTUATORS": layout.actuators, "P": layout.p, "ACTUATOR_MODES": layout.actuator_modes}
+    return learn, _function("report_switching", argument_names(report_nothing), report, names)
 
 
 def _names(evidence: Evidence) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, BayesianBlock
-from bayesftc.controllers._belief import make_believe
+from bayesftc.controllers._belief import arrive, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
@@ -29,9 +29,13 @@ class UnstableLoopWarning(UserWarning):
 
 @cache
 def _make_step(
-    believe: Callable[..., None], report: Callable[..., None], fold: Callable[..., None], first: int
+    learn: Callable[..., None],
+    update: Callable[..., None],
+    report: Callable[..., None],
+    fold: Callable[..., None],
+    first: int,
 ) -> Callable[..., None]:
-    """Return the controller's step function for ways of coming to a belief, of reporting and of carrying it.
+    """Return the controller's step function for ways of learning, of coming to a belief, of reporting and carrying it.
 
     The learner's own outputs begin at the place `first` among all outputs. The same functions give the same one, so that it
     is looked through and compiled once for however many controllers.
@@ -42,23 +46,26 @@ def _make_step(
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
-        N, V, Wt, L, GL, VGL, M, X, h,
+        N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(y, expected, covariance, C, e, present, CP, spread)
         for i in range(e.shape[0]):
             innovation[i] = select(present[i] > 0.5, e[i], NAN)
-        believe(
-            y, e, present, spread, nominal, A, C, Q, largest, mean, covariance, memory, settings, work,
-            R, used, precision, beta, fault_probability, chol, D, whitened, v, gain, J, JP, x_hat, P,
+        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        update(
+            y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+            R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         )  # fmt: skip
         report(memory, settings, nominal, first, outputs)
-        decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
+        plan(goal, works, load, GB, sought, GBw)
+        decide(sought, x_hat, P, A, G, GQ, GBw, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
         limit(u, applied, u_min, u_max, u_change)
         for i in range(pull.shape[0]):
             pull[i] = pull[i] - goal_shift[i]
-        fold(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
-        predict(x_hat, P, u, A, B, Q, largest, J, mean, covariance)
+        fold(pull, wanted, GA, GQ, GBw, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
+        arrive(applied, works, load, effective)
+        predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
 
     return bayesian_controller
 
@@ -145,6 +152,7 @@ class BayesianController(BayesianBlock):
             "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
             "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n),
             "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
+            "load": (p,), "effective": (p,), "sought": (g,), "GBw": (g, p),
         }  # fmt: skip
         joint = self.belief == "joint"
         folding = {
@@ -161,12 +169,13 @@ class BayesianController(BayesianBlock):
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
+            "work": np.zeros((learner.work, m, m)), "works": np.ones(p),
+            **{name: np.zeros(shape) for name, shape in scratch.items()},
         }  # fmt: skip
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
-        believe = make_believe(learner.step, learner.infer)
-        return Definition(_make_step(believe, learner.report, fold, first), state=state, parameters=parameters)
+        ways = make_ways(learner.step, learner.infer)
+        return Definition(_make_step(*ways, learner.report, fold, first), state=state, parameters=parameters)
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of plant and belief together in steady state, at fixed precision and without limits.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP
-from bayesftc.controllers._belief import make_believe
+from bayesftc.controllers._belief import arrive, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers._filter import innovate, predict
 from bayesftc.controllers._linalg import apply
@@ -24,34 +24,39 @@ from bayesftc.cosim.ports import Port
 
 
 @cache
-def _make_estimate(believe: Callable[..., None], report: Callable[..., None], first: int) -> Callable[..., None]:
-    """Return the step function from the samples to the belief, for ways of coming to it and of reporting.
+def _make_estimate(
+    learn: Callable[..., None], update: Callable[..., None], report: Callable[..., None], first: int
+) -> Callable[..., None]:
+    """Return the step function from the samples to the belief, for ways of learning, of coming to it and of reporting.
 
     The learner's own outputs begin at the place `first` among all outputs.
     """
 
     def state_estimator(
-        y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, memory,
-        A, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
+        y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, applied, memory,
+        A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
+        works, load,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(y, expected, covariance, C, e, present, CP, spread)
         for i in range(e.shape[0]):
             innovation[i] = select(present[i] > 0.5, e[i], NAN)
-        believe(
-            y, e, present, spread, nominal, A, C, Q, largest, mean, covariance, memory, settings, work,
-            R, used, precision, beta, fault_probability, chol, D, whitened, v, gain, J, JP, x_hat, P,
+        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        update(
+            y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+            R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         )  # fmt: skip
         report(memory, settings, nominal, first, outputs)
 
     return state_estimator
 
 
-def look_ahead(u, x_hat, P, applied, A, B, Q, largest, J, mean, covariance):
+def look_ahead(u, x_hat, P, applied, works, load, effective, A, B, Q, largest, J, mean, covariance):
     """Take the belief to the next step with the input, or with the last one where it is not finite."""
     for i in range(u.shape[0]):
         applied[i] = select(u[i] - u[i] == 0.0, u[i], applied[i])
-    predict(x_hat, P, applied, A, B, Q, largest, J, mean, covariance)
+    arrive(applied, works, load, effective)
+    predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +161,12 @@ class StateEstimator(Block):
         scratch = {
             "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
             "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n),
+            "load": (p,), "effective": (p,),
         }  # fmt: skip
         state: dict[str, Any] = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
+            "work": np.zeros((learner.work, m, m)), "works": np.ones(p),
+            **{name: np.zeros(shape) for name, shape in scratch.items()},
         }  # fmt: skip
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
         parameters = {
@@ -167,5 +174,5 @@ class StateEstimator(Block):
             **{"Q": Q, "nominal": nominal, "settings": learner.settings, "largest": largest},
         }
         first = sum(port.size for port in self._own_outputs)
-        estimate = _make_estimate(make_believe(learner.step, learner.infer), learner.report, first)
+        estimate = _make_estimate(*make_ways(learner.step, learner.infer), learner.report, first)
         return Definition(estimate, look_ahead, state=state, parameters=parameters)

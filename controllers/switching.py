@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers import _switching_kernels as kernels
-from bayesftc.controllers._bank import make_infer, start_bank
+from bayesftc.controllers._bank import make_infer
+from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
+from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
 from bayesftc.controllers.precision import Learner, PrecisionLearner
-from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
@@ -55,6 +56,11 @@ class SwitchingPrecision(PrecisionLearner):
         every step (a slow one) the share of the steps without a sample.
     joint : bool
         Whether offsets are estimated together with the state. The per-sensor form is faster and tells slow drifts later.
+    actuator_modes : sequence of ActuatorMode
+        The ways in which each actuator or the process can fail, see `ACTUATOR_MODES`; in the joint form. Then there are, for each
+        actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``,
+        ``actuator_fault_kind`` (the most probable mode by its number, 0: healthy) and ``actuator_fault_size`` (of that mode: its
+        c, see there; NaN of a healthy one); and the control makes up for what is lost and added.
 
     Raises
     ------
@@ -66,6 +72,7 @@ class SwitchingPrecision(PrecisionLearner):
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Noisier(), DroppedOut())
     loss: float | Sequence[float] = 0.01
     joint: bool = True
+    actuator_modes: Sequence[ActuatorMode] = ()
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
@@ -75,8 +82,14 @@ class SwitchingPrecision(PrecisionLearner):
                 f"SwitchingPrecision has modes={self.modes!r}; give fault modes such as Offset(), at least one."
             )
         object.__setattr__(self, "modes", modes)
-        given = self.loss
-        each = (tuple(given) or (given,)) if isinstance(given, list | tuple | np.ndarray) else (given,)
+        given = self.actuator_modes
+        if not isinstance(given, Sequence) or not all(isinstance(mode, ActuatorMode) for mode in given):
+            raise ModelError(
+                f"SwitchingPrecision has actuator_modes={given!r}; give actuator modes such as LostEffect(), or none."
+            )
+        object.__setattr__(self, "actuator_modes", tuple(given))
+        loss = self.loss
+        each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
         for value in each:
             as_number("SwitchingPrecision has loss", value, above=0, below=1)
         object.__setattr__(self, "loss", each if len(each) > 1 else each[0])
@@ -111,45 +124,75 @@ class SwitchingPrecision(PrecisionLearner):
                 memory += block + [0.0] * (width - len(block))
         evidence = tuple(type(mode).evidence for mode in self.modes)
         single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
-        learn, report = learner_functions(evidence, single, self._faults, width, settings_width)
-        infer, bank = self._together(model, evidence, width, settings_width, memory)
+        layout = self._layout(model, width, settings_width)
+        learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout)
         ports = [Port("mode_probability", (m, 1 + len(self.modes)))]
         ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
-        kept = np.array([*memory, 0.0, *bank])
-        return Learner(learn, kept, np.array([*settings, step]), 1, tuple(ports), report, infer)
+        if layout is None:
+            return Learner(learn, np.array([*memory, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
+        if layout.actuator_modes:
+            ports.append(Port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
+            ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
+        kept = np.array([*memory, 0.0, *layout.start(np.asarray(memory))])
+        settings += [step, *self._actuator_settings(model)]
+        return Learner(learn, kept, np.array(settings), 1, tuple(ports), report, self._infer(layout, evidence))
 
     @property
     def _faults(self) -> tuple[int, ...]:
         return tuple(int(mode.is_fault) for mode in self.modes)
 
-    def _together(
-        self,
-        model: LinearModel,
-        evidence: tuple[Callable[..., float], ...],
-        width: int,
-        settings: int,
-        sensors: list[float],
-    ) -> tuple[Callable[..., None] | None, Floats]:
-        """Return the step function of the joint form, if there is one, and what its bank keeps before the first sample."""
+    def _layout(self, model: LinearModel, width: int, settings: int) -> Layout | None:
+        """Return the layout of the joint form's bank, if it is that form."""
         nominal = model.matrix("sensor_covariance")
         kinds = tuple(k for k, mode in enumerate(self.modes) if isinstance(mode, Offset))
-        if not self.joint or not kinds or np.any(nominal != np.diag(np.diag(nominal))):
-            return None, np.zeros(0)
+        if not self.joint or not (kinds or self.actuator_modes) or np.any(nominal != np.diag(np.diag(nominal))):
+            if self.actuator_modes:
+                raise ModelError(
+                    "SwitchingPrecision has actuator_modes, which are told from sensors' faults in the joint form only; leave "
+                    "joint=True and give sensors of independent noise, or leave the actuator modes out."
+                )
+            return None
         slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
-        alone = tuple(k for k in range(len(evidence)) if k not in kinds)
-        other = tuple(k for k, mode in enumerate(self.modes) if not (mode.joint_only or mode.needs_witness))
-        functions = (
-            *sensor_functions(evidence, alone, width, settings),
-            *sensor_functions(evidence, other, width, settings),
-        )
         spans = [
-            tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes)) for of in (alone, other)
+            tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes)) for of in self._parts
         ]
-        infer = make_infer(*functions, kinds, slow, *spans, self._faults, width, settings)
-        return infer, start_bank(model.states, model.sensors, len(kinds), np.asarray(sensors))
+        return Layout(
+            n=model.states, m=model.sensors, p=model.controls, kinds=kinds, slow=slow, alone=spans[0], other=spans[1],
+            faults=self._faults, actuator_modes=len(self.actuator_modes), width=width, width_of_settings=settings,
+        )  # fmt: skip
+
+    @property
+    def _parts(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The modes that are judged sensor by sensor where no sensor has an offset, and of the other sensors where one has."""
+        alone = tuple(k for k, mode in enumerate(self.modes) if not isinstance(mode, Offset))
+        return alone, tuple(k for k, mode in enumerate(self.modes) if not (mode.joint_only or mode.needs_witness))
+
+    def _infer(self, layout: Layout, evidence: tuple[Callable[..., float], ...]) -> Callable[..., None]:
+        alone, other = (sensor_functions(evidence, of, layout.width, layout.width_of_settings) for of in self._parts)
+        return make_infer(layout, *alone, *other)
+
+    def _actuator_settings(self, model: LinearModel) -> list[float]:
+        """Return what the joint form is told of each mode of each actuator, one after the other."""
+        B, Q, settings = model.matrix("B"), model.matrix("process_covariance"), []
+        for j, effect in enumerate(B.T):
+            moved = effect != 0.0
+            scale = float((np.sqrt(np.diag(Q)[moved]) / np.abs(effect[moved])).max()) if moved.any() else 0.0
+            for mode in self.actuator_modes:
+                mean, variance, walk = mode.expected(scale)
+                if mode.absolute and not scale:
+                    raise ModelError(
+                        f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any "
+                        f"state that control {j} moves; give it a process_covariance there."
+                    )
+                rates = (
+                    _chance(mode, "time_to_fault", float(model.step)),
+                    _chance(mode, "time_to_recovery", float(model.step)),
+                )
+                settings += [*rates, mean, mode.follows, variance, walk, mode.absolute, mode.relative, mode.takes]
+        return settings
 
 
-def _chance(mode: FaultMode, name: str, step: float) -> float:
+def _chance(mode: FaultMode | ActuatorMode, name: str, step: float) -> float:
     """Return the probability per sample of what takes a mean time in seconds."""
     chance = step / float(getattr(mode, name))
     if chance >= 1:

@@ -99,12 +99,16 @@ def test_a_hypothesis_is_filtered_as_filterpy_does():
     F, q, C = np.array([[1.0, 0.1], [0.0, 0.9]]), np.diag([0.1, 0.2]), rng.normal(size=(2, n))
     memory, scratch = np.zeros(2 + N + N * N + 3 * N * N), 2 + N + N * N
     memory[2 : 2 + N], memory[2 + N : scratch] = mean, P.ravel()
-    move(memory, 0, n, 1, 1.0, 1.0, 0.3, F, q, False, np.eye(2), 1e20, scratch)
+    couples = scratch + N * N
+    shift = couples + n
+    memory[couples:shift], memory[shift : shift + n] = [0.2, -0.4], [0.5, 0.6]
+    move(memory, 0, n, 1, 1, 0.0, 1.0, 1.0, 1.0, 0.3, F, q, False, np.eye(2), 1e20, couples, shift, scratch)
     one = KalmanFilter(N, 1)
     one.x, one.P = mean[:, None], P
-    one.F = np.block([[F, np.zeros((2, 2))], [np.zeros((2, 2)), np.array([[1.0, 1.0], [0.0, 1.0]])]])
+    one.F = np.block([[F, np.array([[0.2, 0.0], [-0.4, 0.0]])], [np.zeros((2, 2)), np.array([[1.0, 1.0], [0.0, 1.0]])]])
+    one.B = np.array([[0.5], [0.6], [0.0], [0.0]])
     one.Q = np.diag([0.1, 0.2, 0.3, 0.0])
-    one.predict()
+    one.predict(u=1.0)
     for sensor, reads in ((0, 1), (1, 0)):
         spread, expected = expect(memory, 0, n, 1, reads, sensor, C, scratch)
         correct(memory, 0, n, 1, reads, sensor, C, scratch, 1.3 - expected, spread + 0.7, 0.7, 1.0)

@@ -1,0 +1,131 @@
+"""Where everything of a bank of hypotheses stands in its memory and its settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesftc.controllers._bank_kernels import PROBABILITY, STATE
+from bayesftc.controllers._switching_kernels import FIRST, FIRST_SETTINGS, LEAST
+from bayesftc.cosim.block import Floats
+
+ACTUATOR_SETTINGS = 9
+BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACTUATOR_SETTINGS)
+"""Places in the settings of one mode of one actuator."""
+
+WORKS, LOAD, OF_MODES = 0, 1, 2
+"""What is kept of an actuator: how much of the control arrives, what is added to it, then of each mode probability and size."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The numbers of a bank.
+
+    The memory begins as that of the per-sensor form (all sensors, the count of samples); then follow what is said of the
+    actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator), the pool, and scratch
+    space. The settings are those of the per-sensor form, then those of each mode of each actuator.
+
+    Attributes
+    ----------
+    n, m, p : int
+        Numbers of states, sensors and actuators.
+    kinds : tuple of int
+        Which of the sensors' modes are offsets.
+    slow : tuple of int
+        For each of these, whether other sensors must bear witness (1 or 0).
+    alone, other : tuple of int
+        For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
+        takes no part.
+    faults : tuple of int
+        For each mode whether it is a fault (1 or 0).
+    actuator_modes : int
+        How many modes each actuator has.
+    width, width_of_settings : int
+        Widths of the blocks of the sensors' modes.
+    """
+
+    n: int
+    m: int
+    p: int
+    kinds: tuple[int, ...]
+    slow: tuple[int, ...]
+    alone: tuple[int, ...]
+    other: tuple[int, ...]
+    faults: tuple[int, ...]
+    actuator_modes: int
+    width: int
+    width_of_settings: int
+
+    @property
+    def modes(self) -> int:
+        """How many modes a sensor has."""
+        return len(self.faults)
+
+    @property
+    def sensor(self) -> int:
+        """How many numbers are kept of a sensor."""
+        return FIRST + self.modes * self.width
+
+    @property
+    def row(self) -> int:
+        """How many settings a sensor has."""
+        return FIRST_SETTINGS + self.modes * self.width_of_settings
+
+    @property
+    def actuator(self) -> int:
+        """How many numbers are kept of an actuator."""
+        return OF_MODES + 2 * self.actuator_modes
+
+    @property
+    def hypotheses(self) -> int:
+        """How many hypotheses there are."""
+        return 1 + self.m * len(self.kinds) + self.p * self.actuator_modes
+
+    @property
+    def kept(self) -> int:
+        """Where in a hypothesis the sensors stand."""
+        return STATE + (self.n + 2) * (self.n + 3)
+
+    @property
+    def length(self) -> int:
+        """How many numbers a hypothesis has."""
+        return self.kept + self.m * self.sensor
+
+    @property
+    def actuators(self) -> int:
+        """Where in the memory the actuators stand."""
+        return self.m * self.sensor + 1
+
+    @property
+    def first(self) -> int:
+        """Where the first hypothesis stands, that nothing has an offset."""
+        return self.actuators + self.p * self.actuator
+
+    @property
+    def pool(self) -> int:
+        """Where the pool stands, of what has ended."""
+        return self.first + self.hypotheses * self.length
+
+    @property
+    def grow(self) -> int:
+        """Where the probabilities stand of what begins, then what each hypothesis says of the samples."""
+        return self.pool + self.length
+
+    @property
+    def couples(self) -> int:
+        """Where it stands how an offset moves the state, then what else moves it, then scratch space."""
+        return self.grow + 2 * self.hypotheses
+
+    def start(self, sensors: Floats) -> Floats:
+        """Return what is kept before the first sample besides ``sensors``, what the per-sensor form keeps of all of them."""
+        N = self.n + 2
+        # Nothing is known of actuators where a controller judges sensor by sensor.
+        actuator = np.full(self.actuator, np.nan)
+        actuator[[WORKS, LOAD]] = 1.0, 0.0
+        hypothesis = np.zeros(self.length)
+        hypothesis[self.kept :] = sensors
+        hypotheses = np.tile(hypothesis, (self.hypotheses + 1, 1))  # the last one is the pool
+        hypotheses[:, PROBABILITY] = [1.0, *[LEAST] * self.hypotheses]
+        scratch = np.zeros(2 * self.hypotheses + 2 * N + N * N)
+        return np.concatenate([np.tile(actuator, self.p), hypotheses.ravel(), scratch])

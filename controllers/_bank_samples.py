@@ -1,0 +1,196 @@
+"""What a sample of each sensor tells a bank of hypotheses, and what all of them say together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, correct, expect
+from bayesftc.controllers._bank_layout import (
+    ABSOLUTE,
+    ACTUATOR_SETTINGS,
+    LOAD,
+    OF_MODES,
+    RELATIVE,
+    TAKES,
+    WORKS,
+    Layout,
+)  # fmt: skip
+from bayesftc.controllers._mode_kernels import AGE, LOG_2_PI, SIZE, TRUST, WEIGHT
+from bayesftc.controllers._switching_kernels import (
+    FIRST,
+    FIRST_SETTINGS,
+    HEALTHY,
+    LAST,
+    LEAST,
+    LEAST_TRUST,
+    MODE_ARRIVES,
+    MODE_MISSING,
+    TRUSTED,
+    held,
+    share_of,
+)  # fmt: skip
+from bayesftc.cosim.ops import log, maximum, minimum, select
+
+ABSURD = 1e12
+"""Largest variance of an innovation, in the sensor's own, up to which a larger innovation is learned from: beyond it hypotheses
+would carry each other away."""
+
+LEAST_EFFECT = 0.1
+"""Least part of the control that is counted on: with less an actuator would be asked for the impossible."""
+
+
+@cache
+def make_weigh(
+    layout: Layout, weigh_alone: Callable[..., float], weigh_other: Callable[..., float]
+) -> Callable[..., None]:
+    """Return the step function that conditions each hypothesis on one sensor after the other and gives it its probability.
+
+    Parameters
+    ----------
+    layout : Layout
+        Where everything stands.
+    weigh_alone, weigh_other : function
+        Weighing of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
+    """
+    n, m, H, K = layout.n, layout.m, layout.hypotheses, len(layout.kinds)
+    kinds, sensor, row_length = layout.kinds or (0,), layout.sensor, layout.row
+    width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
+    told, scratch = layout.grow + H, layout.couples + 2 * (n + 2)
+
+    def weigh(y, e, present, nominal, C, memory, settings):
+        for h in range(H):
+            at = none + h * stride
+            memory[told + h] = 0.0 * memory[none]
+            for i in range(m):
+                variance, row = nominal[i, i], i * row_length
+                q = h - 1 - i * K  # which kind of offset this sensor has, if it has one
+                if q >= 0 and q < K:
+                    spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
+                    total = spread + variance
+                    error = held(e[i] - expected, minimum(total, ABSURD * variance))
+                    own = row + FIRST_SETTINGS + kinds[q] * width_of_settings
+                    density = settings[own + MODE_ARRIVES] - 0.5 * (error * error / total + log(total) + LOG_2_PI)
+                    memory[told + h] = memory[told + h] + select(
+                        present[i] > 0.5, density, settings[own + MODE_MISSING]
+                    )
+                    correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
+                else:
+                    offset = 1 if h > 0 else 0
+                    spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
+                    total = spread + variance
+                    error = held(e[i] - expected, minimum(total, ABSURD * variance))
+                    own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
+                    if h == 0:
+                        density = weigh_alone(error, present[i], total, variance, change, memory, own, settings, row)
+                    else:
+                        density = weigh_other(error, present[i], total, variance, change, memory, own, settings, row)
+                    memory[told + h] = memory[told + h] + density
+                    noise = variance / memory[own + TRUSTED]
+                    correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
+        most = memory[told]
+        for h in range(1, H):
+            most = maximum(most, memory[told + h])
+        total = 0.0 * most
+        for h in range(H):
+            memory[none + h * stride] = memory[none + h * stride] * share_of(memory[told + h], most)
+            total = total + memory[none + h * stride]
+        for h in range(H):
+            memory[none + h * stride] = maximum(memory[none + h * stride] / total, LEAST)
+
+    return weigh
+
+
+@cache
+def make_conclude(layout: Layout) -> Callable[..., None]:
+    """Return the step function that says what all hypotheses make together of the state.
+
+    Their means become deviations from the estimate.
+    """
+    n, H, N = layout.n, layout.hypotheses, layout.n + 2
+    none, stride, scratch = layout.first, layout.length, layout.couples
+
+    def conclude(mean, memory, x_hat, P):
+        for a in range(n):
+            total = 0.0 * mean[a]
+            for h in range(H):
+                total = total + memory[none + h * stride] * memory[none + h * stride + STATE + a]
+            memory[scratch + a] = total
+            x_hat[a] = mean[a] + total
+        for h in range(H):
+            for a in range(n):
+                z = none + h * stride + STATE + a
+                memory[z] = memory[z] - memory[scratch + a]
+        for a in range(n):
+            for b in range(a + 1):
+                total = 0.0 * mean[a]
+                for h in range(H):
+                    z = none + h * stride + STATE
+                    apart = memory[z + a] * memory[z + b]
+                    total = total + memory[none + h * stride] * (memory[z + N + a * N + b] + apart)
+                P[a, b] = total
+                P[b, a] = total
+
+    return conclude
+
+
+@cache
+def make_summarise(layout: Layout) -> Callable[..., None]:
+    """Return the step function that says of each sensor what the per-sensor form says, in the same places, and of each actuator.
+
+    Of an actuator it keeps how the plant is expected to get the control u: ``works u + load``.
+    """
+    n, m, p, H, K, L = layout.n, layout.m, layout.p, layout.hypotheses, len(layout.kinds), layout.actuator_modes
+    kinds, sensor, modes, width = layout.kinds or (0,), layout.sensor, layout.modes, layout.width
+    none, stride, kept = layout.first, layout.length, layout.kept
+    actuators, actuator, of_actuators = layout.actuators, layout.actuator, m * layout.row + 1
+
+    def summarise(y, present, memory, settings):
+        for i in range(m):
+            own = i * sensor
+            healthy, trust = 0.0 * memory[none], 0.0 * memory[none]
+            for h in range(H):
+                q = h - 1 - i * K
+                if q < 0 or q >= K:
+                    at = none + h * stride
+                    healthy = healthy + memory[at] * memory[at + kept + own + HEALTHY]
+                    trust = trust + memory[at] * memory[at + kept + own + TRUSTED]
+            memory[own + HEALTHY] = healthy
+            memory[own + TRUSTED] = maximum(minimum(trust, 1.0), LEAST_TRUST)
+            memory[own + LAST] = select(present[i] > 0.5, y[i], memory[own + LAST])
+            for k in range(modes):
+                block = own + FIRST + k * width
+                weight, trusted = 0.0 * memory[none], 0.0 * memory[none]
+                size, age = 0.0 * memory[none], 0.0 * memory[none]
+                for h in range(H):
+                    at, q = none + h * stride, h - 1 - i * K
+                    if q < 0 or q >= K:
+                        here = at + kept + block
+                        part = memory[at] * memory[here + WEIGHT]
+                        size = size + part * memory[here + SIZE]
+                        age = age + part * memory[here + AGE]
+                        trusted = trusted + part * memory[here + TRUST]
+                        weight = weight + part
+                    elif kinds[q] == k:
+                        size = size + memory[at] * memory[at + STATE + n]
+                        age = age + memory[at] * memory[at + OFFSET_AGE]
+                        weight = weight + memory[at]
+                memory[block + WEIGHT] = weight
+                memory[block + SIZE] = size / weight
+                memory[block + AGE] = age / weight
+                memory[block + TRUST] = trusted / weight
+        for j in range(p):
+            own = actuators + j * actuator
+            works, load = 1.0 + 0.0 * memory[none], 0.0 * memory[none]
+            for q in range(L):
+                at = none + (1 + m * K + j * L + q) * stride
+                row = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
+                c = memory[at + STATE + n]
+                works = works + memory[at] * (settings[row + TAKES] + settings[row + RELATIVE] * c)
+                load = load + memory[at] * settings[row + ABSOLUTE] * c
+                memory[own + OF_MODES + 2 * q] = memory[at]
+                memory[own + OF_MODES + 2 * q + 1] = c
+            memory[own + WORKS] = maximum(works, LEAST_EFFECT)
+            memory[own + LOAD] = load
+
+    return summarise

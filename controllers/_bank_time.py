@@ -1,0 +1,187 @@
+"""What time does to a bank of hypotheses between two samples: all move, faults begin and end, beliefs are merged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, blend, blend_healthy, blend_sensor, move
+from bayesftc.controllers._bank_layout import (
+    ABSOLUTE,
+    ACTUATOR_SETTINGS,
+    BEGIN,
+    END,
+    FOLLOWS,
+    LOAD,
+    MEAN,
+    RELATIVE,
+    TAKES,
+    VARIANCE,
+    WALK,
+    WORKS,
+    Layout,
+)  # fmt: skip
+from bayesftc.controllers._mode_kernels import AGE, OWN, SIZE, WEIGHT
+from bayesftc.controllers._switching_kernels import BEGINS, ENDS, FIRST, FIRST_SETTINGS, HEALTHY, LEAST, OWN_SETTINGS
+from bayesftc.cosim.ops import maximum, minimum
+
+EXPIRES = 0.02
+"""Probability per sample with which a drift ends that no other sensor bears witness to: it may as well be the state's motion."""
+
+
+@cache
+def make_pass_time(
+    layout: Layout, pass_alone: Callable[..., None], pass_other: Callable[..., None]
+) -> Callable[..., None]:
+    """Return the step function by which the time of one sample passes.
+
+    Parameters
+    ----------
+    layout : Layout
+        Where everything stands.
+    pass_alone, pass_other : function
+        Time passing for a sensor's modes where no sensor has an offset, and for the other sensors where one has.
+    """
+    n, m, p, K, L = layout.n, layout.m, layout.p, len(layout.kinds), layout.actuator_modes
+    kinds, slow = layout.kinds or (0,), layout.slow or (0,)
+    alone, other, modes = layout.alone, layout.other, layout.modes
+    sensor, row_length, actuator = layout.sensor, layout.row, layout.actuator
+    width, width_of_settings = layout.width, layout.width_of_settings
+    none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
+    couples = layout.couples
+    pushed, shift, scratch = couples + n + 2, couples + n + 2, couples + 2 * (n + 2)
+    actuators, of_actuators = layout.actuators, m * layout.row + 1
+    first_actuator = 1 + m * K
+
+    def witnessed(memory, sensors, i):
+        """Return the probability that a sensor other than ``i`` is healthy."""
+        nobody = 1.0 + 0.0 * memory[sensors + HEALTHY]
+        for j in range(m):
+            if j != i:
+                nobody = nobody * (1.0 - minimum(memory[sensors + j * sensor + HEALTHY], 1.0))
+        return 1.0 - nobody
+
+    def collect(memory, at, end, i):
+        """Merge into the pool what ends of a hypothesis, in which sensor ``i``, if it is one, had an offset."""
+        ended = memory[at] * end
+        memory[at] = maximum(memory[at] - ended, LEAST)
+        both = memory[pool] + ended
+        part = ended / both
+        memory[pool] = both
+        blend(memory, pool, part, at, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for j in range(m):
+            if j == i:
+                blend_healthy(memory, pool + kept + j * sensor, part, FIRST, width, modes)
+            else:
+                blend_sensor(memory, pool + kept + j * sensor, part, at + kept + j * sensor, 1.0, FIRST, width, other)
+
+    def receive(memory, at, came, source, i, age, c, b, cc, cb, bb):
+        """Merge into a hypothesis what comes from another one, with an offset of this mean, slope and covariance."""
+        part = came / (memory[at] + came)
+        memory[at] = memory[at] + came
+        blend(memory, at, part, source, n, 1, c, b, cc, cb, bb)
+        memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + part * (age - memory[at + OFFSET_AGE])
+        for j in range(m):
+            if j != i:
+                blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0, FIRST, width, other)
+
+    def pass_time(A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
+        # What begins, by the probabilities before time passes.
+        for i in range(m):
+            seen = witnessed(memory, none + kept, i)
+            for q in range(K):
+                begin = settings[i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + BEGINS]
+                healthy = memory[none + kept + i * sensor + HEALTHY]
+                memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (seen if slow[q] else 1.0)
+        for j in range(p):
+            for q in range(L):
+                begin = settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
+                memory[grow + first_actuator + j * L + q] = memory[none] * begin
+
+        # The prediction counts on what is believed of the actuators; a hypothesis departs from it by what it believes of them.
+        for a in range(n):
+            memory[couples + a] = 0.0 * memory[none]
+            total = 0.0 * memory[none]
+            for j in range(p):
+                works, load = memory[actuators + j * actuator + WORKS], memory[actuators + j * actuator + LOAD]
+                total = total + B[a, j] * (applied[j] - (works * applied[j] + load))
+            memory[pushed + a] = total
+        memory[pool] = 0.0 * memory[none]
+        for i in range(m):
+            pass_alone(memory, none + kept + i * sensor, settings, i * row_length)
+        move(
+            memory, none, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
+        )  # fmt: skip
+        for i in range(m):
+            for q in range(K):
+                at = none + (1 + i * K + q) * stride
+                row = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings
+                own = row + OWN_SETTINGS
+                seen = witnessed(memory, at + kept, i)
+                for j in range(m):
+                    if j != i:
+                        pass_other(memory, at + kept + j * sensor, settings, j * row_length)
+                jump, slope, walk = settings[own] * nominal[i, i], settings[own + 1] * nominal[i, i], settings[own + 2]
+                move(
+                    memory, at, n, 1, 1, 0.0, jump + slope, slope, slope, walk * nominal[i, i],
+                    A, Q, start, covariance, largest, couples, shift, scratch,
+                )  # fmt: skip
+                memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
+                collect(memory, at, settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), i)
+        for j in range(p):
+            for q in range(L):
+                at = none + (first_actuator + j * L + q) * stride
+                own = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
+                for i in range(m):
+                    pass_other(memory, at + kept + i * sensor, settings, i * row_length)
+                for a in range(n):
+                    memory[couples + a] = B[a, j] * (settings[own + ABSOLUTE] + settings[own + RELATIVE] * applied[j])
+                    memory[shift + a] = memory[shift + a] + B[a, j] * settings[own + TAKES] * applied[j]
+                move(
+                    memory, at, n, 1, 0, settings[own + MEAN] + settings[own + FOLLOWS] * applied[j],
+                    settings[own + VARIANCE], 0.0, 0.0, settings[own + WALK],
+                    A, Q, start, covariance, largest, couples, shift, scratch,
+                )  # fmt: skip
+                for a in range(n):
+                    memory[shift + a] = memory[shift + a] - B[a, j] * settings[own + TAKES] * applied[j]
+                memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
+                collect(memory, at, settings[own + END], -1)
+
+        # What has begun, and what goes on alone after the end of another: an offset that was known sensor by sensor.
+        stays, left = memory[none], memory[pool]
+        for i in range(m):
+            for q in range(K):
+                at = none + (1 + i * K + q) * stride
+                own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
+                jump, slope, walk = settings[own] * nominal[i, i], settings[own + 1] * nominal[i, i], settings[own + 2]
+                came = memory[grow + 1 + i * K + q]
+                stays = stays - came
+                receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
+                block = pool + kept + i * sensor + FIRST + kinds[q] * width
+                came = memory[pool] * memory[block + WEIGHT]
+                left = left - came
+                b, bb = memory[block + OWN], memory[block + OWN + 3]
+                cb = memory[block + OWN + 2] + bb
+                cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk * nominal[i, i]
+                receive(memory, at, came, pool, i, memory[block + AGE], memory[block + SIZE] + b, b, cc, cb, bb)
+        for j in range(p):
+            for q in range(L):
+                at = none + (first_actuator + j * L + q) * stride
+                own = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
+                came = memory[grow + first_actuator + j * L + q]
+                stays = stays - came
+                c = settings[own + MEAN] + settings[own + FOLLOWS] * applied[j]
+                receive(memory, at, came, none, -1, 0.0, c, 0.0, settings[own + VARIANCE], 0.0, 0.0)
+        stays, left = maximum(stays, LEAST), maximum(left, LEAST)
+        part = left / (stays + left)
+        memory[none] = stays + left
+        blend(memory, none, part, pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for j in range(m):
+            of_pool = pool + kept + j * sensor
+            rest = 1.0 + 0.0 * left
+            for q in range(K):
+                rest = rest - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
+            scale = 1.0 / maximum(rest, 1e-3)
+            blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
+
+    return pass_time
