@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 from bayesftc import controllers, reproduce
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.random import numbers
 from bayesftc.reproduce import _arm, _arm_figures, _arm_loop, _arm_tables, paper
 from bayesftc.reproduce._ensemble import Ensemble
@@ -41,9 +42,10 @@ def test_errors_are_those_of_the_paper_or_better(report):
         for name in ("implicit", "explicit", "deterministic"):
             assert mse[name][joint] <= paper.ARM[name][joint]
         assert mse["implicit"][joint] <= paper.ARM["deterministic"][joint]
-    assert report["detection"]["missed"] == 0
-    assert 0.0 < report["detection"]["delay_mean"] < 0.5
-    assert report["detection"]["healthy_share"] < report["settings"]["alpha"]
+    (found,) = report["detection"].values()
+    assert found["missed"] == 0
+    assert 0.0 < found["delay_mean"] < 0.5
+    assert found["healthy_share"] < report["settings"]["alpha"]
 
 
 def test_same_bits_for_any_number_of_jobs_and_other_bits_for_another_seed(report):
@@ -139,6 +141,12 @@ def test_being_told_is_a_missing_encoder():
     assert np.isfinite(result[:1000]).all()
 
 
+@pytest.mark.parametrize("modes", [{"fault_modes": ()}, {"further_modes": (("Frozen", "Melted"),)}], ids=str)
+def test_fault_modes_are_the_packages(modes):
+    with pytest.raises(ModelError, match=r"choose among Frozen, .*DroppedOut"):
+        Arm(**modes)
+
+
 def test_grid_tables_and_figure(printed):
     small = replace(
         Arm(),
@@ -147,13 +155,27 @@ def test_grid_tables_and_figure(printed):
         camera_precisions=(0.52,),
         learning_rates=(1e-3,),
         lower_bounds=(1e-1, 1e-3),
+        further_modes=(),
     )
     report = reproduce.arm(seed=2, jobs=1, runs=2, settings=small)
+    ours = report["mse"]["switching"]
+    assert ours["faulty"]["mean"] < 0.6e-5
+    assert ours["healthy"]["mean"] < 0.4e-5
+    found = report["detection"]["switching"]
+    assert (found["missed"], found["delay_mean"] < 0.01, found["healthy_share"] < 0.01) == (0, True, True)
     none, implicit = report["grid"]["none"], report["grid"]["implicit"]
     assert none[0]["faulty"] < none[1]["faulty"]  # an arm that has arrived when its encoder freezes errs less
     assert implicit[0]["faulty"] > 100 * implicit[1]["faulty"]
     text = printed(_arm_tables.show(report))
-    for words in ("misses it in no run", "bound 0.001", "7.4 s", f"{1e6 * none[1]['faulty']:.0f} /"):
+    more = [{"fault_modes": ["Frozen", "Noisier"], "faulty": 600.0, "healthy": 90.0}]
+    assert "Frozen, Noisier" in printed(_arm_tables.show({**report, "grid": {**report["grid"], "switching": more}}))
+    for words in (
+        "SwitchingPrecision (Frozen, DroppedOut;",
+        "misses it in no run",
+        "bound 0.001",
+        "7.4 s",
+        f"{1e6 * none[1]['faulty']:.0f} /",
+    ):
         assert words in text
     figure = _arm_figures.trajectories(report)
     assert len(figure.axes) == 6

@@ -9,13 +9,18 @@ from scipy.stats import ttest_ind
 
 from bayesftc import controllers, cosim, reproduce
 from bayesftc.cosim.random import numbers
-from bayesftc.reproduce import _tracking, _tracking_figures, _tracking_tables, paper
+from bayesftc.reproduce import _oracle_tables, _tracking_bench, _tracking_figures, _tracking_tables, paper
 from bayesftc.reproduce._ensemble import Ensemble, chunks, in_parallel, seeds
 from bayesftc.reproduce._merit import merit, total
+from bayesftc.reproduce._oracle import over_oracle
 from bayesftc.reproduce._statistics import outcomes
 from bayesftc.reproduce.settings import Car, Tracking
 
 FOUR = ("EF-FDI", "No FT", "PL", "SER FT")
+
+
+CELLS = (("healthy", 0.0, 1.005), ("injection", 3.0, 1.0), ("drift", 2.0, 100.0))
+"""Faults with the errors over the oracle's that are aimed at."""
 
 
 class Twin(controllers.GammaPrecision):
@@ -23,8 +28,10 @@ class Twin(controllers.GammaPrecision):
 
 
 def run(seed, jobs):
-    """Return the report of few runs with one further learner and a grid of two sizes and two durations."""
-    settings = Tracking(runs=30, injections=(10.0,), drifts=(), effdi_durations=(8.0,))
+    """Return the report of few runs with one further learner, a grid of two sizes and two durations, and three bars."""
+    settings = Tracking(
+        runs=30, injections=(10.0,), drifts=(), effdi_durations=(8.0,), oracle_factor=2, oracle_cells=CELLS
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(controllers, "LEARNERS", (Twin,))
         return reproduce.tracking(seed=seed, jobs=jobs, settings=settings)
@@ -41,7 +48,9 @@ def without_speed(report):
 
 def test_report_has_what_the_file_promises(report):
     kinds = {f"{f}/{r}" for f in ("freeze", "injection", "drift") for r in ("constant", "ramp", "sine")}
-    assert {"settings", "scenarios", "merit", "total_merit", "oracle", "paper", "speed", "grid"} <= set(report)
+    assert {"settings", "scenarios", "merit", "total_merit", "oracle", "over_oracle", "paper", "speed", "grid"} <= set(
+        report
+    )
     assert set(report["scenarios"]) == set(report["oracle"]) == kinds
     for techniques in report["scenarios"].values():
         assert tuple(techniques) == (*FOUR, "Twin")
@@ -55,8 +64,10 @@ def test_report_has_what_the_file_promises(report):
 def test_settings_in_the_report_are_those_of_the_objects_with_a_reason_for_each(report):
     settings = report["settings"]
     for name, value in vars(Tracking()).items():
-        small = name in {"runs", "injections", "drifts", "effdi_durations"}
-        assert (settings[name] == (list(value) if isinstance(value, tuple) else value)) != small
+        small = name in {"runs", "injections", "drifts", "effdi_durations", "oracle_factor", "oracle_cells"}
+        assert (
+            settings[name] == (list(value) if isinstance(value, tuple) else value)
+        ) != small or name == "oracle_cells"
         assert len(settings["why"][name]) > 5
     assert settings["car"]["drag"] == Car().drag
     assert "forgetting=0.95" in settings["techniques"]["PL"]
@@ -71,7 +82,7 @@ def test_another_seed_is_other_noise_and_the_papers_part_is_the_same_alone(repor
     assert other["scenarios"].keys() == report["scenarios"].keys()
     assert other["scenarios"]["injection/sine"]["PL"] != report["scenarios"]["injection/sine"]["PL"]
     alone = reproduce.tracking(seed=3, jobs=2, runs=30, beyond=False)
-    assert alone["grid"] is None
+    assert alone["grid"] is alone["over_oracle"] is None
     for name in ("merit", "total_merit", "oracle"):
         assert alone[name] == report[name]
     assert alone["scenarios"] == {k: {n: c[n] for n in FOUR} for k, c in report["scenarios"].items()}
@@ -109,12 +120,57 @@ def test_oracle_is_as_good_as_one_kalman_filter_says(report):
         assert steady(2) < cell["rmse_mean"] < 1.1 * steady(1)
 
 
+def test_errors_over_the_oracles_are_of_all_runs_on_the_same_noise(report):
+    """The runs again: the others' share the oracle's first ones; with healthy sensors the oracle is fixed precision."""
+    cells = report["over_oracle"]["cells"]
+    assert set(cells) == {
+        f"{fault}/{r}" for fault in ("healthy", "injection 3", "drift 2") for r in ("constant", "ramp", "sine")
+    }
+    for reference in ("constant", "ramp", "sine"):
+        healthy = cells[f"healthy/{reference}"]
+        assert healthy["bar"] == 1.005
+        assert healthy["ratio"]["No FT"] == {"ratio": 1.0, "ratio_ci": [1.0, 1.0], "n": 30}
+        squares = {
+            name: cell["rmse_mean"] ** 2 + cell["rmse_sd"] ** 2 * 29 / 30
+            for name, cell in report["scenarios"][f"injection/{reference}"].items()
+        }
+        cell = cells[f"injection 3/{reference}"]
+        for name in (*FOUR, "Twin"):
+            low, high = cell["ratio"][name]["ratio_ci"]
+            assert low < cell["ratio"][name]["ratio"] < high
+            expected = np.sqrt(squares[name] / squares["PL"])
+            assert cell["ratio"][name]["ratio"] / cell["ratio"]["PL"]["ratio"] == pytest.approx(expected, rel=1e-9)
+
+
+def test_chosen_techniques_and_the_oracle_make_more_runs():
+    settings = Tracking(runs=2, duration=2.0, fault_start=0.4, fault_stop=2.0, oracle_factor=2, oracle_cells=CELLS)
+    bench = _tracking_bench.Bench(settings, Car(), Ensemble(3))
+    known = {"No FT": controllers.FixedPrecision(), "often": controllers.FixedPrecision()}
+    for cell in over_oracle(bench, known, ["often"])["cells"].values():
+        assert [cell["ratio"][name]["n"] for name in known] == [2, 4]
+        assert 0.0 < cell["oracle"] < 5.0
+
+
+def test_tables_say_which_aims_are_missed(printed):
+    def cell(bar, ratio):
+        return {"bar": bar, "ratio": {"Twin": {"ratio": 9.0, "ratio_ci": [8.0, 10.0], "n": 3},
+                                      "ours": {"ratio": ratio, "ratio_ci": [ratio - 0.2, ratio + 0.4], "n": 6}}}  # fmt: skip
+
+    cells = {f"{fault}/{r}": cell(1.1, 1.0) for fault in ("freeze", "drift 2") for r in ("constant", "sine")}
+    text = printed(_oracle_tables.show(cells))
+    assert "ours meets the aim in all 4 cells." in text
+    assert "1.000 ± 0.300" in text
+    assert "9.00" in text
+    text = printed(_oracle_tables.show(cells | {"drift 2/sine": cell(1.1, 1.2)}))
+    assert "ours meets the aim in 3 of 4 cells, and misses it on drift 2/sine (1.2 for 1.1)." in text
+
+
 def test_an_error_is_the_root_mean_square_of_a_run_by_hand():
     """The first run of a scenario again, with a Kalman filter and deadbeat control written out."""
     settings = replace(Tracking(), runs=2)
-    bench = _tracking._Bench(settings, Car(), Ensemble(3))
+    bench = _tracking_bench.Bench(settings, Car(), Ensemble(3))
     learner = controllers.FixedPrecision()
-    scenario = _tracking.Scenario("injection", "sine", settings.injection)
+    scenario = _tracking_bench.Scenario("injection", "sine", settings.injection)
     error = bench.measure("x", [scenario], {"No FT": learner}).runs[scenario]["No FT"].rmse[0]
     seed = seeds(3, "injection/sine", 1)[0]
     q = np.sqrt(1e-3) * numbers(seed, "disturbance_noise.noise", 1001)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -13,8 +13,9 @@ import numpy as np
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
+from bayesftc.cosim.roles import ALARM
 from bayesftc.reproduce import paper
-from bayesftc.reproduce._arm_loop import FAULTY, HEALTHY, Case, closed_loop, explicit, learning
+from bayesftc.reproduce._arm_loop import FAULTY, HEALTHY, Case, closed_loop, explicit, learning, switching
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._statistics import interval
 from bayesftc.reproduce.settings import Arm
@@ -23,6 +24,9 @@ CHUNK = 5
 """Runs that one task makes: about a fifth of a second."""
 BELIEF = ("plant.q1", "plant.q2", "controller.x_hat")
 NAMES = ("none", "implicit", "explicit", "deterministic")
+SWITCHING = "switching"
+SIGNALS = {"explicit": "detected", SWITCHING: "fault_probability"}
+"""What a technique that detects says of each sensor: a probability, or 0 or 1."""
 
 
 def run(
@@ -45,7 +49,8 @@ def run(
     runs : int, optional
         Runs of each controller, instead of the settings'.
     beyond : bool
-        Whether the unpublished settings are varied as well (``grid``).
+        Whether what is not in the paper is run as well: `SwitchingPrecision`, and other values of the unpublished settings
+        (``grid``).
     settings : Arm, optional
         Other settings than those of `bayesftc.reproduce.settings`.
     progress : callable, optional
@@ -64,10 +69,14 @@ def run(
         "explicit": Case(explicit(settings, thresholds)),
         "deterministic": Case(controllers.FixedPrecision(), told=True),
     }
+    if beyond:
+        cases[SWITCHING] = Case(switching(settings.fault_modes))
     loops = {name: closed_loop(settings, case) for name, case in cases.items()}
     chosen = ensemble.seeds("arm", settings.runs)
     errors = squared_errors(settings, loops, chosen, ensemble, "The paper's table")
-    detection = detections(settings, cases["explicit"], chosen, ensemble)
+    detection = {
+        name: detections(settings, cases[name], SIGNALS[name], chosen, ensemble) for name in SIGNALS if name in cases
+    }
     return {
         "settings": {
             "seed": seed,
@@ -104,10 +113,10 @@ def squared_errors(
     return {name: np.concatenate(parts) for name, parts in zip(loops, every, strict=True)}
 
 
-def detections(settings: Arm, case: Case, of: Sequence[int], ensemble: Ensemble) -> dict[str, float]:
-    """Return how soon the explicit detection finds the fault, and how often it sees one where there is none."""
+def detections(settings: Arm, case: Case, signal: str, of: Sequence[int], ensemble: Ensemble) -> dict[str, float]:
+    """Return how soon a technique finds the fault by one of its signals, and how often it sees one where there is none."""
     loops = [closed_loop(settings, replace(case, fault=fault)) for fault in (True, False)]
-    every, _ = ensemble.each("Detection", loops, [of, of], CHUNK, partial(_detected, settings))
+    every, _ = ensemble.each("Detection", loops, [of, of], CHUNK, partial(_detected, settings, signal))
     delays, healthy = np.concatenate(every[0])[:, 0], np.concatenate(every[1])[:, 1]
     return {
         "delay_mean": float(np.mean(delays[np.isfinite(delays)])) if np.isfinite(delays).any() else float("nan"),
@@ -132,11 +141,11 @@ def _errors(settings: Arm, loop: cosim.Diagram, of: Sequence[int]) -> Floats:
     return np.array(rows)
 
 
-def _detected(settings: Arm, loop: cosim.Diagram, of: Sequence[int]) -> Floats:
+def _detected(settings: Arm, signal: str, loop: cosim.Diagram, of: Sequence[int]) -> Floats:
     """Return for each run the delay of the faulty encoder's detection in seconds, and the share of time with a detection."""
     start, rows = round(settings.fault_start / settings.step), []
-    for result in repeat(loop, settings.duration, of, ["controller.detected"]):
-        flags = result["controller.detected"] > 0.5
+    for result in repeat(loop, settings.duration, of, [f"controller.{signal}"]):
+        flags = result[f"controller.{signal}"] >= ALARM
         hits = np.flatnonzero(flags[start:, FAULTY])
         rows.append([hits[0] * settings.step if len(hits) else np.nan, flags.any(axis=1).mean()])
     return np.array(rows)
@@ -164,21 +173,27 @@ def _trajectory(settings: Arm, loop: cosim.Diagram, seed: int) -> dict[str, Any]
 
 
 def _grid(settings: Arm, ensemble: Ensemble) -> dict[str, list[dict[str, Any]]]:
-    """Return the errors for other values of the settings that the paper does not publish."""
-    none, learned = Case(controllers.FixedPrecision()), ("learning_rate", "lower_bound")
-    cells: dict[str, list[dict[str, float]]] = {
+    """Return the errors for other values of the settings that the paper does not publish, and for other fault modes."""
+    learned = ("learning_rate", "lower_bound")
+    make: dict[str, Callable[[Arm], controllers.PrecisionLearner]] = {
+        "none": lambda _: controllers.FixedPrecision(),
+        "implicit": learning,
+        SWITCHING: lambda varied: switching(varied.fault_modes),
+    }
+    cells: dict[str, list[dict[str, Any]]] = {
         "none": [
             {"switch": s, "camera_precision": c} for s, c in product(settings.switches, settings.camera_precisions)
         ],
         "implicit": [
             dict(zip(learned, pair, strict=True)) for pair in product(settings.learning_rates, settings.lower_bounds)
         ],
+        SWITCHING: [{"fault_modes": modes} for modes in settings.further_modes],
     }
     loops: dict[Any, cosim.Diagram] = {}
     for kind, values in cells.items():
         for i, changes in enumerate(values):
-            varied = replace(settings, **changes)  # type: ignore[arg-type]
-            loops[kind, i] = closed_loop(varied, none if kind == "none" else Case(learning(varied)))
+            varied = replace(settings, **changes)
+            loops[kind, i] = closed_loop(varied, Case(make[kind](varied)))
     own = ensemble.seeds("arm grid", settings.grid_runs)
     errors = squared_errors(settings, loops, own, ensemble, "Unpublished settings")
     return {

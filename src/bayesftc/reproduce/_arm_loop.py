@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -33,6 +34,12 @@ def explicit(settings: Arm, thresholds: tuple[controllers.FittedThreshold, ...])
     return controllers.ExplicitDetection(
         learning(settings), threshold=thresholds, groups=settings.detection_groups, hold=settings.hold
     )
+
+
+def switching(modes: Sequence[str]) -> controllers.SwitchingPrecision:
+    """Return the learner of fault modes with these; under active inference it judges sensors one by one."""
+    known = {mode.__name__: mode for mode in controllers.FAULT_MODES}
+    return controllers.SwitchingPrecision([known[name]() for name in modes], joint=False)
 
 
 def controller(settings: Arm, precision: controllers.PrecisionLearner) -> controllers.UnbiasedActiveInference:

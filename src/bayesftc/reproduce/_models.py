@@ -24,14 +24,11 @@ from bayesftc.cosim.roles import ALARM
 from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
 from bayesftc.reproduce._models_car import RIGHT, Condition, believed, conditions, disturbed, loop
 from bayesftc.reproduce._statistics import ratio
-from bayesftc.reproduce._tracking import CHUNK, PAPERS, techniques
+from bayesftc.reproduce._tracking_bench import CHUNK, HEALTHY, ORACLE, PAPERS, RECORD, techniques
 from bayesftc.reproduce.settings import Car, Models, Tracking
 
-HEALTHY = "healthy"
 FIXED = "No FT"
 """Fixed precision, with which all techniques are compared where the sensors are healthy."""
-ORACLE = "oracle"
-RECORD = ("plant.v", "reference.y")
 
 
 class Detector(NamedTuple):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.reproduce._drawing import figure, heat_map
-from bayesftc.reproduce._models import HEALTHY
+from bayesftc.reproduce._tracking_bench import HEALTHY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator, Mapping
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.reproduce._models import FIXED, HEALTHY
+from bayesftc.reproduce._models import FIXED
 from bayesftc.reproduce._models_car import RIGHT, UNKNOWN_LIMIT
 from bayesftc.reproduce._tables import sentence_list, table
+from bayesftc.reproduce._tracking_bench import HEALTHY
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

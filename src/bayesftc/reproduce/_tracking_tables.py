@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.reproduce import _oracle_tables
+from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._tables import sentence_list, table
 
 if TYPE_CHECKING:
@@ -36,7 +38,10 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             f"{sentence_list([f'{n} {merit[n]}' for n in sorted(merit, key=merit.__getitem__, reverse=True)])}. "
             + (f"{sentence_list(ahead)} {'is' if len(ahead) == 1 else 'are'} ahead of PL." if ahead else "PL leads.")
         )
+    yield from _against_the_papers(report)
     yield from _where_it_loses(report)
+    if report["over_oracle"] is not None:
+        yield from _oracle_tables.show(report["over_oracle"]["cells"])
     speed = report["speed"]
     yield (
         f"Speed: {speed['steps_per_second'] / 1e6:.2f} million closed-loop steps per second with {speed['jobs']} jobs "
@@ -64,6 +69,16 @@ def _orders(report: dict[str, Any]) -> Iterator[str]:
             yield (
                 f"{a} ({ours[a]}) and {b} ({ours[b]}) stand in reverse order to the paper's ({papers[a]} and {papers[b]})."
             )
+
+
+def _against_the_papers(report: dict[str, Any]) -> Iterator[str]:
+    """Yield how the forms of `SwitchingPrecision` fare against the paper's other techniques."""
+    rivals = [name for name in report["merit"] if name != "PL"]
+    tests = len(rivals) * len(report["scenarios"])
+    table = report["merit_of_all"]
+    for name in (name for name in table if name.startswith(SWITCHING)):
+        won = sum(table[rival][name] for rival in rivals)
+        yield f"{name}: merit {won} of {tests} against {sentence_list(rivals)}."
 
 
 def _errors(title: str, cells: dict[str, Any], names: list[str]) -> RenderableType:
