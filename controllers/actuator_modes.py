@@ -26,12 +26,13 @@ class ActuatorMode:
     Parameters
     ----------
     time_to_fault : float
-        Mean time in seconds until a healthy actuator fails in this way.
+        Mean time in seconds until a healthy actuator fails in this way. By default ten times that of a sensor: then the insurance
+        costs nothing while all is well.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
     """
 
-    time_to_fault: float = 60.0
+    time_to_fault: float = 600.0
     time_to_recovery: float = 20.0
 
     absolute: ClassVar[float] = 0.0

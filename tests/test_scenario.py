@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers import LAWS, LEARNERS
+from bayesftc.controllers import ACTUATOR_MODES, LAWS, LEARNERS
 from bayesftc.cosim.errors import (
     ConnectionError,
     FMUError,
@@ -73,6 +73,13 @@ def test_every_learner_can_be_said(write, learner, spelling):
     text = CAR[: CAR.index("[controller.precision]")] + "[controller.precision]\nkind = "
     name = learner.__name__.lower() if spelling == "lower" else learner.__name__
     assert type(load_scenario(write(text=f'{text}"{name}"')).controller.precision) is learner
+
+
+@pytest.mark.parametrize("mode", ACTUATOR_MODES, ids=lambda c: c.__name__)
+def test_every_actuator_mode_can_be_said(write, mode):
+    text = CAR[: CAR.index("[controller.precision]")] + '[controller.precision]\nkind = "SwitchingPrecision"\n'
+    scenario = load_scenario(write(text=f'{text}actuator_modes = [{{ kind = "{mode.__name__}", time_to_fault = 9 }}]'))
+    assert scenario.controller.precision.actuator_modes == (mode(time_to_fault=9.0),)
 
 
 def test_nested_tables_become_blocks(write):

@@ -125,6 +125,7 @@ def _dataclasses(hint: Any) -> list[type[Any]]:
 
 def registered(base: type[Any]) -> tuple[type[Any], ...]:
     """Return the classes that may stand where `base` is asked for, or none if it has no list of its own."""
+    from bayesftc.controllers.actuator_modes import ACTUATOR_MODES, ActuatorMode
     from bayesftc.controllers.fault_modes import FAULT_MODES, FaultMode
     from bayesftc.controllers.laws import ControlLaw
     from bayesftc.controllers.precision import PrecisionLearner
@@ -135,6 +136,7 @@ def registered(base: type[Any]) -> tuple[type[Any], ...]:
     lists: dict[type[Any], tuple[type[Any], ...]] = {
         PrecisionLearner: LEARNERS,
         FaultMode: FAULT_MODES,
+        ActuatorMode: ACTUATOR_MODES,
         ControlLaw: LAWS,
         Fault: single,
     }

@@ -1,0 +1,142 @@
+"""Actuator modes: one hypothesis is a Kalman filter of its own (filterpy); faults are told from sensors' and made up for."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from bayesftc import controllers
+from bayesftc.controllers import (
+    ACTUATOR_MODES,
+    BayesianController,
+    InputOffset,
+    LinearModel,
+    LostEffect,
+    StateEstimator,
+    StuckActuator,
+    SwitchingPrecision,
+)
+from bayesftc.cosim.errors import ModelError
+
+STEP, A, B, Q = 0.02, 0.999, 2e-4, 0.001
+MODEL = LinearModel([[A]], [[B]], [[1.0], [1.0]], Q, 1.0, STEP)
+SCALE = np.sqrt(Q) / B
+AT_ONCE, NEVER = STEP * (1 + 1e-12), 1e15
+MODES = [InputOffset(), LostEffect(), StuckActuator()]
+
+
+def test_all_modes_are_here():
+    assert {type(mode) for mode in MODES} == set(ACTUATOR_MODES)
+
+
+@pytest.mark.parametrize("kind", ACTUATOR_MODES)
+def test_a_fault_that_has_begun_is_filtered_as_filterpy_does(kind):
+    """Whatever the controller counts on in between; the offset of a sensor has no chance beside it."""
+    mode = kind(AT_ONCE, NEVER)
+    precision = SwitchingPrecision(modes=(controllers.Offset(NEVER, NEVER),), loss=1e-9, actuator_modes=(mode,))
+    step = StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=0.5).online(compiled=False)
+    mean, variance, walk = mode.expected(SCALE)
+    one = KalmanFilter(2, 2, 1)
+    one.x, one.P = np.array([[20.0], [mean]]), np.diag([0.5, variance])
+    one.H, one.R, one.Q = np.array([[1.0, 0.0], [1.0, 0.0]]), np.eye(2), np.diag([Q, walk])
+    rng, x = np.random.default_rng(3), 20.0
+    for _ in range(60):
+        y, u = x + rng.normal(size=2), 800.0 * rng.normal()
+        one.update(y[:, None])
+        out = step(y=list(y), u=[u])
+        assert out.x_hat[0] == pytest.approx(one.x[0, 0], rel=1e-9)
+        assert out.P[0, 0] == pytest.approx(one.P[0, 0], rel=1e-6)
+        assert out.actuator_fault_size[0] == pytest.approx(one.x[1, 0], rel=1e-6, abs=1e-6)
+        assert out.actuator_fault_kind[0] == 1
+        one.F = np.array([[A, B * (mode.absolute + mode.relative * u)], [0.0, 1.0]])
+        one.B = np.array([[B * (1.0 + mode.takes)], [0.0]])
+        one.predict(u=np.array([[u]]))
+        x = A * x + B * 0.4 * u + np.sqrt(Q) * rng.normal()
+
+
+def drive(kind, modes, offset=0.0, steps=500, start=200, stop=400, seed=0, compiled=False):
+    """Run the car in plain Python with a fault of its actuator, and an offset of a sensor; yield outputs and errors."""
+    rng, x = np.random.default_rng(seed), 20.0
+    precision = SwitchingPrecision(actuator_modes=modes)
+    step = BayesianController(MODEL, precision=precision, initial_mean=20.0).online(compiled=compiled)
+    for k in range(steps):
+        y = x + rng.normal(size=2)
+        failed = start <= k < stop
+        y[0] += offset * failed
+        out = step(y=list(y), goal=[20.0 + 10.0 * np.sin((k + 1) * STEP * 0.8)])
+        u = out.u[0]
+        if k == start:
+            held = u
+        received = {None: u, "InputOffset": u + 1500.0, "LostEffect": 0.4 * u, "StuckActuator": held if failed else u}[
+            kind
+        ]
+        yield out, x - (20.0 + 10.0 * np.sin(k * STEP * 0.8))
+        x = A * x + B * (received if failed else u) + np.sqrt(Q) * rng.normal()
+
+
+@pytest.mark.parametrize(
+    ("kind", "offset"), [(type(mode).__name__, 0.0) for mode in MODES] + [("InputOffset", 6.0), (None, 6.0)]
+)
+def test_faults_of_actuators_are_told_from_those_of_sensors_and_made_up_for(kind, offset):
+    outs, errors = zip(*drive(kind, MODES, offset), strict=True)
+    healthy, during, after = outs[20:200], outs[270:400], outs[430:]
+    number = 0 if kind is None else 1 + [type(mode).__name__ for mode in MODES].index(kind)
+    # A lost share is not seen while the control is near zero.
+    most = 0.8 if kind == "LostEffect" else 0.95
+    assert np.mean([out.actuator_fault_kind[0] == number for out in during]) > most
+    assert np.mean([(out.actuator_fault_probability[0] > 0.5) == (kind is not None) for out in during]) > most
+    assert np.mean([(out.fault_probability[0] > 0.9) == (offset > 0) for out in during]) > 0.95
+    assert np.mean([out.fault_probability[1] < 0.5 for out in (*healthy, *during)]) > 0.97
+    for quiet in (healthy, after):
+        assert np.mean([out.actuator_fault_probability[0] < 0.5 for out in quiet]) > 0.98
+    if kind == "InputOffset":
+        assert during[-1].actuator_fault_size[0] == pytest.approx(1500.0, rel=0.15)
+    if kind == "LostEffect":
+        assert during[-1].actuator_fault_size[0] == pytest.approx(0.6, abs=0.1)
+    if kind != "StuckActuator":  # which nothing can make up for
+        assert np.sqrt(np.mean(np.square(errors[270:400]))) < 0.4
+    for out in outs:
+        np.testing.assert_allclose(out.actuator_mode_probability.sum(), 1.0, rtol=1e-9)
+
+
+def test_without_its_modes_a_failed_actuator_is_taken_for_failed_sensors():
+    """That is why they are there."""
+    outs, errors = zip(*drive("InputOffset", ()), strict=True)
+    assert "actuator_fault_probability" not in outs[0]
+    assert np.mean([out.fault_probability.min() > 0.5 for out in outs[270:400]]) > 0.5
+    assert np.abs(errors[390]) > 5.0
+
+
+def test_both_engines_give_the_same_bits():
+    for (one, _), (other, _) in zip(
+        drive("LostEffect", MODES, steps=60, start=20),
+        drive("LostEffect", MODES, steps=60, start=20, compiled=True),
+        strict=True,
+    ):
+        for name in ("u", "x_hat", "P", "actuator_mode_probability", "actuator_fault_size", "fault_probability"):
+            np.testing.assert_array_equal(one[name], other[name])
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: SwitchingPrecision(actuator_modes=3), "give actuator modes"),
+        (lambda: SwitchingPrecision(actuator_modes=(controllers.Offset(),)), "give actuator modes"),
+        (lambda: SwitchingPrecision(actuator_modes=MODES, joint=False).learner(MODEL), "in the joint form only"),
+        (
+            lambda: SwitchingPrecision(actuator_modes=(LostEffect(0.01),)).learner(MODEL),
+            "not longer than the sample time",
+        ),
+        (
+            lambda: SwitchingPrecision(actuator_modes=MODES).learner(
+                LinearModel(np.eye(2), [[0.0], [1.0]], np.eye(2), [1.0, 0.0], 1.0, STEP)
+            ),
+            "has none on any state that control 0 moves",
+        ),
+        (lambda: InputOffset(jump=-1.0), "jump=-1.0"),
+        (lambda: LostEffect(share=3.0), "share=3.0"),
+        (lambda: StuckActuator(time_to_fault="late"), "time_to_fault='late'"),
+    ],
+)
+def test_bad_settings(make, words):
+    with pytest.raises(ModelError, match=words):
+        make()
