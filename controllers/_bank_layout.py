@@ -22,9 +22,9 @@ WORKS, LOAD, OF_MODES = 0, 1, 2
 class Layout:
     """The numbers of a bank.
 
-    The memory begins as that of the per-sensor form (all sensors, the count of samples); then follow what is said of the
-    actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator), the pool, and scratch
-    space. The settings are those of the per-sensor form, then those of each mode of each actuator.
+    The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
+    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator), the pool, and
+    scratch space. The settings are those of the per-sensor form, then those of each mode of each actuator.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Layout:
     @property
     def actuators(self) -> int:
         """Where in the memory the actuators stand."""
-        return self.m * self.sensor + 1
+        return self.m * self.sensor + 2
 
     @property
     def first(self) -> int:

@@ -97,6 +97,7 @@ def make_weigh(
             total = total + memory[none + h * stride]
         for h in range(H):
             memory[none + h * stride] = maximum(memory[none + h * stride] / total, LEAST)
+        memory[m * sensor + 1] = most + log(total)
 
     return weigh
 

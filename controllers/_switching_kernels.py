@@ -2,10 +2,11 @@
 
 What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample, the probability of being `HEALTHY`, the precision
 that it deserves in nominal ones (`TRUSTED`); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
-it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). The settings
-likewise, from ``row`` on: the logarithms of the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`, and a
-block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, the logarithms of those that a sample arrives and is
-missing, and the mode's own settings.
+it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). After all
+sensors follow the number of samples and the logarithm of the last ones' density. The settings likewise, from ``row`` on: the
+logarithms of the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`, and a block for each mode: the
+probabilities that it `BEGINS`, `LASTS`, `ENDS`, the logarithms of those that a sample arrives and is missing, and the mode's
+own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
 sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.
@@ -74,7 +75,7 @@ def use_trust(memory, length, i, present, nominal, R, used, precision, beta):
 
 
 def report_modes(memory, length, width, modes, sensors, step, first, outputs):
-    """Write each sensor's mode probabilities; then for all sensors the most probable mode, its size, and its onset.
+    """Write each sensor's mode probabilities; then for all sensors the most probable mode, its size, its onset; and the density.
 
     They stand in ``outputs`` from ``first`` on. Size and onset (seconds, by the sample time ``step``) are NaN of a healthy
     sensor.
@@ -100,6 +101,7 @@ def report_modes(memory, length, width, modes, sensors, step, first, outputs):
         outputs[kinds + i] = kind
         outputs[kinds + sensors + i] = size
         outputs[kinds + 2 * sensors + i] = select(kind > 0.5, step * (count - 1.0 - age / total), NAN)
+    outputs[kinds + 3 * sensors] = memory[sensors * length + 1]
 
 
 def report_actuators(memory, at, modes, actuators, first, outputs):

@@ -44,16 +44,18 @@ told{k} = select(present > 0.5, settings[own + MODE_ARRIVES] + told{k}, settings
 """
 
 _LEARN = """
+told = 0.0 * nominal[0, 0]
 for i in range(y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
     variance = spread[i, i] + nominal[i, i]
     pass_time(memory, at, settings, row)
     change = y[i] - memory[at + LAST]
-    weigh(e[i], present[i], variance, nominal[i, i], change, memory, at, settings, row)
+    told = told + weigh(e[i], present[i], variance, nominal[i, i], change, memory, at, settings, row)
     memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
     fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
     use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
 memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
+memory[y.shape[0] * LENGTH + 1] = told
 """
 
 _REPORT = """
@@ -61,7 +63,7 @@ report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.sh
 """
 
 _REPORT_ACTUATORS = """
-report_actuators(memory, ACTUATORS, ACTUATOR_MODES, P, first + nominal.shape[0] * (MODES + 4), outputs)
+report_actuators(memory, ACTUATORS, ACTUATOR_MODES, P, first + nominal.shape[0] * (MODES + 4) + 1, outputs)
 """
 
 _OF_TIME = ("memory", "at", "settings", "row")

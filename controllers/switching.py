@@ -36,11 +36,11 @@ class SwitchingPrecision(PrecisionLearner):
     expects of one that has just begun, as in an interacting-multiple-model filter.
 
     ``fault_probability`` is that of all modes which are faults (all but `Burst`), also of a sensor that sends nothing; ``beta``
-    is NaN. It adds the outputs
-    ``mode_probability`` (m x 1 + modes, healthy first), and for each sensor ``fault_kind`` (the most probable mode by its
-    number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard deviation of a noisier
-    sensor in nominal ones; NaN where there is none) and ``fault_onset`` (time in seconds since the first sample; NaN of a
-    healthy sensor).
+    is NaN. It adds the outputs ``mode_probability`` (m x 1 + modes, healthy first), and for each sensor ``fault_kind`` (the most
+    probable mode by its number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard
+    deviation of a noisier sensor in nominal ones; NaN where there is none) and ``fault_onset`` (time in seconds since the first
+    sample; NaN of a healthy sensor); and ``log_density``, the logarithm of the density of these samples after those before,
+    whose sum over a recording says how well the settings explain it.
 
     In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
     slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs. It
@@ -128,12 +128,13 @@ class SwitchingPrecision(PrecisionLearner):
         learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout)
         ports = [Port("mode_probability", (m, 1 + len(self.modes)))]
         ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
+        ports.append(Port("log_density"))
         if layout is None:
-            return Learner(learn, np.array([*memory, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
+            return Learner(learn, np.array([*memory, 0.0, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
         if layout.actuator_modes:
             ports.append(Port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
             ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
-        kept = np.array([*memory, 0.0, *layout.start(np.asarray(memory))])
+        kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
         settings += [step, *self._actuator_settings(model)]
         return Learner(learn, kept, np.array(settings), 1, tuple(ports), report, self._infer(layout, evidence))
 

@@ -81,6 +81,27 @@ def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
         np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("joint", [True, False])
+def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
+    """At the first sample: each sensor's densities, weighted; in the joint form the second sensor's after the first one's."""
+    mode, P, e = Offset(time_to_fault=1.0, jump=3.0, walk=0.0), 0.5, np.array([4.0, -1.0])
+    precision = SwitchingPrecision(modes=(mode,), joint=joint, loss=0.1)
+    estimator = controllers.StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=P)
+    out = estimator.online(compiled=False)(y=20.0 + e)
+    R, enter = np.array([1.0, 4.0]), STEP / mode.time_to_fault
+    alone = 0.9 * ((1 - enter) * stats.norm.pdf(e, scale=(P + R) ** 0.5))
+    alone += 0.9 * enter * stats.norm.pdf(e, scale=(P + 10 * R) ** 0.5)
+    if not joint:
+        assert out.log_density == pytest.approx(np.log(alone).sum(), rel=1e-9)
+        return
+    together = 0.0
+    for first, second in ((0.0, 0.0), (9.0, 0.0), (0.0, 9.0)):  # both at once do not begin with one sample
+        S = P + np.diag(R * (1.0 + np.array([first, second])))
+        weight = enter if first or second else 1 - 2 * enter
+        together += weight * stats.multivariate_normal.pdf(e, cov=S)
+    assert out.log_density == pytest.approx(np.log(0.81 * together), rel=1e-9)
+
+
 @pytest.mark.parametrize("begins", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("present", [0.0, 1.0])
 def test_an_offset_is_filtered_as_filterpy_does_from_the_merged_prior(begins, present):
