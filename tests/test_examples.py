@@ -8,6 +8,7 @@ import pytest
 import bayesftc.examples
 from bayesftc import fmus
 from bayesftc.examples.cruise_control import (
+    actuator_faults,
     block_diagram,
     couple_external_fmu,
     cruise_control,
@@ -17,7 +18,14 @@ from bayesftc.examples.cruise_control import (
 from bayesftc.scenario import load_scenario, shipped_scenarios
 
 FOLDER = Path(bayesftc.examples.__path__[0]) / "cruise_control"
-MODULES = {"cruise_control", "couple_external_fmu", "block_diagram", "kalman_validation", "where_it_helps"}
+MODULES = {
+    "cruise_control",
+    "actuator_faults",
+    "couple_external_fmu",
+    "block_diagram",
+    "kalman_validation",
+    "where_it_helps",
+}
 
 
 def test_no_example_is_forgotten():
@@ -66,3 +74,13 @@ def test_an_fmu_without_a_model(arguments, capsys):
     wanted = 10.0 if arguments else 20.0
     assert result["plant.v"][-100:].mean() == pytest.approx(wanted, abs=0.5)
     assert "0.999000" in capsys.readouterr().out
+
+
+def test_a_failed_engine_is_told_from_failed_sensors(capsys):
+    table = actuator_faults.main(runs=4)
+    for case in (("1500 N more", None), ("0.4 of the force", None)):
+        row = table[case]
+        assert row["with actuator modes"] < 0.25 * row["FixedPrecision"] < row["SwitchingPrecision"]
+    healthy = table[None, None]
+    assert healthy["with actuator modes"] < 1.03 * healthy["FixedPrecision"]
+    assert len(capsys.readouterr().out.splitlines()) == 2 + len(table)
