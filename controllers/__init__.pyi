@@ -1,6 +1,7 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
 from ._rate import Calibration as Calibration, RateLearner as RateLearner
+from ._resolution import find_resolution as find_resolution
 from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
 from .actuator_modes import (
     ACTUATOR_MODES as ACTUATOR_MODES,
@@ -29,6 +30,7 @@ from .fault_modes import (
 )
 from .gamma import GammaPrecision as GammaPrecision
 from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative
+from .learning import LearnedModes as LearnedModes, RecordedRun as RecordedRun, learn_modes as learn_modes
 from .modality import Modality as Modality
 from .model import LinearModel as LinearModel
 from .monitor import FaultMonitor as FaultMonitor, LogisticMap as LogisticMap

@@ -1,5 +1,7 @@
 """Recordings at their own times, the model file, the likelihood, and what a monitor finds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import linalg, stats
@@ -385,3 +387,22 @@ def test_several_files_and_folders(tmp_path):
         load_monitor(file).read([tmp_path / "gone" / "data.csv", tmp_path / "slow"])
     with pytest.raises(RecordingError, match="at least one CSV file"):
         load_monitor(file).read([])
+
+
+def test_a_monitor_learns_from_recordings_how_often_faults_come(tmp_path):
+    """In a drive with a freeze, freezes get as frequent as they are, and faults that do not show rare."""
+    data, file = write(tmp_path, broken("Frozen"))
+    monitor = load_monitor(file)
+    recording = monitor.read([data])
+    learned = monitor.learn([recording], iterations=3, compiled=False)
+    onsets = dict(zip((type(mode).__name__ for mode in learned.precision.modes), learned.onsets, strict=True))
+    assert onsets["Frozen"] == pytest.approx(1.0, abs=0.1)
+    assert max(onsets[name] for name in ("Offset", "Drifting", "Noisier")) < 0.5
+    assert learned.precision.modes[0].resolution == recording.resolution
+    assert learned.precision.loss == recording.loss
+    found = replace(monitor, precision=learned.precision).run(recording, compiled=False)
+    assert [(event.sensor, event.kind) for event in found.events] == [("left", "Frozen")]
+    with pytest.raises(ModelError, match="no recording"):
+        monitor.learn([])
+    with pytest.raises(ModelError, match="modes of a SwitchingPrecision"):
+        replace(monitor, precision=FixedPrecision()).learn([recording])

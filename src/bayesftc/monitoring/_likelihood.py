@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix
+from bayesftc.controllers._recorded import estimate, innovation_covariances
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.model import LinearModel
 from bayesftc.monitoring._recording import Recording
-from bayesftc.monitoring._run import SHORT
 
 
 def log_likelihood(
@@ -36,20 +36,11 @@ def log_likelihood(
         As of `monitor_recording`.
     """
     estimator = StateEstimator(model, initial_mean=initial_mean, initial_covariance=initial_covariance)
-    step = estimator.online(compiled=len(recording.y) > SHORT if compiled is None else compiled)
-    n, m = model.states, model.sensors
-    e, P = np.empty((len(recording.y), m)), np.empty((len(recording.y), n, n))
-    for k in range(len(recording.y)):
-        out = step(y=recording.y[k], u=recording.u[k])
-        e[k], P[k] = out.innovation, out.P
-    A, C = model.matrix("A"), model.matrix("C")
-    predicted = np.empty_like(P)
-    predicted[0] = np.asarray(estimator.initial_covariance)
-    predicted[1:] = A @ P[:-1] @ A.T + model.matrix("process_covariance")
-    S = C @ predicted @ C.T + model.matrix("sensor_covariance")
+    found = estimate(estimator, recording.y, recording.u, ("innovation", "P"), compiled)
+    e, S = found["innovation"], innovation_covariances(estimator, found["P"])
     present = np.isfinite(e)
     # A missing sample is an independent one of variance 1 and error 0, whose density is then left out of the count.
-    S = np.where(present[:, :, None] & present[:, None, :], S, np.eye(m))
+    S = np.where(present[:, :, None] & present[:, None, :], S, np.eye(model.sensors))
     e = np.where(present, e, 0.0)
     distance = np.einsum("ki,ki->", e, np.linalg.solve(S, e[:, :, None])[:, :, 0])
     return float(-0.5 * (distance + np.linalg.slogdet(S)[1].sum() + present.sum() * np.log(2 * np.pi)))

@@ -13,6 +13,7 @@ import numpy as np
 from bayesftc.controllers._checks import as_vector
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.fault_modes import Frozen
+from bayesftc.controllers.learning import LearnedModes, RecordedRun, learn_modes
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
@@ -23,7 +24,7 @@ from bayesftc.monitoring._columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring._csv import Tables
 from bayesftc.monitoring._models import PlantModel
 from bayesftc.monitoring._recording import Recording, Signal, align
-from bayesftc.monitoring._run import Alarm, Monitored, monitor_recording
+from bayesftc.monitoring._run import Alarm, Monitored, default_precision, monitor_recording
 
 FLAT = 10.0
 """The first samples begin the belief; so that they do not count twice, it is this many times less certain than they are."""
@@ -143,24 +144,54 @@ class Monitor:
             As of `monitor_recording`.
         """
         model = self.model
-        precision = self.precision
-        if isinstance(precision, SwitchingPrecision):
-            known = recording.resolution
-            modes = [
-                replace(mode, resolution=known) if isinstance(mode, Frozen) and mode.resolution == 0.0 else mode
-                for mode in precision.modes
-            ]
-            precision = replace(precision, modes=modes, loss=recording.loss if self.own_loss else precision.loss)
         mean, covariance = self.start(recording, model)
         return monitor_recording(
             recording,
             model,
-            precision,
+            self._precision(recording),
             initial_mean=mean,
             initial_covariance=covariance,
             alarm=self.alarm,
             compiled=compiled,
         )
+
+    def learn(
+        self, recordings: Sequence[Recording], *, iterations: int = 20, compiled: bool | None = None
+    ) -> LearnedModes:
+        """Learn from recordings how often faults come and go and how large they are; see `learn_modes`.
+
+        ``replace(monitor, precision=learned.precision)`` is the monitor that knows it.
+
+        Parameters
+        ----------
+        recordings : sequence of Recording
+            From `read`; the first one says the sensors' rates and resolutions.
+        iterations, compiled
+            As of `learn_modes`.
+
+        Raises
+        ------
+        ModelError
+            If the precision learner has no modes, or there is no recording.
+        """
+        model = self.model
+        runs = [RecordedRun(r.y, r.u, *self.start(r, model)) for r in recordings]
+        first = self._precision(recordings[0]) if runs else None
+        return learn_modes(runs, model, first, iterations=iterations, compiled=compiled)  # type: ignore[arg-type]
+
+    def _precision(self, recording: Recording) -> PrecisionLearner:
+        """Return the learner, which knows the sensors' rates and resolutions."""
+        if self.precision is None:
+            return default_precision(recording.loss, recording.resolution)
+        if not isinstance(self.precision, SwitchingPrecision):
+            return self.precision
+        modes = [
+            replace(mode, resolution=recording.resolution)
+            if isinstance(mode, Frozen) and mode.resolution == 0.0
+            else mode
+            for mode in self.precision.modes
+        ]
+        return replace(self.precision, modes=modes, loss=recording.loss if self.own_loss else self.precision.loss)
 
     def start(self, recording: Recording, model: LinearModel) -> tuple[tuple[float, ...], Floats]:
         """Return the belief before the first sample: as given, else from each sensor's first sample.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, check_number
+from bayesftc.controllers._recorded import estimate
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.fault_modes import Burst, Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
 from bayesftc.controllers.model import LinearModel
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEALTHY = "healthy"
-
-SHORT = 1000
-"""Steps up to which a recording is not worth the seconds that compiling takes."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,8 @@ def default_precision(loss: Sequence[float], resolution: Sequence[float]) -> Swi
     """Return the learner of a monitor: every kind of fault, each once in an hour, and harmless bursts of noise.
 
     Offsets may be large and drifts fast, for nobody knows how a recording's faults are; times are in seconds and sizes in the
-    sensors' own standard deviations, so that it fits any quantity.
+    sensors' own standard deviations, so that it fits any quantity. Sensors are judged one by one: in the joint form, on a real
+    drive, a fault that has been found casts doubt on sensors that share errors with the faulty one.
 
     Parameters
     ----------
@@ -166,7 +165,7 @@ def default_precision(loss: Sequence[float], resolution: Sequence[float]) -> Swi
         DroppedOut(**rare),
         Burst(scale=5.0),
     )
-    return SwitchingPrecision(modes, loss=tuple(loss))
+    return SwitchingPrecision(modes, loss=tuple(loss), joint=False)
 
 
 def monitor_recording(
@@ -215,12 +214,7 @@ def monitor_recording(
     modes = precision.modes if isinstance(precision, SwitchingPrecision) else ()
     if modes:
         names += ["mode_probability", "fault_size", "fault_onset"]
-    signals = {name: np.empty((len(recording.y), *estimator.port(name).shape)) for name in names}
-    step = estimator.online(compiled=len(recording.y) > SHORT if compiled is None else compiled)
-    for k in range(len(recording.y)):
-        out = step(y=recording.y[k], u=recording.u[k])
-        for name, values in signals.items():
-            values[k] = out[name]
+    signals = estimate(estimator, recording.y, recording.u, names, compiled)
     kinds: tuple[str, ...] = ()
     if modes:
         kinds = (HEALTHY, *(type(mode).__name__ for mode in modes))
