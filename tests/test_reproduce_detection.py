@@ -31,13 +31,22 @@ SMALL = Detection(
 )
 
 
+FEW = controllers.SwitchingPrecision((controllers.Frozen(), controllers.Offset()), joint=False)
+
+
 class Twin(controllers.GammaPrecision):
     """A further learner whose step function is compiled already."""
+
+
+def posteriors(settings):
+    """Return the fault probability of few modes, which is compiled soon."""
+    return {_residuals.SWITCHING: _residuals.posterior("log odds of a fault", FEW)}
 
 
 def run(jobs):
     """Return a small report with the residuals of one further learner."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_residuals, "posteriors", posteriors)
         patch.setattr(controllers, "LEARNERS", (controllers.GammaPrecision, Twin, controllers.SERFDI))
         return reproduce.detection(seed=1, jobs=jobs, runs=3, settings=SMALL)
 
@@ -210,13 +219,13 @@ def test_alarms_are_those_of_their_definition(report):
 def test_calibration_has_the_probability_of_the_learner_or_else_of_a_classifier(report):
     known = report["calibration"]
     bench = _detection.Bench(SMALL, Car(), Ensemble(1))
-    loop = bench.loop(_detection.Faults(**report["settings"]["faults"]), controllers.SwitchingPrecision())
+    loop = bench.loop(_detection.Faults(**report["settings"]["faults"]), FEW)
     errors = []
     for stream in report["streams"]:
         (run,) = bench.source.run(loop, [stream["seed"]], _residuals.SIGNALS)
         p, truth = run.result["controller.fault_probability"][SMALL.skipped :], run.faulty[SMALL.skipped :]
         errors.append(cosim.reliability(p, truth, bins=SMALL.bins).calibration_error)
-    mine = known["SwitchingPrecision, default"]
+    mine = known["SwitchingPrecision"]
     assert mine["ece"]["mean"] == pytest.approx(np.mean(errors), rel=1e-12)
     assert mine["ece"]["ci"] == pytest.approx(interval(np.array(errors)))
     assert "learner" in mine["of"]
@@ -235,7 +244,7 @@ def test_headline_beta_beats_the_baseline():
     assert all(900 < s["faults"] < 1_100 for s in report["streams"])
     assert len(report["grid"]) == 5 * 5 * 3
     (cell,) = (c for c in report["alarms"]["cells"] if c["injection"] == 5.0)
-    for name in ("SwitchingPrecision", "SwitchingPrecision, default"):
+    for name in ("SwitchingPrecision", "SwitchingPrecision, per sensor", "SwitchingPrecision, default"):
         assert cell["residuals"][name]["1 per hour"]["injection"]["delay_samples"]["ci"][1] <= 2
         assert report["alarms"]["fault_free"][name]["1 per hour"]["false_alarms_per_hour_ci"][0] < 1
         assert report["calibration"][name]["ece"]["ci"][1] <= 0.02
@@ -286,6 +295,18 @@ def test_tables_fit_a_terminal_and_count_who_wins(report, printed):
     assert "Beta loses most, by 0.050, on the constant reference" in text
 
 
+def test_learners_of_fault_modes_are_told_how_often_faults_come_and_not_how_large_they_are():
+    known = _residuals.posteriors(Detection())
+    assert list(known) == ["SwitchingPrecision", "SwitchingPrecision, per sensor", "SwitchingPrecision, default"]
+    together, alone, default = (residual.learners[0] for residual in known.values())
+    assert (together.joint, alone.joint, default) == (True, False, controllers.SwitchingPrecision())
+    for learner in (together, alone):
+        assert sum(1 / mode.time_to_fault for mode in learner.modes) == pytest.approx(1 / 2.8)
+        assert {mode.time_to_recovery for mode in learner.modes} == {0.4}
+        for mode in learner.modes:
+            assert replace(mode, time_to_fault=60.0, time_to_recovery=20.0) == type(mode)()
+
+
 def test_figures_show_every_residual_once(report):
     axis = _detection_figures.roc(report).axes[0]
     # The precision ranks as beta does and is left out; the last line is that of guessing.
@@ -300,7 +321,6 @@ def test_figures_show_every_residual_once(report):
     assert [t.get_text().split(":")[0] for t in diagram.axes[0].get_legend().get_texts()] == [
         "calibrated",
         "SwitchingPrecision",
-        "SwitchingPrecision, default",
     ]
     maps = _detection_figures.grid(report).axes[:9]
     assert all(len(axis.texts) == 4 for axis in maps)

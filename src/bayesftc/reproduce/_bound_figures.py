@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARKS = "ovsD^Pph"
+ASIDE = 0.09
+"""Between two marks of one cell, which would hide each other."""
 
 
 def areas(report: dict[str, Any]) -> Figure:
@@ -30,7 +32,8 @@ def areas(report: dict[str, Any]) -> Figure:
         if name != BOUND:
             colour = (BLUE, *SENSOR_COLOURS)[(i - 1) % (1 + len(SENSOR_COLOURS))]
             style = {"color": colour, "marker": MARKS[(i - 1) % len(MARKS)], "ms": 6, "ls": "none"}
-        axis.errorbar(x, mean, [mean - low, high - mean], capsize=3, label=name, **style)
+        aside = 0.0 if name == BOUND else ASIDE * ((len(names) - 1) / 2 - (i - 1))
+        axis.errorbar(x + aside, mean, [mean - low, high - mean], capsize=3, label=name, **style)
     axis.set_xticks(x, [f"{c['injection']:g} m/s\n{c['drift']:g} m/s per s" for c in cells], fontsize=9)
     axis.set_xlabel("injection and drift")
     axis.set_ylabel("AUC of the presence of a fault")

@@ -52,7 +52,7 @@ def _verdict(name: str, cells: Mapping[str, Any]) -> str:
 
 def _with_interval(cell: Mapping[str, Any]) -> str:
     low, high = cell["ratio_ci"]
-    return f"{cell['ratio']:.3f} ± {(high - low) / 2:.3f}"
+    return f"{cell['ratio']:.3f} ± {(high - low) / 2:.1g}"
 
 
 def _digits(x: float) -> str:
