@@ -107,7 +107,7 @@ class SwitchingPrecision(PrecisionLearner):
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         own = [[mode.settings(model, i) for mode in self.modes] for i in range(m)]
         width = TRUST + max(len(mode.first) for mode in self.modes)
-        settings_width = kernels.OWN_SETTINGS + max(len(values) for values in own[0])
+        settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in own for values in of_sensor)
         settings = []
         for i in range(m):
             loss = float(losses[i])
@@ -155,21 +155,28 @@ class SwitchingPrecision(PrecisionLearner):
             return None
         slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
         spans = [
-            tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes)) for of in self._parts
+            tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes))
+            for of in self._parts(model.sensors)
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, kinds=kinds, slow=slow, alone=spans[0], other=spans[1],
             faults=self._faults, actuator_modes=len(self.actuator_modes), width=width, width_of_settings=settings,
         )  # fmt: skip
 
-    @property
-    def _parts(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The modes that are judged sensor by sensor where no sensor has an offset, and of the other sensors where one has."""
+    def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the modes that are judged sensor by sensor where no sensor has an offset, and of the others where one has.
+
+        There a drift needs a third sensor that bears witness.
+        """
         alone = tuple(k for k, mode in enumerate(self.modes) if not isinstance(mode, Offset))
-        return alone, tuple(k for k, mode in enumerate(self.modes) if not (mode.joint_only or mode.needs_witness))
+        witness = sensors > 2
+        other = (k for k, mode in enumerate(self.modes) if not mode.joint_only and (witness or not mode.needs_witness))
+        return alone, tuple(other)
 
     def _infer(self, layout: Layout, evidence: tuple[Callable[..., float], ...]) -> Callable[..., None]:
-        alone, other = (sensor_functions(evidence, of, layout.width, layout.width_of_settings) for of in self._parts)
+        alone, other = (
+            sensor_functions(evidence, of, layout.width, layout.width_of_settings) for of in self._parts(layout.m)
+        )
         return make_infer(layout, *alone, *other)
 
     def _actuator_settings(self, model: LinearModel) -> list[float]:
@@ -177,14 +184,25 @@ class SwitchingPrecision(PrecisionLearner):
         B, Q, settings = model.matrix("B"), model.matrix("process_covariance"), []
         for j, effect in enumerate(B.T):
             moved = effect != 0.0
+            if not moved.any() and self.actuator_modes:
+                raise ModelError(
+                    f"SwitchingPrecision has actuator_modes, but control {j} of the model moves no state (column of B): leave "
+                    "that control out."
+                )
             scale = float((np.sqrt(np.diag(Q)[moved]) / np.abs(effect[moved])).max()) if moved.any() else 0.0
             for mode in self.actuator_modes:
-                mean, variance, walk = mode.expected(scale)
                 if mode.absolute and not scale:
                     raise ModelError(
                         f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any "
                         f"state that control {j} moves; give it a process_covariance there."
                     )
+                expected = tuple(mode.expected(scale))
+                if len(expected) != 3 or not np.isfinite(expected).all() or min(expected[1:]) < 0:
+                    raise ModelError(
+                        f"{type(mode).__name__}.expected gave {expected!r}; it must be the mean of c, its variance and that of "
+                        "its walk per sample."
+                    )
+                mean, variance, walk = expected
                 rates = (
                     _chance(mode, "time_to_fault", float(model.step)),
                     _chance(mode, "time_to_recovery", float(model.step)),

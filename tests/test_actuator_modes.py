@@ -1,5 +1,7 @@
 """Actuator modes: one hypothesis is a Kalman filter of its own (filterpy); faults are told from sensors' and made up for."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -116,6 +118,15 @@ def test_both_engines_give_the_same_bits():
             np.testing.assert_array_equal(one[name], other[name])
 
 
+@dataclass(frozen=True)
+class Vague(controllers.ActuatorMode):
+    """A user's mode that forgets the walk."""
+
+    def expected(self, scale):
+        """Return too little."""
+        return 0.0, 1.0
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -132,6 +143,13 @@ def test_both_engines_give_the_same_bits():
             ),
             "has none on any state that control 0 moves",
         ),
+        (
+            lambda: SwitchingPrecision(actuator_modes=(LostEffect(),)).learner(
+                LinearModel([[1.0]], [[0.0]], [[1.0]], 1.0, 1.0, STEP)
+            ),
+            "control 0 of the model moves no state",
+        ),
+        (lambda: SwitchingPrecision(actuator_modes=(Vague(),)).learner(MODEL), "Vague.expected gave"),
         (lambda: InputOffset(jump=-1.0), "jump=-1.0"),
         (lambda: LostEffect(share=3.0), "share=3.0"),
         (lambda: StuckActuator(time_to_fault="late"), "time_to_fault='late'"),

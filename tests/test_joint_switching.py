@@ -158,6 +158,8 @@ def faulty(m, faults, steps=500, seed=0):
         (2, {0: ("Offset", 150), 1: ("Offset", 300)}),
         (2, {0: ("Drifting", 100), 1: ("DroppedOut", 400)}),
         (2, {0: ("Noisier", 150), 1: ("Offset", 300)}),
+        (3, {0: ("Drifting", 100), 1: ("Offset", 250)}),
+        (3, {0: ("Offset", 100), 1: ("Drifting", 200)}),
         (4, {0: ("Offset", 100), 2: ("Drifting", 200), 3: ("Frozen", 300)}),
     ],
 )
