@@ -22,7 +22,7 @@ COLOURS = (BLUE, SENSOR_COLOURS[0], BLACK, *SENSOR_COLOURS[1:])
 AXES = {
     "offset": "offset (sensor's units)",
     "drift": "drift (sensor's units per second)",
-    "noise": "added noise, standard deviation",
+    "noise": "added noise, standard deviation (sensor's units)",
 }
 
 

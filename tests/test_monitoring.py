@@ -406,3 +406,17 @@ def test_a_monitor_learns_from_recordings_how_often_faults_come(tmp_path):
         monitor.learn([])
     with pytest.raises(ModelError, match="modes of a SwitchingPrecision"):
         replace(monitor, precision=FixedPrecision()).learn([recording])
+
+
+@pytest.mark.parametrize("decimals", [2, 3])
+def test_few_decimals_are_no_freeze(decimals):
+    """What a file's decimals make equal has not been repeated by a sensor: the resolution is found in the samples."""
+    rng = np.random.default_rng(decimals)
+    time = np.arange(1000) / 10.0
+    samples = np.round(20.0 + 0.1 * rng.normal(size=(1000, 3)), decimals)
+    sensors = {name: Signal(time, samples[:, i]) for i, name in enumerate("abc")}
+    recording = align(sensors, {}, 0.1)
+    assert recording.resolution == pytest.approx([10.0**-decimals] * 3)
+    model = LinearModel([[1.0]], [[0.0]], np.ones((3, 1)), 1e-6, 0.01, 0.1)
+    found = monitor_recording(recording, model, initial_mean=20.0, compiled=False)
+    assert not found.events

@@ -44,7 +44,7 @@ class Sensor(Column):
     std : float
         Standard deviation of its white noise, in its unit.
     resolution : float
-        Its samples are whole multiples of this; 0 if it is too fine to matter.
+        Its samples are whole multiples of this; 0 if it is too fine to matter. By default it is found in the samples.
     reads : sequence of float, optional
         What it reads of the state; by default the first one.
     unit : str
@@ -52,7 +52,7 @@ class Sensor(Column):
     """
 
     std: float
-    resolution: float = 0.0
+    resolution: float | None = None
     reads: Sequence[float] | None = None
     unit: str = ""
 

@@ -34,8 +34,11 @@ class Tables:
     def find(self, name: str | None, wanted_by: str) -> Path:
         """Return the file that is called `name`, or the only one where no name is given."""
         if name is None:
-            if len(self._files) == 1 and not self._files[0].is_dir():
-                return self._files[0]
+            files = [f for given in self._files for f in (sorted(given.glob("*.csv")) if given.is_dir() else [given])]
+            if len(set(files)) == 1:
+                return files[0]
+            if not files:
+                raise RecordingError(f"There is no CSV file in {self._files[0]}; check the path.")
             raise RecordingError(
                 f"{wanted_by} does not say in which file it is; with more than one give it file = 'name.csv'."
             )

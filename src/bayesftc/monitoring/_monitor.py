@@ -130,7 +130,7 @@ class Monitor:
 
         return (
             {name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit) for name, s in self.sensors.items()},
-            {name: signal(name, i, "input", smooth=i.smooth) for name, i in self.inputs.items()},
+            {name: signal(name, i, "input", smooth=i.smooth, resolution=0.0) for name, i in self.inputs.items()},
         )
 
     def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:

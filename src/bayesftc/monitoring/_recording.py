@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._resolution import find_resolution
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.timebase import rational_step, show
@@ -38,7 +39,8 @@ class Signal:
     smooth : float
         Seconds over which an input is averaged, up to each step's end; at least over the step.
     resolution : float
-        Of a sensor, in its unit: its samples are whole multiples of it; 0 if it is too fine to matter.
+        Of a sensor, in its unit: its samples are whole multiples of it; 0 if it is too fine to matter. By default it is found in
+        the samples: a file has few decimals, and samples that are equal for that reason are no freeze.
     unit : str
         Of the values, for figures and tables.
 
@@ -55,7 +57,7 @@ class Signal:
     bias: float = 0.0
     delay: float = 0.0
     smooth: float = 0.0
-    resolution: float = 0.0
+    resolution: float | None = None
     unit: str = ""
 
     def __post_init__(self) -> None:
@@ -64,8 +66,8 @@ class Signal:
             raise RecordingError(f"A signal has {time.shape} times and {values.shape} values; give one value a time.")
         for name in ("bias", "delay"):
             check_number(self, name)
-        for name in ("smooth", "resolution"):
-            check_number(self, name, least=0)
+        check_number(self, "smooth", least=0)
+        check_number(self, "resolution", optional=True, least=0)
         kept = np.isfinite(values)
         if not np.isfinite(time[kept]).all():
             raise RecordingError("A signal has samples without a time; take them out.")
@@ -75,8 +77,10 @@ class Signal:
         back = np.flatnonzero(np.diff(time) <= 0)
         if len(back):
             raise RecordingError(
-                f"A signal's times do not increase: {time[back[0] + 1]!r} s follows on {time[back[0]]!r} s; sort the recording."
+                f"A signal's times do not increase: {time[back[0] + 1]:g} s follows on {time[back[0]]:g} s; sort the recording."
             )
+        if self.resolution is None:
+            object.__setattr__(self, "resolution", find_resolution(values))
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "values", values)
 
@@ -169,7 +173,9 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     u = np.zeros((steps, max(len(inputs), 1)))
     for j, signal in enumerate(inputs.values()):
         u[:, j] = _mean_before(signal, ends, max(signal.smooth, float(step)))
-    resolution, units = zip(*((signal.resolution, signal.unit) for signal in sensors.values()), strict=True)
+    resolution, units = zip(
+        *((float(signal.resolution or 0.0), signal.unit) for signal in sensors.values()), strict=True
+    )
     return Recording(start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units)
 
 

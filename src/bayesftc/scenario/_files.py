@@ -56,7 +56,9 @@ def read_toml(file: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:
-        raise ScenarioError(f"The scenario {file} cannot be read ({error.strerror}); check its permissions.") from None
+        raise ScenarioError(
+            f"The file {file} cannot be read ({error.strerror}); check its path and permissions."
+        ) from None
     except UnicodeDecodeError:
         raise ScenarioError(f"The scenario {file} is no text in UTF-8; save it as UTF-8.") from None
     except tomllib.TOMLDecodeError as error:
