@@ -52,7 +52,7 @@ def make_infer(
         start = memory[count] < 0.5
         pass_time(A, B, Q, nominal, start, covariance, largest[0], applied, memory, settings)
         weigh(y, e, present, nominal, C, memory, settings)
-        conclude(mean, memory, x_hat, P)
+        conclude(mean, covariance, memory, x_hat, P)
         summarise(y, present, memory, settings)
         for i in range(m):
             use_trust(memory, sensor, i, present, nominal, R, used, precision, beta)

@@ -75,6 +75,9 @@ def move(memory, at, n, offset, slides, c, cc, cb, bb, walk, A, Q, first, covari
     for a in range(used):
         sound = both(sound, both(memory[P + a * N + a] >= 0.0, memory[P + a * N + a] <= largest))
         sound = both(sound, absolute(memory[z + a]) <= MEAN_CAP)
+        for b in range(a):
+            between, most = memory[P + a * N + b], memory[P + a * N + a] * memory[P + b * N + b]
+            sound = both(sound, between * between <= most * (1.0 + 1e-6))
     for a in range(used):
         memory[z + a] = select(sound, memory[z + a], c if a == n else 0.0)
         for b in range(used):

@@ -30,14 +30,14 @@ from bayesftc.controllers._switching_kernels import (
     held,
     share_of,
 )  # fmt: skip
-from bayesftc.cosim.ops import log, maximum, minimum, select
+from bayesftc.cosim.ops import both, log, maximum, minimum, select
 
 ABSURD = 1e12
 """Largest variance of an innovation, in the sensor's own, up to which a larger innovation is learned from: beyond it hypotheses
 would carry each other away."""
 
-LEAST_EFFECT = 0.1
-"""Least part of the control that is counted on: with less an actuator would be asked for the impossible."""
+LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
+"""Least and largest part of the control that is counted on: with less an actuator would be asked for the impossible."""
 
 
 @cache
@@ -106,12 +106,12 @@ def make_weigh(
 def make_conclude(layout: Layout) -> Callable[..., None]:
     """Return the step function that says what all hypotheses make together of the state.
 
-    Their means become deviations from the estimate.
+    Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays.
     """
     n, H, N = layout.n, layout.hypotheses, layout.n + 2
     none, stride, scratch = layout.first, layout.length, layout.couples
 
-    def conclude(mean, memory, x_hat, P):
+    def conclude(mean, covariance, memory, x_hat, P):
         for a in range(n):
             total = 0.0 * mean[a]
             for h in range(H):
@@ -130,7 +130,16 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
                     apart = memory[z + a] * memory[z + b]
                     total = total + memory[none + h * stride] * (memory[z + N + a * N + b] + apart)
                 P[a, b] = total
-                P[b, a] = total
+        good = x_hat[0] - x_hat[0] == 0.0
+        for a in range(n):
+            good = both(good, both(x_hat[a] - x_hat[a] == 0.0, both(P[a, a] >= 0.0, P[a, a] - P[a, a] == 0.0)))
+            for b in range(a):
+                good = both(good, P[a, b] * P[a, b] <= P[a, a] * P[b, b] * (1.0 + 1e-6))
+        for a in range(n):
+            x_hat[a] = select(good, x_hat[a], mean[a])
+            for b in range(a + 1):
+                P[a, b] = select(good, P[a, b], covariance[a, b])
+                P[b, a] = P[a, b]
 
     return conclude
 
@@ -191,7 +200,7 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 load = load + memory[at] * settings[row + ABSOLUTE] * c
                 memory[own + OF_MODES + 2 * q] = memory[at]
                 memory[own + OF_MODES + 2 * q + 1] = c
-            memory[own + WORKS] = maximum(works, LEAST_EFFECT)
+            memory[own + WORKS] = maximum(minimum(works, MOST_EFFECT), LEAST_EFFECT)
             memory[own + LOAD] = load
 
     return summarise

@@ -65,7 +65,7 @@ def make_pass_time(
         """Merge into the pool what ends of a hypothesis, in which sensor ``i``, if it is one, had an offset."""
         ended = memory[at] * end
         memory[at] = maximum(memory[at] - ended, LEAST)
-        both = memory[pool] + ended
+        both = maximum(memory[pool] + ended, LEAST * LEAST)
         part = ended / both
         memory[pool] = both
         blend(memory, pool, part, at, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -127,7 +127,9 @@ def make_pass_time(
                     A, Q, start, covariance, largest, couples, shift, scratch,
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                collect(memory, at, settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), i)
+                collect(
+                    memory, at, minimum(settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i
+                )
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
@@ -158,7 +160,7 @@ def make_pass_time(
                 stays = stays - came
                 receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
                 block = pool + kept + i * sensor + FIRST + kinds[q] * width
-                came = memory[pool] * memory[block + WEIGHT]
+                came = left * memory[block + WEIGHT]
                 left = left - came
                 b, bb = memory[block + OWN], memory[block + OWN + 3]
                 cb = memory[block + OWN + 2] + bb

@@ -102,7 +102,7 @@ class BayesianController(BayesianBlock):
         Mean of the control prior.
     belief : {"filtered", "joint"}
         Carry p(x_t | y_1..t), which is a Kalman filter's whatever the priors; or the marginal of the full joint, into which
-        the goal leaks.
+        the goal leaks (and `SwitchingPrecision` then judges sensor by sensor).
     u_min, u_max : number or vector
         Limits of the control; the prediction uses the control that was applied.
     u_rate : number or vector
@@ -131,7 +131,12 @@ class BayesianController(BayesianBlock):
             )
         self._check_settings()
         self._check_reach(self.model.matrix("B"))
-        self._learner()  # settings that do not fit the model fail here, not in the loop
+        learner = self._learner()  # settings that do not fit the model fail here, not in the loop
+        if self.belief == "joint" and any(port.name == "actuator_fault_probability" for port in learner.ports):
+            raise ModelError(
+                "belief='joint' takes what the goal says for something that is known of the state, by which actuators cannot be "
+                "judged; take belief='filtered', or leave the actuator modes out."
+            )
         self._warn_if_unstable()
 
     @property
@@ -174,7 +179,7 @@ class BayesianController(BayesianBlock):
         }  # fmt: skip
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
-        ways = make_ways(learner.step, learner.infer)
+        ways = make_ways(learner.step, None if joint else learner.infer)
         return Definition(_make_step(*ways, learner.report, fold, first), state=state, parameters=parameters)
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:

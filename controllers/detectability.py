@@ -279,7 +279,9 @@ def _learner_and_model(
         learner, model = (model.precision if precision is None else precision), model.model
     learner = GammaPrecision() if learner is None else learner
     if not isinstance(learner, GammaPrecision):
-        raise ModelError(f"detectability knows the beta of GammaPrecision alone, not of {type(learner).__name__}; give it one.")
+        raise ModelError(
+            f"detectability knows the beta of GammaPrecision alone, not of {type(learner).__name__}; give it one."
+        )
     if learner.window is None and (learner.forgetting is None or learner.forgetting == 1.0):
         raise ModelError(
             "GammaPrecision without forgetting has a beta that grows for ever, so no threshold holds for long; give it a "

@@ -153,6 +153,15 @@ class SwitchingPrecision(PrecisionLearner):
                     "joint=True and give sensors of independent noise, or leave the actuator modes out."
                 )
             return None
+        step = float(model.step)
+        begins = model.sensors * sum(_chance(self.modes[k], "time_to_fault", step) for k in kinds)
+        begins += model.controls * sum(_chance(mode, "time_to_fault", step) for mode in self.actuator_modes)
+        if begins >= 1:
+            raise ModelError(
+                f"The offsets of {model.sensors} sensors and the actuators' faults begin with a probability of {begins:.3g} "
+                f"together in each sample of {step:g} s; their times to a fault are too short for the joint form of "
+                "SwitchingPrecision."
+            )
         slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
         spans = [
             tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes))
@@ -189,7 +198,8 @@ class SwitchingPrecision(PrecisionLearner):
                     f"SwitchingPrecision has actuator_modes, but control {j} of the model moves no state (column of B): leave "
                     "that control out."
                 )
-            scale = float((np.sqrt(np.diag(Q)[moved]) / np.abs(effect[moved])).max()) if moved.any() else 0.0
+            told = float(effect @ np.linalg.pinv(Q, hermitian=True) @ effect)
+            scale = told**-0.5 if told > 0 else 0.0
             for mode in self.actuator_modes:
                 if mode.absolute and not scale:
                     raise ModelError(

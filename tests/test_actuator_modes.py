@@ -118,6 +118,58 @@ def test_both_engines_give_the_same_bits():
             np.testing.assert_array_equal(one[name], other[name])
 
 
+def test_absurd_samples_of_very_different_sensors_leave_numbers():
+    """Beliefs stay numbers with variances, whatever the sensors send, also where an actuator is believed to have failed."""
+    model = LinearModel(
+        [[1, 0.02], [0, 1]], [[2e-4], [0.02]], [[1, 0], [1, 0], [0, 1]], [1e-6, 1e-3], [1e-9, 1e6, 1.0], STEP
+    )
+    precision = SwitchingPrecision(actuator_modes=MODES)
+    controller = BayesianController(model, precision=precision, control_covariance=1e3, goal_covariance=0.1)
+    step = controller.online(compiled=False)
+    rng, x = np.random.default_rng(4), np.zeros(2)
+    for k in range(260):
+        y = x[[0, 0, 1]] + np.sqrt([1e-9, 1e6, 1.0]) * rng.normal(size=3)
+        y += (1e300 if k % 2 else -1e200) * (60 <= k < 120)
+        with np.errstate(all="ignore"):
+            out = step(y=list(y), goal=[0.5, 0.5])
+        assert np.isfinite(out.x_hat).all()
+        assert (np.diag(out.P) >= 0).all()
+        assert ((out.fault_probability >= 0) & (out.fault_probability <= 1)).all()
+        x = np.array([[1, 0.02], [0, 1]]) @ x + np.array([2e-4, 0.02]) * out.u[0] + [1e-3, 0.03] * rng.normal(size=2)
+
+
+def test_the_unit_of_an_offset_is_what_the_state_that_tells_most_tells():
+    """A force on a double integrator shows in the speed, of which the position's noise says nothing."""
+    model = LinearModel([[1, 0.02], [0, 1]], [[2e-4], [0.02]], np.eye(2), [1e-3, 1e-3], 1.0, STEP)
+    rng, x = np.random.default_rng(0), np.zeros(2)
+    step = StateEstimator(model, SwitchingPrecision(actuator_modes=(InputOffset(),))).online(compiled=False)
+    for k in range(300):
+        out = step(y=list(x + rng.normal(size=2)), u=[0.0])
+        x = (
+            np.array([[1, 0.02], [0, 1]]) @ x
+            + np.array([2e-4, 0.02]) * 8.0 * (k > 100)
+            + 1e-3**0.5 * rng.normal(size=2)
+        )
+    assert out.actuator_fault_probability[0] > 0.9
+    assert out.actuator_fault_size[0] == pytest.approx(8.0, abs=1.5)
+
+
+def test_a_belief_with_the_goal_in_it_is_that_of_the_per_sensor_form():
+    never = (controllers.Offset(NEVER, NEVER),)
+    outs = []
+    for precision in (controllers.FixedPrecision(), SwitchingPrecision(modes=never)):
+        controller = BayesianController(
+            MODEL, precision=precision, initial_mean=20.0, belief="joint", control_covariance=1e6
+        )
+        step = controller.online(compiled=False)
+        outs.append([step(y=[20.0 + np.sin(k), 20.0], goal=[21.0]) for k in range(20)])
+    for fixed, switching in zip(*outs, strict=True):
+        np.testing.assert_allclose(switching.x_hat, fixed.x_hat, rtol=1e-9)
+        np.testing.assert_allclose(switching.P, fixed.P, rtol=1e-9)
+    with pytest.raises(ModelError, match="belief='filtered'"):
+        BayesianController(MODEL, precision=SwitchingPrecision(actuator_modes=MODES), belief="joint")
+
+
 @dataclass(frozen=True)
 class Vague(controllers.ActuatorMode):
     """A user's mode that forgets the walk."""
@@ -150,6 +202,7 @@ class Vague(controllers.ActuatorMode):
             "control 0 of the model moves no state",
         ),
         (lambda: SwitchingPrecision(actuator_modes=(Vague(),)).learner(MODEL), "Vague.expected gave"),
+        (lambda: SwitchingPrecision(modes=(controllers.Offset(0.03),)).learner(MODEL), "too short for the joint form"),
         (lambda: InputOffset(jump=-1.0), "jump=-1.0"),
         (lambda: LostEffect(share=3.0), "share=3.0"),
         (lambda: StuckActuator(time_to_fault="late"), "time_to_fault='late'"),
