@@ -14,11 +14,6 @@ from bayesftc.cosim.ops import absolute, both, maximum, select
 PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
 
 
-def length_of(n, kept):
-    """Return how many numbers a hypothesis has where ``kept`` are kept of its sensors."""
-    return STATE + (n + 2) * (n + 3) + kept
-
-
 def move(memory, at, n, offset, slides, c, cc, cb, bb, walk, A, Q, first, covariance, largest, couples, shift, scratch):
     """Take a hypothesis one sample ahead: the state by the model, the offset by its slope if it ``slides``.
 

@@ -16,7 +16,7 @@ from bayesftc.controllers._bank_layout import (
     WORKS,
     Layout,
 )  # fmt: skip
-from bayesftc.controllers._mode_kernels import AGE, LOG_2_PI, SIZE, TRUST, WEIGHT
+from bayesftc.controllers._mode_kernels import AGE, SIZE, TRUST, WEIGHT, log_density
 from bayesftc.controllers._switching_kernels import (
     FIRST,
     FIRST_SETTINGS,
@@ -30,6 +30,7 @@ from bayesftc.controllers._switching_kernels import (
     held,
     share_of,
 )  # fmt: skip
+from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import both, log, maximum, minimum, select
 
 ABSURD = 1e12
@@ -70,7 +71,7 @@ def make_weigh(
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
                     own = row + FIRST_SETTINGS + kinds[q] * width_of_settings
-                    density = settings[own + MODE_ARRIVES] - 0.5 * (error * error / total + log(total) + LOG_2_PI)
+                    density = settings[own + MODE_ARRIVES] + log_density(error * error, total)
                     memory[told + h] = memory[told + h] + select(
                         present[i] > 0.5, density, settings[own + MODE_MISSING]
                     )
@@ -204,3 +205,29 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
             memory[own + LOAD] = load
 
     return summarise
+
+
+def report_actuators(memory, at, modes, actuators, first, outputs):
+    """Write each actuator's mode probabilities; then for all the probability of a fault, the most probable mode, its size.
+
+    They stand in ``outputs`` from ``first`` on; what is kept of the actuators stands in ``memory`` from ``at`` on.
+    """
+    later = first + actuators * (modes + 1)
+    for j in range(actuators):
+        own = at + j * (OF_MODES + 2 * modes) + OF_MODES
+        total = 0.0 * memory[own]
+        for k in range(modes):
+            total = total + memory[own + 2 * k]
+        best = maximum(1.0 - total, 0.0)
+        outputs[first + j * (modes + 1)] = best
+        kind, size = 0.0 * best, NAN + 0.0 * best
+        for k in range(modes):
+            p = memory[own + 2 * k]
+            outputs[first + j * (modes + 1) + 1 + k] = p
+            likelier = p > best
+            kind = select(likelier, k + 1.0, kind)
+            size = select(likelier, memory[own + 2 * k + 1], size)
+            best = maximum(best, p)
+        outputs[later + j] = minimum(total, 1.0)
+        outputs[later + actuators + j] = kind
+        outputs[later + 2 * actuators + j] = size

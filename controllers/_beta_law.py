@@ -6,6 +6,7 @@ weights 1, rho, rho**2, ... or, in a window, 1.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,7 @@ RAREST = 1e-13
 """No threshold is sought beyond this quantile."""
 
 
-class BetaLaw:
+class BetaLaw(ABC):
     """The distribution of beta in steady state, and a threshold on it; subclasses know when it is passed.
 
     Parameters
@@ -70,13 +71,13 @@ class BetaLaw:
         self.onset_of_alarms = _begins(self.precision, self.sum, x)
         """Probability, without a fault, that an alarm begins at a sample."""
 
+    @abstractmethod
     def detected(self, kind: str, size: float, steps: int) -> float:
         """Return the probability of an alarm at one of the first `steps` faulty samples."""
-        raise NotImplementedError
 
+    @abstractmethod
     def mean_delay(self, kind: str, size: float) -> float:
         """Return the expected number of samples from the first faulty one to the first alarm."""
-        raise NotImplementedError
 
 
 class WhiteLaw(BetaLaw):

@@ -12,16 +12,17 @@ from bayesftc.controllers._linalg import (
     solve_vector,
     whiten,
 )
+from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import both, maximum, minimum, select
 
 MEAN_CAP = 1e150
 """Largest magnitude of a predicted state; its square is still a double."""
 
 
-def innovate(y, expected, covariance, C, e, present, CP, spread):
+def innovate(y, expected, covariance, C, e, present, CP, spread, innovation):
     """Compute the innovation ``e = y - expected``, which samples there are, and its covariance ``spread = C P C'``.
 
-    A sample that is not finite counts as none; its innovation is 0.
+    A sample that is not finite counts as none; its ``e`` is 0, and the ``innovation`` that is reported NaN.
     """
     multiply(C, covariance, CP)
     multiply_transposed(CP, C, spread)
@@ -30,6 +31,7 @@ def innovate(y, expected, covariance, C, e, present, CP, spread):
         finite = d - d == 0.0
         present[i] = select(finite, 1.0, 0.0)
         e[i] = select(finite, d, 0.0)
+        innovation[i] = select(finite, d, NAN)
 
 
 def keep_only(kept, R):

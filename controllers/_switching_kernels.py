@@ -102,29 +102,3 @@ def report_modes(memory, length, width, modes, sensors, step, first, outputs):
         outputs[kinds + sensors + i] = size
         outputs[kinds + 2 * sensors + i] = select(kind > 0.5, step * (count - 1.0 - age / total), NAN)
     outputs[kinds + 3 * sensors] = memory[sensors * length + 1]
-
-
-def report_actuators(memory, at, modes, actuators, first, outputs):
-    """Write each actuator's mode probabilities; then for all the probability of a fault, the most probable mode, its size.
-
-    They stand in ``outputs`` from ``first`` on; what is kept of the actuators stands in ``memory`` from ``at`` on.
-    """
-    later = first + actuators * (modes + 1)
-    for j in range(actuators):
-        own = at + j * (2 + 2 * modes) + 2
-        total = 0.0 * memory[own]
-        for k in range(modes):
-            total = total + memory[own + 2 * k]
-        best = maximum(1.0 - total, 0.0)
-        outputs[first + j * (modes + 1)] = best
-        kind, size = 0.0 * best, NAN + 0.0 * best
-        for k in range(modes):
-            p = memory[own + 2 * k]
-            outputs[first + j * (modes + 1) + 1 + k] = p
-            likelier = p > best
-            kind = select(likelier, k + 1.0, kind)
-            size = select(likelier, memory[own + 2 * k + 1], size)
-            best = maximum(best, p)
-        outputs[later + j] = minimum(total, 1.0)
-        outputs[later + actuators + j] = kind
-        outputs[later + 2 * actuators + j] = size

@@ -8,6 +8,7 @@ from typing import Any
 
 from bayesftc.controllers import _mode_kernels as mode_kernels, _switching_kernels as kernels
 from bayesftc.controllers._bank_layout import Layout
+from bayesftc.controllers._bank_samples import report_actuators
 from bayesftc.controllers.precision import keep_nominal, report_nothing
 from bayesftc.cosim import ops
 from bayesftc.cosim._written import function_from_text
@@ -136,7 +137,12 @@ def learner_functions(
     report = _REPORT
     if layout is not None and layout.actuator_modes:
         report += _REPORT_ACTUATORS
-        names |= {"ACTUATORS": layout.actuators, "P": layout.p, "ACTUATOR_MODES": layout.actuator_modes}
+        names |= {
+            "report_actuators": report_actuators,
+            "ACTUATORS": layout.actuators,
+            "P": layout.p,
+            "ACTUATOR_MODES": layout.actuator_modes,
+        }
     return learn, _function("report_switching", argument_names(report_nothing), report, names)
 
 

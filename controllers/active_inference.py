@@ -19,7 +19,7 @@ from bayesftc.controllers._trial import try_out
 from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, PrecisionLearner
+from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
@@ -141,7 +141,7 @@ class UnbiasedActiveInference(Block):
                 raise ModelError(f"The {name} is {value.tolist()}; it must be positive.")
             object.__setattr__(self, name, value)
         self._check_prior()
-        self.precision.learner(self._learned_model())  # settings that do not fit fail here, not in the loop
+        self._learner()  # settings that do not fit fail here, not in the loop
         remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
         check_stable(*self._nominal_curvature(), remedy)
 
@@ -174,7 +174,7 @@ class UnbiasedActiveInference(Block):
     @property
     def outputs(self) -> tuple[Port, ...]:
         """The outputs named above, and the precision learner's own."""
-        return *self._own_outputs, *self.precision.learner(self._learned_model()).ports
+        return *self._own_outputs, *self._learner().ports
 
     @property
     def _own_outputs(self) -> tuple[Port, ...]:
@@ -187,7 +187,7 @@ class UnbiasedActiveInference(Block):
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
         (n, _, p), m, h = self._dimensions, self._sensors, float(step)
-        learner, law = self.precision.learner(self._learned_model()), self._embedded()
+        learner, law = self._learner(), self._embedded()
         sensing, nominal = measured(self._groups, n), nominal_covariance(self._groups)
         A, B = self._prediction()
         sigma = np.sqrt(np.diag(nominal))
@@ -253,6 +253,9 @@ class UnbiasedActiveInference(Block):
         """Return what the state prior adds to the curvature: with one step a sample, only what it moves the start by."""
         Px: Floats = np.asarray(self.state_precision)
         return Px if self.inner_steps > 1 else Px @ (np.eye(len(Px)) - self._prediction()[0])
+
+    def _learner(self) -> Learner:
+        return self.precision.learner(self._learned_model()).apart("UnbiasedActiveInference")
 
     def _learned_model(self) -> LinearModel:
         """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""

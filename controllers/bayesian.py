@@ -17,10 +17,8 @@ from bayesftc.controllers._belief import arrive, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.block import Definition, Floats
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import select
 
 
 class UnstableLoopWarning(UserWarning):
@@ -49,9 +47,7 @@ def _make_step(
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw,
     ):  # fmt: skip
         apply(C, mean, expected)
-        innovate(y, expected, covariance, C, e, present, CP, spread)
-        for i in range(e.shape[0]):
-            innovation[i] = select(present[i] > 0.5, e[i], NAN)
+        innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
         learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         update(
             y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
@@ -132,11 +128,8 @@ class BayesianController(BayesianBlock):
         self._check_settings()
         self._check_reach(self.model.matrix("B"))
         learner = self._learner()  # settings that do not fit the model fail here, not in the loop
-        if self.belief == "joint" and any(port.name == "actuator_fault_probability" for port in learner.ports):
-            raise ModelError(
-                "belief='joint' takes what the goal says for something that is known of the state, by which actuators cannot be "
-                "judged; take belief='filtered', or leave the actuator modes out."
-            )
+        if self.belief == "joint":
+            learner.apart("A BayesianController with belief='joint'")
         self._warn_if_unstable()
 
     @property

@@ -16,7 +16,7 @@ from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_v
 from bayesftc.controllers._filter import innovate, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import NAN, FixedPrecision, PrecisionLearner
+from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import select
@@ -38,9 +38,7 @@ def _make_estimate(
         works, load,
     ):  # fmt: skip
         apply(C, mean, expected)
-        innovate(y, expected, covariance, C, e, present, CP, spread)
-        for i in range(e.shape[0]):
-            innovation[i] = select(present[i] > 0.5, e[i], NAN)
+        innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
         learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         update(
             y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,

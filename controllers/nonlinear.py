@@ -122,13 +122,11 @@ def _make_step(
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
         z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
     ):  # fmt: skip
-        n, p, m = x_hat.shape[0], u.shape[0], y.shape[0]
+        n, p = x_hat.shape[0], u.shape[0]
         T = squares[0]
         g(mean, reading)
         g_jacobian(mean, C)
-        innovate(y, reading, covariance, C, e, present, CP, spread)
-        for i in range(m):
-            innovation[i] = select(present[i] > 0.5, e[i], NAN)
+        innovate(y, reading, covariance, C, e, present, CP, spread, innovation)
         learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         report(memory, settings, nominal, first, outputs)
         leave_out_distant(e, nominal, used)
@@ -241,9 +239,8 @@ class NonlinearBayesianController(BayesianBlock):
 
     def _learner(self) -> Learner:
         # Learners know the sensors by a linear model: the one at the initial mean, where it is known to be finite.
-        return self.precision.learner(
-            self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
-        )
+        start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
+        return self.precision.learner(start).apart("NonlinearBayesianController")
 
     @property
     def measurement_matrix(self) -> Floats:

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
@@ -66,6 +67,8 @@ class Learner:
     infer : function or None
         If it infers the state together with the faults: the step function (``make_infer`` in ``_bank.py``) that controllers with
         a linear model then call instead of ``step`` and of Kalman's update. Others go on with ``step``.
+    together : bool
+        Whether ``step`` alone would leave out what was asked for (faults of actuators).
     """
 
     step: Callable[..., None]
@@ -75,6 +78,22 @@ class Learner:
     ports: tuple[Port, ...] = ()
     report: Callable[..., None] = report_nothing
     infer: Callable[..., None] | None = None
+    together: bool = False
+
+    def apart(self, who: str) -> Learner:
+        """Return it for one that learns precisions apart from the state, with ``step``.
+
+        Raises
+        ------
+        ModelError
+            If it can infer only both together.
+        """
+        if self.together:
+            raise ModelError(
+                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; take a "
+                "BayesianController with belief='filtered' or a StateEstimator, or leave the actuator modes out."
+            )
+        return self
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,10 @@ class SwitchingPrecision(PrecisionLearner):
             ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
         settings += [step, *self._actuator_settings(model)]
-        return Learner(learn, kept, np.array(settings), 1, tuple(ports), report, self._infer(layout, evidence))
+        return Learner(
+            learn, kept, np.array(settings), 1, tuple(ports), report,
+            infer=self._infer(layout, evidence), together=bool(layout.actuator_modes),
+        )  # fmt: skip
 
     @property
     def _faults(self) -> tuple[int, ...]:

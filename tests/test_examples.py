@@ -84,3 +84,6 @@ def test_a_failed_engine_is_told_from_failed_sensors(capsys):
     healthy = table[None, None]
     assert healthy["with actuator modes"] < 1.03 * healthy["FixedPrecision"]
     assert len(capsys.readouterr().out.splitlines()) == 2 + len(table)
+    price = actuator_faults.insurance(runs=20)
+    assert price["with actuator modes"] < 1.02
+    assert price["with frequent actuator faults"] > price["with actuator modes"]

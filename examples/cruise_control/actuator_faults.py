@@ -7,8 +7,9 @@ import sys
 
 import numpy as np
 
-from bayesftc import controllers, cosim, fmus
+from bayesftc import cosim
 from bayesftc.controllers import FixedPrecision, InputOffset, LostEffect, StuckActuator, SwitchingPrecision
+from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
 START, STOP, DURATION = 6.0, 14.0, 20.0
 ENGINE = {
@@ -17,28 +18,16 @@ ENGINE = {
     "stuck": cosim.Freeze(start=START, stop=STOP),
 }
 SENSOR = {"5 m/s more": cosim.Bias(magnitude=5.0, start=START, stop=STOP)}
+SINE = cosim.Sine(amplitude=10.0, period=8.0, offset=20.0)
 CASES = [(engine, None) for engine in ENGINE] + [(None, "5 m/s more"), ("1500 N more", "5 m/s more"), (None, None)]
+MODES = (InputOffset, LostEffect, StuckActuator)
 LEARNERS = {
     "FixedPrecision": FixedPrecision(),
     "SwitchingPrecision": SwitchingPrecision(),
-    "with actuator modes": SwitchingPrecision(actuator_modes=(InputOffset(), LostEffect(), StuckActuator())),
+    "with actuator modes": SwitchingPrecision(actuator_modes=[mode() for mode in MODES]),
 }
-
-
-def loop(precision: controllers.PrecisionLearner, engine: str | None, sensor: str | None) -> cosim.Diagram:
-    """Return the closed loop with a fault of the engine, or of sensor 0, or of both."""
-    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1], [1]], 0.001, 1.0, dt=0.02)
-    return cosim.closed_loop(
-        plant=cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),
-        controller=controllers.BayesianController(model, precision=precision, initial_mean=20.0),
-        control="force",
-        measured="v",
-        noise={"disturbance": cosim.Gaussian(std=0.001**0.5)},
-        sensors=cosim.Sensors(count=2, std=1.0),
-        faults=[SENSOR[sensor]] if sensor else [],
-        input_faults={"force": ENGINE[engine]} if engine else None,
-        reference=cosim.Sine(amplitude=10.0, period=8.0, offset=20.0),
-    )
+OFTEN = SwitchingPrecision(actuator_modes=[mode(time_to_fault=60.0) for mode in MODES])
+"""The same if engines failed as often as sensors."""
 
 
 def main(runs: int = 20) -> dict[tuple[str | None, str | None], dict[str, float]]:
@@ -49,7 +38,7 @@ def main(runs: int = 20) -> dict[tuple[str | None, str | None], dict[str, float]
     for engine, sensor in CASES:
         row, said = {}, []
         for name, precision in LEARNERS.items():
-            diagram = loop(precision, engine, sensor)
+            diagram = cruise_control(precision, SENSOR.get(sensor), SINE, ENGINE.get(engine))
             signals = ["plant.v", "reference.y", "controller.fault_probability"]
             signals += ["controller.actuator_fault_probability"] * (name == "with actuator modes")
             results = [diagram.simulate(DURATION, seed=seed, record=signals) for seed in range(runs)]
@@ -66,5 +55,21 @@ def main(runs: int = 20) -> dict[tuple[str | None, str | None], dict[str, float]
     return table
 
 
+def insurance(runs: int = 20) -> dict[str, float]:
+    """Print and return what each learner costs on healthy runs: its tracking error over that of fixed precision."""
+    errors = {}
+    for name, precision in {**LEARNERS, "with frequent actuator faults": OFTEN}.items():
+        diagram = cruise_control(precision, None, SINE)
+        runs_of = [diagram.simulate(DURATION, seed=seed, record=["plant.v", "reference.y"]) for seed in range(runs)]
+        errors[name] = float(
+            np.mean([np.mean((r["plant.v"][1:] - r["reference.y"][:-1]) ** 2) for r in runs_of]) ** 0.5
+        )
+    price = {name: error / errors["FixedPrecision"] for name, error in errors.items()}
+    print("Over fixed precision, healthy: " + ", ".join(f"{name} {ratio:.4f}" for name, ratio in price.items()))
+    return price
+
+
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    chosen = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    main(chosen)
+    insurance(3 * chosen)

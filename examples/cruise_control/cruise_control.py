@@ -19,9 +19,15 @@ SINE = cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
 
 
 def cruise_control(
-    precision: controllers.PrecisionLearner, fault: cosim.Fault = FREEZE, reference: cosim.Source = SINE
+    precision: controllers.PrecisionLearner,
+    fault: cosim.Fault | None = FREEZE,
+    reference: cosim.Source = SINE,
+    engine: cosim.Fault | None = None,
 ) -> cosim.Diagram:
-    """Return the closed loop of the paper's second experiment with a given way of learning precisions."""
+    """Return the closed loop of the paper's second experiment with a given way of learning precisions.
+
+    A sensor has the fault, and the engine may have one.
+    """
     b, m, dt = 5.0, 100.0, 0.02  # drag (N s/m), mass (kg), sample time (s)
     model = controllers.LinearModel(
         A=[[1 - b / m * dt]], B=[[dt / m]], C=[[1], [1]], process_covariance=0.001, sensor_covariance=1.0, dt=dt
@@ -33,7 +39,8 @@ def cruise_control(
         measured="v",
         noise={"disturbance": cosim.Gaussian(std=0.001**0.5)},
         sensors=cosim.Sensors(count=2, std=1.0),
-        faults=[fault],
+        faults=[fault] if fault else [],
+        input_faults={"force": engine} if engine else None,
         reference=reference,
     )
 
