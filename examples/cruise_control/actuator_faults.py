@@ -12,12 +12,12 @@ from bayesftc.controllers import FixedPrecision, InputOffset, LostEffect, StuckA
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
 START, STOP, DURATION = 6.0, 14.0, 20.0
-ENGINE = {
+ENGINE: dict[str | None, cosim.Fault] = {
     "1500 N more": cosim.Bias(magnitude=1500.0, start=START, stop=STOP),
     "0.4 of the force": cosim.GainFault(factor=0.4, start=START, stop=STOP),
     "stuck": cosim.Freeze(start=START, stop=STOP),
 }
-SENSOR = {"5 m/s more": cosim.Bias(magnitude=5.0, start=START, stop=STOP)}
+SENSOR: dict[str | None, cosim.Fault] = {"5 m/s more": cosim.Bias(magnitude=5.0, start=START, stop=STOP)}
 SINE = cosim.Sine(amplitude=10.0, period=8.0, offset=20.0)
 CASES = [(engine, None) for engine in ENGINE] + [(None, "5 m/s more"), ("1500 N more", "5 m/s more"), (None, None)]
 MODES = (InputOffset, LostEffect, StuckActuator)
