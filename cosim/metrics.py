@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.roles import Flags, InputSignals, LoopSignals, SensorSignals
+from bayesftc.cosim.roles import ALARM, ActuatorSignals, Flags, InputSignals, LoopSignals, SensorSignals
 
 NAN = float("nan")
 
@@ -111,13 +111,48 @@ class InputFaults:
 
 
 @dataclass(frozen=True)
+class ActuatorFaults:
+    """What the controller has said of one actuator, and how right that was; as of a sensor, see `Detection`.
+
+    Attributes
+    ----------
+    name : str
+        The plant's variable that the control goes to.
+    unit : str or None
+        Its unit.
+    mean_probability : float
+        Mean fault probability over the run.
+    alarm_share : float
+        Share of time with an alarm.
+    missed, delay, false_alarm_rate, auc : float
+        Of the faults on the way of the control.
+    kind : str or None
+        The mode that was the most probable one most often during alarms; None if there was no alarm.
+    size : float
+        Mean size of its fault meanwhile.
+    """
+
+    name: str
+    unit: str | None
+    mean_probability: float
+    alarm_share: float
+    missed: float
+    delay: float
+    false_alarm_rate: float
+    auc: float
+    kind: str | None
+    size: float
+
+
+@dataclass(frozen=True)
 class Figures:
-    """All figures of a run: errors by quantity, detection by sensor, and faults by input of the plant."""
+    """All figures of a run: errors by quantity, detection by sensor, faults by input of the plant, and actuators blamed."""
 
     tracking: dict[str, Errors]
     belief: dict[str, Errors]
     sensors: tuple[Detection, ...]
     inputs: tuple[InputFaults, ...] = ()
+    actuators: tuple[ActuatorFaults, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""
@@ -219,6 +254,22 @@ def input_faults(signals: InputSignals) -> InputFaults:
     return InputFaults(signals.name, signals.unit, _share(faulty), float(len(periods(faulty))), deviation)
 
 
+def actuator_faults(signals: ActuatorSignals, time: Floats) -> ActuatorFaults:
+    """Return what was said of one actuator, from its signals and the time of each row in seconds."""
+    p = signals.probability
+    seen = detection(SensorSignals(0, None, signals.faulty, None, None, p), time)
+    alarm = p >= ALARM
+    kind, size = None, NAN
+    if signals.kind is not None and len(blamed := signals.kind[alarm & (signals.kind > 0)]):
+        number = int(np.bincount(blamed.astype(np.int64)).argmax())
+        kind = signals.kinds[number - 1]
+        size = _mean(signals.size, alarm & (signals.kind == number))
+    return ActuatorFaults(
+        signals.name, signals.unit, float(p.mean()) if len(p) else NAN, _share(alarm), seen.missed, seen.delay,
+        seen.false_alarm_rate, seen.auc, kind, size,
+    )  # fmt: skip
+
+
 def figures(signals: LoopSignals) -> Figures:
     """Return all figures of a run.
 
@@ -231,6 +282,7 @@ def figures(signals: LoopSignals) -> Figures:
         belief={q.name: errors_by_phase(_difference(q.belief, q.truth), faulty) for q in signals.quantities},
         sensors=tuple(detection(sensor, signals.time) for sensor in signals.sensors),
         inputs=tuple(input_faults(each) for each in signals.inputs),
+        actuators=tuple(actuator_faults(each, signals.time) for each in signals.actuators),
     )
 
 
@@ -262,6 +314,6 @@ def without_nan(value: Any) -> Any:
 
 
 __all__ = [
-    *(cls.__name__ for cls in (Detection, Errors, Figures, InputFaults)), "auc", "detection", "errors_by_phase", "figures",
-    "input_faults", "periods", "rmse", "without_nan",
+    *(cls.__name__ for cls in (ActuatorFaults, Detection, Errors, Figures, InputFaults)), "actuator_faults", "auc",
+    "detection", "errors_by_phase", "figures", "input_faults", "periods", "rmse", "without_nan",
 ]  # fmt: skip

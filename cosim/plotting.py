@@ -81,8 +81,9 @@ def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
     Above, a panel for each measured quantity: true value, reference, samples as dots, the controller's belief; and one for each
     input of the plant with a fault on its way: what was sent, and what the plant received. Then the
     standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``), with marks at the top for samples
-    that it ignores altogether and for missing ones, and the fault probability of each sensor, or where there is none beta,
-    with marks where a fault is detected; both have gaps where samples are missing. Faults are shaded, those of an input hatched.
+    that it ignores altogether and for missing ones, and the fault probability of each sensor and, in black, of each actuator of
+    whose faults the controller knows, or where there is none beta, with marks where a fault is detected; those of sensors have
+    gaps where samples are missing. Faults are shaded, those of an input hatched.
 
     Parameters
     ----------
@@ -193,10 +194,14 @@ def _logarithmic(axis: Axes, drawn: list[Floats]) -> None:
 
 def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
     known = [s for s in signals.sensors if s.probability is not None and not np.isnan(s.probability).all()]
-    if known:
+    if known or signals.actuators:
         for sensor in known:
             assert sensor.probability is not None
             axis.plot(*_thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
+        for j, actuator in enumerate(signals.actuators):
+            # As those of an input, whose faults are hatched: no colour, for these are the sensors'.
+            style: dict[str, Any] = {"color": BLACK, "ls": LINES[j % len(LINES)], "lw": 1.3, "zorder": 3}
+            axis.plot(*_thin(signals.time, actuator.probability), label=f"actuator {actuator.name}", **style)
         axis.axhline(ALARM, color="0.4", lw=0.8, zorder=0, label=f"alarm from {ALARM:g}")
         axis.set_ylim(-0.04, 1.04)
         axis.set_ylabel("fault probability")

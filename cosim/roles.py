@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,10 +130,40 @@ class InputSignals:
 
 
 @dataclass(frozen=True, eq=False)
+class ActuatorSignals:
+    """What a controller that knows of actuators' faults says of one of its controls, over time.
+
+    Attributes
+    ----------
+    name : str
+        The plant's variable that the control goes to; ``control j`` if it goes to none.
+    unit : str or None
+        Its unit.
+    faulty : array of bool or None
+        Whether a fault on the way was present; None if that was not recorded.
+    probability : array
+        That the actuator has a fault.
+    kind, size : array or None
+        The most probable mode by its number (0: healthy), and the size of its fault; None if that was not recorded.
+    kinds : tuple of str
+        Names of the modes, from number 1 on.
+    """
+
+    name: str
+    unit: str | None
+    faulty: Flags | None
+    probability: Floats
+    kind: Floats | None
+    size: Floats | None
+    kinds: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class LoopSignals:
     """A run of a closed loop: time in seconds, the measured quantities, the sensors, the inputs with a fault on their way.
 
-    ``faults`` has for each fault of a sensor that was recorded the number of that sensor and when it was present.
+    ``faults`` has for each fault of a sensor that was recorded the number of that sensor and when it was present;
+    ``actuators`` are those that the controller says something of.
     """
 
     time: Floats
@@ -141,6 +171,7 @@ class LoopSignals:
     sensors: tuple[SensorSignals, ...]
     faults: Mapping[str, tuple[int, Flags]]
     inputs: tuple[InputSignals, ...] = ()
+    actuators: tuple[ActuatorSignals, ...] = ()
 
     @property
     def faulty(self) -> Flags | None:
@@ -194,7 +225,8 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
             if (flags := active[name]) is not None:
                 known.setdefault(name, (i, flags))  # a channel that is read twice is named once
     inputs = _inputs(reader, {seen.name, brain.name})
-    return LoopSignals(result.time, _quantities(reader, seen, brain, C, G), sensors, known, inputs)
+    quantities = _quantities(reader, seen, brain, C, G)
+    return LoopSignals(result.time, quantities, sensors, known, inputs, _actuators(reader, brain))
 
 
 def faults_before(diagram: Diagram, brain: Node, sensor: int) -> list[str]:
@@ -274,19 +306,54 @@ def _any(flags: list[Flags | None]) -> Flags | None:
     return np.any(known, axis=0) if known and len(known) == len(flags) else None
 
 
+def _elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:
+    """Give each element of each input, but for those of faults and of the named blocks."""
+    for node in diagram.nodes:
+        for port in () if isinstance(node.block, Fault) or node.name in others else node.block.inputs:
+            for i in range(port.size):
+                yield node, port, i
+
+
+def _element(port: Port, i: int) -> str:
+    return port.name + (f"[{i}]" if port.size > 1 else "")
+
+
 def _inputs(reader: _Reader, others: Container[str]) -> tuple[InputSignals, ...]:
     """Return the inputs that are fed through faults, but for those of the named blocks."""
     found = []
-    for node in reader.diagram.nodes:
-        for port in () if isinstance(node.block, Fault) or node.name in others else node.block.inputs:
-            for i in range(port.size):
-                if chain := _chain(reader.diagram, node, port, i):
-                    faults = {fault.name: reader.flags(f"{fault.name}.active") for fault, _ in chain}
-                    first, element = chain[0]
-                    sent, received = reader.source(first, "u", element), reader.source(node, port.name, i)
-                    name = port.name + (f"[{i}]" if port.size > 1 else "")
-                    found.append(InputSignals(name, port.unit, sent, received, faults))
+    for node, port, i in _elements(reader.diagram, others):
+        if chain := _chain(reader.diagram, node, port, i):
+            faults = {fault.name: reader.flags(f"{fault.name}.active") for fault, _ in chain}
+            first, element = chain[0]
+            sent, received = reader.source(first, "u", element), reader.source(node, port.name, i)
+            found.append(InputSignals(_element(port, i), port.unit, sent, received, faults))
     return tuple(found)
+
+
+def _actuators(reader: _Reader, brain: Node) -> tuple[ActuatorSignals, ...]:
+    """Return what the controller says of its actuators; nothing if it does not, or if that was not recorded."""
+    count = brain.block.port("u").size
+    probability, kind, size = (
+        reader.columns(f"{brain.name}.actuator_fault_{name}", count) for name in ("probability", "kind", "size")
+    )
+    led: dict[int, tuple[str, str | None, Flags | None]] = {}
+    none: Flags = np.zeros(len(reader.result.time), dtype=bool)
+    for node, port, i in _elements(reader.diagram, {brain.name}):
+        chain = _chain(reader.diagram, node, port, i)
+        origin = reader.diagram.source_of(
+            *((chain[0][0], chain[0][0].block.port("u"), chain[0][1]) if chain else (node, port, i))
+        )
+        if origin is not None and (origin[0].node.name, origin[0].port.name) == (brain.name, "u"):
+            faulty = _any([none, *(reader.flags(f"{fault.name}.active") for fault, _ in chain)])
+            led.setdefault(origin[1], (_element(port, i), port.unit, faulty))
+    kinds = tuple(
+        type(mode).__name__ for mode in getattr(getattr(brain.block, "precision", None), "actuator_modes", ())
+    )
+    return tuple(
+        ActuatorSignals(*led.get(j, (f"control {j}", None, none)), known, kind[j], size[j], kinds)
+        for j, known in enumerate(probability)
+        if known is not None
+    )
 
 
 def _chain(diagram: Diagram, node: Node, port: Port, element: int) -> list[tuple[Node, int]]:
@@ -342,7 +409,7 @@ def _label(diagram: Diagram, seen: Node, row: tuple[float, ...], sensor: int) ->
     if found is None:
         return f"sensor {sensor}", None
     port = found[0].port
-    return port.name + (f"[{found[1]}]" if port.size > 1 else ""), port.unit or seen.block.port("y").unit
+    return _element(port, found[1]), port.unit or seen.block.port("y").unit
 
 
 def _sensors(diagram: Diagram) -> Node:
@@ -365,4 +432,4 @@ def _controller(diagram: Diagram) -> Node:
     return found[0]
 
 
-__all__ = ["InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals", "loop_signals"]
+__all__ = ["ActuatorSignals", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals", "loop_signals"]

@@ -100,6 +100,37 @@ def test_faults_of_an_actuator_are_reported(bayesftc_, tmp_path):
     assert numbers["tracking"]["v"]["during"] is not None
 
 
+def test_what_the_controller_says_of_its_actuators_is_reported(bayesftc_, tmp_path):
+    text = CAR[: CAR.index("[controller.precision]")]
+    text += '[controller.precision]\nkind = "SwitchingPrecision"\nmodes = [{ kind = "Frozen" }]\n'
+    text += 'actuator_modes = [{ kind = "LostEffect" }, { kind = "InputOffset", time_to_fault = 60.0 }]\n'
+    text += '[[input_faults.force]]\nkind = "Bias"\nmagnitude = 6000.0\nstart = 1.0\n'
+    (tmp_path / "car.toml").write_text(text)
+    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", 2, "--out", "out")
+    assert done.exit_code == 0, done.output
+    for words in ("Actuators' faults as the controller sees them", "kind during alarms, mostly", "InputOffset"):
+        assert words in done.output
+    (force,) = json.loads((tmp_path / "out" / "figures.json").read_text())["actuators"]
+    result = Result.load(tmp_path / "out" / "result.npz")
+    probability, kind, size = (result[f"controller.actuator_fault_{n}"][:, 0] for n in ("probability", "kind", "size"))
+    faulty = result["force_bias_0.active"] > 0.5
+    alarm = probability >= 0.5
+    first = np.flatnonzero(alarm & faulty)[0]
+    assert force == {
+        "name": "force",
+        "unit": "N",
+        "mean_probability": pytest.approx(probability.mean()),
+        "alarm_share": pytest.approx(alarm.mean()),
+        "missed": 0,
+        "delay": pytest.approx(result.time[first] - 1.0),
+        "false_alarm_rate": alarm[~faulty].mean(),
+        "auc": pytest.approx(roc_auc_score(faulty, probability)),
+        "kind": "InputOffset",
+        "size": pytest.approx(size[alarm & (kind == 2)].mean()),
+    }
+    assert force["size"] == pytest.approx(6000, rel=0.2)
+
+
 def test_a_run_prints_and_writes_what_numpy_finds_as_well(bayesftc_, tmp_path):
     done = run_car(bayesftc_, "--out", "deep/er", "--seed", 2)
     assert done.exit_code == 0, done.output

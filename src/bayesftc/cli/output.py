@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"
 TRACKING = "Tracking compares with the reference at the same instant; the controller aims at it with the next state, one step on."
+ACTUATORS = "Size: of LostEffect the share that is lost, else in the unit of the control."
 DOTS_PER_INCH = 150
 
 SENSOR_ROWS = (
@@ -42,6 +43,16 @@ INPUT_ROWS = (
     ("share of time in fault", "fault_share", "{:.1%}"),
     ("faults", "faults", "{:.0f}"),
     ("received - sent in fault (root mean square)", "deviation", "{:.4g}"),
+)
+ACTUATOR_ROWS = (
+    ("mean fault probability", "mean_probability", "{:.4f}"),
+    ("alarms (share of time)", "alarm_share", "{:.1%}"),
+    ("faults missed", "missed", "{:.0f}"),
+    ("mean detection delay (s)", "delay", "{:.2f}"),
+    ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
+    ("AUC", "auc", "{:.3f}"),
+    ("kind during alarms, mostly", "kind", "{}"),
+    ("its mean size", "size", "{:.4g}"),
 )
 MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
 """Rows that are shown only if a sensor has missing samples."""
@@ -150,6 +161,8 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
     tables = [(*_sensors(numbers["sensors"]), "")]
     if numbers["inputs"]:
         tables.append((*_inputs(numbers["inputs"]), ""))
+    if numbers["actuators"]:
+        tables.append((*_actuators(numbers["actuators"]), ACTUATORS))
     if numbers["tracking"]:
         tables.insert(0, (*_errors(numbers), TRACKING))
     if "kalman" in numbers:
@@ -191,10 +204,19 @@ def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
 
 
 def _inputs(inputs: list[dict[str, Any]]) -> tuple[str, Table]:
-    table = empty_table(*(f"{i['name']} ({i['unit']})" if i["unit"] else i["name"] for i in inputs))
-    for label, key, form in INPUT_ROWS:
-        table.add_row(label, *(_number(i[key], form) for i in inputs))
-    return "Faults on the way to the plant", table
+    return "Faults on the way to the plant", _by_name(inputs, INPUT_ROWS)
+
+
+def _actuators(actuators: list[dict[str, Any]]) -> tuple[str, Table]:
+    return "Actuators' faults as the controller sees them", _by_name(actuators, ACTUATOR_ROWS)
+
+
+def _by_name(columns: list[dict[str, Any]], rows: Iterable[tuple[str, str, str]]) -> Table:
+    """Return a table with a column for each input of the plant."""
+    table = empty_table(*(f"{c['name']} ({c['unit']})" if c["unit"] else c["name"] for c in columns))
+    for label, key, form in rows:
+        table.add_row(label, *(_number(c[key], form) for c in columns))
+    return table
 
 
 def _kalman(check: Mapping[str, Any]) -> tuple[str, Table]:
@@ -217,5 +239,5 @@ def empty_table(*columns: str) -> Table:
     return table
 
 
-def _number(value: float | None, form: str) -> str:
+def _number(value: float | str | None, form: str) -> str:
     return DASH if value is None else form.format(value)
