@@ -13,6 +13,7 @@ from bayesftc.controllers import _switching_kernels as kernels
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags
+from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, expected_of, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
 from bayesftc.controllers.actuator_modes import ActuatorMode
@@ -65,8 +66,8 @@ class SwitchingPrecision(PrecisionLearner):
     Raises
     ------
     ModelError
-        If there is no mode, the losses are not one for each sensor, or with the model's sample time a fault would begin or end
-        at each sample.
+        If there is no mode or one that is none (its step function has other arguments, say), the losses are not one for each
+        sensor, or with the model's sample time a fault would begin or end at each sample.
     """
 
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Noisier(), DroppedOut())
@@ -76,18 +77,8 @@ class SwitchingPrecision(PrecisionLearner):
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
-        modes = tuple(self.modes) if isinstance(self.modes, Sequence) else ()
-        if not modes or not all(isinstance(mode, FaultMode) and hasattr(mode, "evidence") for mode in modes):
-            raise ModelError(
-                f"SwitchingPrecision has modes={self.modes!r}; give fault modes such as Offset(), at least one."
-            )
-        object.__setattr__(self, "modes", modes)
-        given = self.actuator_modes
-        if not isinstance(given, Sequence) or not all(isinstance(mode, ActuatorMode) for mode in given):
-            raise ModelError(
-                f"SwitchingPrecision has actuator_modes={given!r}; give actuator modes such as LostEffect(), or none."
-            )
-        object.__setattr__(self, "actuator_modes", tuple(given))
+        object.__setattr__(self, "modes", as_fault_modes(self.modes))
+        object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
         loss = self.loss
         each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
         for value in each:
@@ -105,8 +96,9 @@ class SwitchingPrecision(PrecisionLearner):
                 f"of {step:g} s; their times to a fault are too short."
             )
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
-        own = [[mode.settings(model, i) for mode in self.modes] for i in range(m)]
-        width = TRUST + max(len(mode.first) for mode in self.modes)
+        own = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
+        first = [first_of(mode) for mode in self.modes]
+        width = TRUST + max(map(len, first))
         settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in own for values in of_sensor)
         settings = []
         for i in range(m):
@@ -119,8 +111,8 @@ class SwitchingPrecision(PrecisionLearner):
         memory = []
         for _ in range(m):
             memory += [np.nan, 1.0, 1.0]
-            for mode in self.modes:
-                block = [kernels.LEAST, 0.0, 0.0, *mode.first]
+            for values in first:
+                block = [kernels.LEAST, 0.0, 0.0, *values]
                 memory += block + [0.0] * (width - len(block))
         evidence = tuple(type(mode).evidence for mode in self.modes)
         single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
@@ -209,13 +201,7 @@ class SwitchingPrecision(PrecisionLearner):
                         f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any "
                         f"state that control {j} moves; give it a process_covariance there."
                     )
-                expected = tuple(mode.expected(scale))
-                if len(expected) != 3 or not np.isfinite(expected).all() or min(expected[1:]) < 0:
-                    raise ModelError(
-                        f"{type(mode).__name__}.expected gave {expected!r}; it must be the mean of c, its variance and that of "
-                        "its walk per sample."
-                    )
-                mean, variance, walk = expected
+                mean, variance, walk = expected_of(mode, scale)
                 rates = (
                     _chance(mode, "time_to_fault", float(model.step)),
                     _chance(mode, "time_to_recovery", float(model.step)),

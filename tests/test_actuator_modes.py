@@ -174,16 +174,52 @@ def test_a_belief_with_the_goal_in_it_is_that_of_the_per_sensor_form():
 class Vague(controllers.ActuatorMode):
     """A user's mode that forgets the walk."""
 
+    absolute = 1.0
+
     def expected(self, scale):
         """Return too little."""
         return 0.0, 1.0
 
 
+@dataclass(frozen=True)
+class Blind(controllers.ActuatorMode):
+    """A user's mode that takes no scale."""
+
+    absolute = 1.0
+
+    def expected(self):
+        """Return what it would be with one."""
+        return 0.0, 1.0, 0.0
+
+
+@dataclass(frozen=True)
+class Lone(controllers.ActuatorMode):
+    """A user's mode that gives one number."""
+
+    relative = 1.0
+
+    def expected(self, scale):
+        """Return too little."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class Idle(Lone):
+    """A user's mode that does not say how it acts."""
+
+    relative = 0.0
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: SwitchingPrecision(actuator_modes=3), "give actuator modes"),
-        (lambda: SwitchingPrecision(actuator_modes=(controllers.Offset(),)), "give actuator modes"),
+        (lambda: SwitchingPrecision(actuator_modes=3), "give a list of actuator modes"),
+        (lambda: SwitchingPrecision(actuator_modes=(controllers.Offset(),)), "give a list of actuator modes"),
+        (lambda: SwitchingPrecision(actuator_modes=[LostEffect]), r"the class LostEffect .* of it: LostEffect\(\)"),
+        (lambda: SwitchingPrecision(actuator_modes=[controllers.ActuatorMode()]), "does not say what to expect"),
+        (lambda: SwitchingPrecision(actuator_modes=[Blind()]), r"Blind.expected is called .* it is expected\(\)"),
+        (lambda: SwitchingPrecision(actuator_modes=[Idle()]), "Idle does not say how it acts"),
+        (lambda: SwitchingPrecision(actuator_modes=[Lone()]).learner(MODEL), "Lone.expected gave 0.0"),
         (lambda: SwitchingPrecision(actuator_modes=MODES, joint=False).learner(MODEL), "in the joint form only"),
         (
             lambda: SwitchingPrecision(actuator_modes=(LostEffect(0.01),)).learner(MODEL),

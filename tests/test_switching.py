@@ -238,6 +238,54 @@ def test_a_mode_of_ones_own():
     assert probabilities[2][1] < 0.01
 
 
+def of_ones_own(base, **attributes):
+    """Return a mode of a class Wrong, a subclass of ``base`` with these attributes."""
+    return dataclass(frozen=True)(type("Wrong", (base,), attributes))()
+
+
+def renamed(e, present, variance, noise, change, healthy, memory, at, settings, first):
+    return healthy
+
+
+def swapped(e, present, nominal, variance, change, healthy, memory, at, settings, first):
+    return healthy
+
+
+def silent(e, present, variance, nominal, change, healthy, memory, at, settings, first):
+    memory[at + SIZE] = e
+
+
+def grasping(e, present, variance, nominal, change, healthy, memory, at, settings, first):
+    return healthy + memory[at + OWN]
+
+
+@pytest.mark.parametrize(
+    ("attributes", "words"),
+    [
+        ({}, "fault mode Wrong has no step function; give the class one: evidence.e, present,"),
+        ({"evidence": 3}, "Wrong.evidence: A step function must be a plain Python function"),
+        ({"evidence": lambda e, *rest: e}, r"Wrong.evidence: .* no \*args"),
+        ({"evidence": lambda self, e: e}, "Wrong.evidence has the arguments self, e; it must be"),
+        ({"evidence": renamed}, "Wrong.evidence has the arguments e, present, variance, noise,"),
+        ({"evidence": swapped}, "in this order: evidence.e, present, variance, nominal,"),
+        ({"evidence": silent}, "Wrong.evidence returned None; it must return one number"),
+        ({"evidence": grasping}, "Wrong.evidence reaches beyond .*: its own are 5 numbers"),
+        ({"evidence": glitches}, "Wrong.evidence reaches beyond .* and 0 from settings"),
+        ({"evidence": glitches, "settings": lambda self, model, i: "no"}, "What Wrong.settings returned is 'no'"),
+        ({"evidence": glitches, "first": (0.0,)}, "Wrong.first is .* at least two numbers"),
+        ({"evidence": glitches, "first": lambda self: (0.0, 0.0)}, "Wrong.first .* must be a property"),
+    ],
+)
+def test_a_mode_of_ones_own_that_cannot_be_compiled_is_refused_in_a_sentence(attributes, words):
+    with pytest.raises(ModelError, match=words):
+        SwitchingPrecision([of_ones_own(controllers.FaultMode, **attributes)]).learner(MODEL)
+
+
+def test_arguments_are_looked_at_before_there_is_a_model():
+    with pytest.raises(ModelError, match=r"Wrong\.evidence has the arguments"):
+        SwitchingPrecision([of_ones_own(Offset, evidence=swapped)])
+
+
 def test_a_resolution_explains_equal_samples():
     """Rounded to its standard deviation a healthy sensor repeats itself in a quarter of the samples: no freeze."""
     rows = 20.0 + np.round(np.random.default_rng(5).normal(size=(2000, 2)))
@@ -279,9 +327,12 @@ def test_insurance_costs_nothing_on_healthy_sensors():
     ("make", "words"),
     [
         (lambda: SwitchingPrecision(modes=()), "at least one"),
-        (lambda: SwitchingPrecision(modes=3), "give fault modes"),
-        (lambda: SwitchingPrecision(modes=("Offset",)), "give fault modes"),
-        (lambda: SwitchingPrecision(modes=(controllers.FaultMode(),)), "give fault modes"),
+        (lambda: SwitchingPrecision(modes=3), "modes=3; give a list of fault modes"),
+        (lambda: SwitchingPrecision(modes="Offset"), "modes='Offset'; give a list of fault modes"),
+        (lambda: SwitchingPrecision(modes=Offset()), "give a list of fault modes"),
+        (lambda: SwitchingPrecision(modes=("Offset",)), "give a list of fault modes"),
+        (lambda: SwitchingPrecision(modes=(Frozen(), Offset)), r"the class Offset among them; .* of it: Offset\(\)"),
+        (lambda: SwitchingPrecision(modes=(controllers.FaultMode(),)), "FaultMode has no step function"),
         (lambda: SwitchingPrecision(loss=0.0), "loss=0.0"),
         (lambda: SwitchingPrecision(loss=(0.1, 1.5)), "loss=1.5"),
         (lambda: SwitchingPrecision(loss=()), r"loss=\(\)"),
