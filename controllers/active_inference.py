@@ -255,7 +255,7 @@ class UnbiasedActiveInference(Block):
         return Px if self.inner_steps > 1 else Px @ (np.eye(len(Px)) - self._prediction()[0])
 
     def _learner(self) -> Learner:
-        return self.precision.learner(self._learned_model()).apart("UnbiasedActiveInference")
+        return self.precision.apart("UnbiasedActiveInference").learner(self._learned_model())
 
     def _learned_model(self) -> LinearModel:
         """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""

@@ -127,9 +127,9 @@ class BayesianController(BayesianBlock):
             )
         self._check_settings()
         self._check_reach(self.model.matrix("B"))
-        learner = self._learner()  # settings that do not fit the model fail here, not in the loop
         if self.belief == "joint":
-            learner.apart("A BayesianController with belief='joint'")
+            self.precision.apart("A BayesianController with belief='joint'")
+        self._learner()  # settings that do not fit the model fail here, not in the loop
         self._warn_if_unstable()
 
     @property

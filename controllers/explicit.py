@@ -193,7 +193,7 @@ class ExplicitDetection(PrecisionLearner):
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        m, wrapped = model.sensors, self.learning.learner(model).apart("ExplicitDetection")
+        m, wrapped = model.sensors, self.learning.apart("ExplicitDetection").learner(model)
         groups = tuple((i,) for i in range(m)) if self.groups is None else self.groups
         own: list[Floats] = [
             np.array([whole_steps(self.hold, model.step, "ExplicitDetection's hold")], dtype=np.float64)

@@ -240,7 +240,7 @@ class NonlinearBayesianController(BayesianBlock):
     def _learner(self) -> Learner:
         # Learners know the sensors by a linear model: the one at the initial mean, where it is known to be finite.
         start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
-        return self.precision.learner(start).apart("NonlinearBayesianController")
+        return self.precision.apart("NonlinearBayesianController").learner(start)
 
     @property
     def measurement_matrix(self) -> Floats:

@@ -67,8 +67,6 @@ class Learner:
     infer : function or None
         If it infers the state together with the faults: the step function (``make_infer`` in ``_bank.py``) that controllers with
         a linear model then call instead of ``step`` and of Kalman's update. Others go on with ``step``.
-    together : bool
-        Whether ``step`` alone would leave out what was asked for (faults of actuators).
     """
 
     step: Callable[..., None]
@@ -78,22 +76,6 @@ class Learner:
     ports: tuple[Port, ...] = ()
     report: Callable[..., None] = report_nothing
     infer: Callable[..., None] | None = None
-    together: bool = False
-
-    def apart(self, who: str) -> Learner:
-        """Return it for one that learns precisions apart from the state, with ``step``.
-
-        Raises
-        ------
-        ModelError
-            If it can infer only both together.
-        """
-        if self.together:
-            raise ModelError(
-                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; take a "
-                "BayesianController with belief='filtered' or a StateEstimator, or leave the actuator modes out."
-            )
-        return self
 
 
 @dataclass(frozen=True)
@@ -109,6 +91,26 @@ class PrecisionLearner:
             If the settings do not fit the model.
         """
         raise TypeError(f"{type(self).__name__} does not say how it learns: give it a method learner(model).")
+
+    @property
+    def together(self) -> bool:
+        """Whether it can infer what was asked for (faults of actuators) only together with the state."""
+        return False
+
+    def apart(self, who: str) -> PrecisionLearner:
+        """Return it for one that learns precisions apart from the state.
+
+        Raises
+        ------
+        ModelError
+            If it can infer only both together.
+        """
+        if self.together:
+            raise ModelError(
+                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; take a "
+                "BayesianController with belief='filtered' or a StateEstimator, or leave the actuator modes out."
+            )
+        return self
 
     @property
     def why_no_probability(self) -> str | None:

@@ -130,8 +130,13 @@ class SwitchingPrecision(PrecisionLearner):
         settings += [step, *self._actuator_settings(model)]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
-            infer=self._infer(layout, evidence), together=bool(layout.actuator_modes),
+            infer=self._infer(layout, evidence),
         )  # fmt: skip
+
+    @property
+    def together(self) -> bool:
+        """See `PrecisionLearner.together`."""
+        return bool(self.actuator_modes)
 
     @property
     def _faults(self) -> tuple[int, ...]:

@@ -166,8 +166,37 @@ def test_a_belief_with_the_goal_in_it_is_that_of_the_per_sensor_form():
     for fixed, switching in zip(*outs, strict=True):
         np.testing.assert_allclose(switching.x_hat, fixed.x_hat, rtol=1e-9)
         np.testing.assert_allclose(switching.P, fixed.P, rtol=1e-9)
-    with pytest.raises(ModelError, match="belief='filtered'"):
-        BayesianController(MODEL, precision=SwitchingPrecision(actuator_modes=MODES), belief="joint")
+
+
+def inference(precision, prior):
+    """Return an active-inference controller of the car."""
+    speed = controllers.Modality("speed", matrix=[[1.0], [1.0]], std=1.0)
+    model = MODEL if prior == "kalman" else None
+    return controllers.UnbiasedActiveInference(
+        speed, controllers.Proportional(gain=[[500.0]]), STEP, 10.0, control="law", state_prior=prior, model=model,
+        precision=precision,
+    )  # fmt: skip
+
+
+APART = {
+    "A BayesianController with belief='joint'": lambda told: BayesianController(MODEL, precision=told, belief="joint"),
+    "NonlinearBayesianController": lambda told: controllers.NonlinearBayesianController(MODEL, precision=told),
+    "UnbiasedActiveInference": lambda told: inference(told, "random walk"),
+    "ExplicitDetection": lambda told: BayesianController(MODEL, precision=controllers.ExplicitDetection(told)),
+}
+
+
+@pytest.mark.parametrize("who", APART)
+def test_who_learns_precisions_apart_from_the_state_refuses_faults_of_actuators(who):
+    APART[who](SwitchingPrecision())  # those of sensors it takes
+    with pytest.raises(ModelError, match=f"^{who} learns precisions apart .* belief='filtered'"):
+        APART[who](SwitchingPrecision(actuator_modes=MODES))
+
+
+def test_that_is_said_before_what_a_prediction_lacks():
+    """With prior "kalman" the control moves the state, with the others not; none has the process noise of the model."""
+    with pytest.raises(ModelError, match=r"^UnbiasedActiveInference learns precisions apart"):
+        inference(SwitchingPrecision(actuator_modes=[LostEffect(), InputOffset()]), "kalman")
 
 
 @dataclass(frozen=True)

@@ -226,7 +226,7 @@ class Glitching(controllers.FaultMode):
 
 
 def test_a_mode_of_ones_own():
-    learner = SwitchingPrecision(modes=(Glitching(), Frozen()))
+    learner = SwitchingPrecision(modes=(Glitching(time_to_fault=60.0), Frozen(time_to_fault=60.0)))
     rows = np.array([[20.1, 20.3], [75.0, 19.0], [-31.0, 22.0]])
     probabilities = [p for p, *_ in learned(learner, rows)]
     chance = (STEP / 60.0) / 200.0
