@@ -65,6 +65,41 @@ def test_it_prints_the_fault_and_writes_all_files(files, tmp_path):
     assert (out / "figure.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_faults_of_an_actuator_are_shown_beside_the_sensors(tmp_path):
+    """A level that a pump fills: the pump gives .8 more from 20 to 35 s, sensor b 1.5 more from 45 to 52 s."""
+    rng = np.random.default_rng(0)
+    t = 0.1 * np.arange(600)
+    pump = np.sin(t / 3)
+    gain = 0.1 * (pump + np.where((t >= 20) & (t < 35), 0.8, 0.0)) + 0.006 * rng.standard_normal(600)
+    level = 5.0 + np.concatenate([[0.0], np.cumsum(gain)[:-1]])
+    table = pd.DataFrame({"t": t, "pump": pump, **{name: level + 0.1 * rng.standard_normal(600) for name in "ab"}})
+    table.loc[(table.t >= 45) & (table.t < 52), "b"] += 1.5
+    table.to_csv(tmp_path / "tank.csv", index=False)
+    text = MODEL[: MODEL.index("[sensors.c]")].replace('"RandomWalk"\nstd = 0.1', '"Integrator"\nstd = 0.05')
+    text += '[inputs.pump]\n[precision]\nkind = "SwitchingPrecision"\n'
+    text += 'actuator_modes = [{ kind = "InputOffset", jump = 50.0 }, { kind = "LostEffect" }]\n'
+    (tmp_path / "tank.toml").write_text(text, encoding="utf-8")
+    arguments = [str(tmp_path / "tank.csv"), "--model", str(tmp_path / "tank.toml"), "--out", str(tmp_path / "out")]
+    done = RUNNER.invoke(app, ["monitor", *arguments])
+    assert done.exit_code == 0, done.output
+    assert "actuator pump   InputOffset" in done.output
+    report = json.loads((tmp_path / "out" / "faults.json").read_text(encoding="utf-8"))
+    assert [(e["sensor"], e["kind"]) for e in report["faults"]] == [("b", "Offset")]
+    (blamed,) = report["actuator_faults"]
+    assert (blamed["actuator"], blamed["kind"]) == ("pump", "InputOffset")
+    assert blamed["start"] == pytest.approx(20.0, abs=2.0)
+    assert blamed["end"] == pytest.approx(35.0, abs=2.0)
+    assert blamed["size"] == pytest.approx(0.8, abs=0.15)
+    written = pd.read_csv(tmp_path / "out" / "probabilities.csv")
+    assert list(written.columns) == ["t", "a", "a_kind", "b", "b_kind", "actuator_pump", "actuator_pump_kind"]
+    assert report["actuators"]["pump"] == {
+        "alarms": 1,
+        "mean_probability": pytest.approx(written.actuator_pump.mean(), rel=1e-6),
+    }
+    assert set(written.actuator_pump_kind[written.actuator_pump > 0.9]) == {"InputOffset"}
+    assert written.actuator_pump[(t < 19) | (t > 37)].max() < 0.5
+
+
 def test_json_and_quiet(files):
     done = RUNNER.invoke(app, ["monitor", *files, "--json"])
     assert done.exit_code == 0, done.output

@@ -20,7 +20,7 @@ from bayesftc.monitoring import (
     log_likelihood,
     monitor_recording,
 )
-from bayesftc.monitoring._run import alarms
+from bayesftc.monitoring._alarms import alarms
 
 DT = 0.05
 

@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers import Burst, StateEstimator
-from bayesftc.monitoring import Monitor, Monitored, Recording, Signal, align, load_monitor
-from bayesftc.monitoring._run import default_precision
+from bayesftc.monitoring import Monitor, Monitored, Recording, Signal, align, default_precision, load_monitor
 from bayesftc.reproduce._roc import auc
 from bayesftc.reproduce._statistics import interval
 

@@ -6,13 +6,16 @@ import io
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.monitoring import FaultEvent, Monitored, load_monitor
+from bayesftc.monitoring import ActuatorEvent, FaultEvent, Monitored, load_monitor
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
 
@@ -64,6 +67,14 @@ def summary(found: Monitored) -> dict[str, Any]:
         "end": float(found.time[-1]),
         "sensors": sensors,
         "faults": [asdict(event) for event in found.events],
+        "actuators": {
+            name: {
+                "mean_probability": float(found.actuator_fault_probability[:, j].mean()),
+                "alarms": sum(event.actuator == name for event in found.actuator_events),
+            }
+            for j, name in enumerate(found.actuators)
+        },
+        "actuator_faults": [asdict(event) for event in found.actuator_events],
         "why_no_probability": found.why_no_probability,
     }
 
@@ -95,22 +106,42 @@ def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> No
     console.print(sensors)
     if any(found.recording.replaced):
         say("Left out: samples on whose step a later one of the same sensor fell as well. A shorter dt keeps more.")
+    if found.actuators:
+        actuators = output.empty_table("mean probability", "alarms")
+        for name, row in numbers["actuators"].items():
+            actuators.add_row(name, "{:.4f}".format(row["mean_probability"]), str(row["alarms"]))
+        say("\nActuators", "bold")
+        console.print(actuators)
     if found.why_no_probability:
         say(f"There is no fault probability: {found.why_no_probability}")
-    elif not found.events:
+    elif not found.events and not found.actuator_events:
         say("No fault was found.")
     else:
-        faults = output.empty_table("kind", "onset (s)", "alarm (s)", "size")
-        units = dict(zip(found.recording.sensors, found.recording.units, strict=True))
-        for event in found.events:
-            onset = output.DASH if event.onset is None else f"{event.onset:.2f}"
-            span = f"{event.start:.2f} to {event.end:.2f}"
-            faults.add_row(event.sensor, event.kind or output.DASH, onset, span, _size(event, units[event.sensor]))
         say("\nFaults", "bold")
-        console.print(faults)
+        console.print(_faults(found))
         say("Size: at the end of the alarm; of a noisier sensor its noise in what is expected of it.")
+        if found.actuator_events:
+            say("Of an actuator it is in the unit of its input, of LostEffect the share that is lost.")
     if folder is not None:
         say(f"\nWritten to {folder}: {PROBABILITIES}, {FAULTS}, {FIGURE}")
+
+
+def _faults(found: Monitored) -> Table:
+    """Return the table of all alarms."""
+    table = output.empty_table("kind", "onset (s)", "alarm (s)", "size")
+    units = dict(zip(found.recording.sensors, found.recording.units, strict=True))
+    for event in found.events:
+        onset = output.DASH if event.onset is None else f"{event.onset:.2f}"
+        size = _size(event, units[event.sensor])
+        table.add_row(event.sensor, event.kind or output.DASH, onset, _span(event), size)
+    for blamed in found.actuator_events:
+        size = output.DASH if blamed.size is None else f"{blamed.size:.3g}"
+        table.add_row(f"actuator {blamed.actuator}", blamed.kind, output.DASH, _span(blamed), size)
+    return table
+
+
+def _span(event: FaultEvent | ActuatorEvent) -> str:
+    return f"{event.start:.2f} to {event.end:.2f}"
 
 
 def _size(event: FaultEvent, unit: str) -> str:

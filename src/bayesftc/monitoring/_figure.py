@@ -25,7 +25,7 @@ def plot_monitored(found: Monitored) -> Figure:
     Parameters
     ----------
     found : Monitored
-        Alarms are shaded in the colour of their sensor.
+        Alarms are shaded in the colour of their sensor; those of actuators are hatched.
     """
     plant = found.model.states - found.model.disturbances
     rows = found.model.quantities[:, :plant]
@@ -45,6 +45,11 @@ def plot_monitored(found: Monitored) -> Figure:
     for i, sensor in enumerate(found.recording.sensors):
         style: dict[str, Any] = {"color": _colour(i), "ls": LINES[i % len(LINES)]}
         axes[-1].plot(*_thin(found.time, found.fault_probability[:, i]), lw=1.3, label=sensor, **style)
+    for j, name in enumerate(found.actuators):
+        style = {"color": BLACK, "ls": LINES[j % len(LINES)]}
+        axes[-1].plot(
+            *_thin(found.time, found.actuator_fault_probability[:, j]), lw=1.3, label=f"actuator {name}", **style
+        )
     axes[-1].set_ylim(-0.04, 1.04)
     axes[-1].set_ylabel("fault probability")
     for axis in axes:
@@ -52,17 +57,16 @@ def plot_monitored(found: Monitored) -> Figure:
             axis.axvspan(
                 event.start, event.end, color=_colour(found.recording.sensors.index(event.sensor)), alpha=0.12, lw=0
             )
+        for blamed in found.actuator_events:
+            axis.axvspan(blamed.start, blamed.end, fc="none", ec="0.8", hatch="///", lw=0, zorder=0)
     for axis in (*axes[:-2], axes[-1]):
         _legend(axis)
-    if len(found.events) <= MOST_NAMES:
-        for event in found.events:
-            style = {
-                "fontsize": 8,
-                "ha": "left",
-                "va": "bottom",
-                "color": _colour(found.recording.sensors.index(event.sensor)),
-            }
-            axes[0].text(event.start, 1.01, event.kind or "", transform=axes[0].get_xaxis_transform(), **style)
+    names = [(e.start, e.kind or "", _colour(found.recording.sensors.index(e.sensor))) for e in found.events]
+    names += [(e.start, f"{e.actuator}: {e.kind}", "0.35") for e in found.actuator_events]
+    if len(names) <= MOST_NAMES:
+        for start, kind, colour in names:
+            style = {"fontsize": 8, "ha": "left", "va": "bottom", "color": colour}
+            axes[0].text(start, 1.01, kind, transform=axes[0].get_xaxis_transform(), **style)
     _close(axes, found.time)
     return figure
 

@@ -11,10 +11,10 @@ from typing import Any
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.controllers.switching import SwitchingPrecision
+from bayesftc.monitoring._alarms import Alarm
 from bayesftc.monitoring._columns import Input, Sensor, SensorErrors
 from bayesftc.monitoring._models import PLANT_MODELS
 from bayesftc.monitoring._monitor import Monitor
-from bayesftc.monitoring._run import Alarm
 from bayesftc.scenario._files import read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of

@@ -20,11 +20,13 @@ from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.cosim.timebase import rational_step
+from bayesftc.monitoring._alarms import Alarm
 from bayesftc.monitoring._columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring._csv import Tables
 from bayesftc.monitoring._models import PlantModel
+from bayesftc.monitoring._precision import default_precision
 from bayesftc.monitoring._recording import Recording, Signal, align
-from bayesftc.monitoring._run import Alarm, Monitored, default_precision, monitor_recording
+from bayesftc.monitoring._run import Monitored, monitor_recording
 
 FLAT = 10.0
 """The first samples begin the belief; so that they do not count twice, it is this many times less certain than they are."""

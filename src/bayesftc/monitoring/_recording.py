@@ -114,6 +114,8 @@ class Recording:
         How many samples of each sensor were left out because a later one fell on the same step.
     units : tuple of str
         Of each sensor; empty if not known.
+    inputs : tuple of str
+        Names of the inputs.
     """
 
     start: float
@@ -125,6 +127,7 @@ class Recording:
     resolution: tuple[float, ...]
     replaced: tuple[int, ...]
     units: tuple[str, ...]
+    inputs: tuple[str, ...] = ()
 
     @property
     def time(self) -> Floats:
@@ -176,7 +179,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     resolution, units = zip(
         *((float(signal.resolution or 0.0), signal.unit) for signal in sensors.values()), strict=True
     )
-    return Recording(start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units)
+    names = tuple(sensors), tuple(inputs)
+    return Recording(start, step, names[0], y, u, tuple(loss), resolution, tuple(replaced), units, names[1])
 
 
 def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tuple[float, float]:

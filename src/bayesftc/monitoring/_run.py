@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, check_number
+from bayesftc.controllers._checks import Matrix
 from bayesftc.controllers._recorded import estimate
 from bayesftc.controllers.estimator import StateEstimator
-from bayesftc.controllers.fault_modes import Burst, Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
+from bayesftc.monitoring._alarms import ActuatorEvent, Alarm, FaultEvent, actuator_events, sensor_events
+from bayesftc.monitoring._precision import default_precision
 from bayesftc.monitoring._recording import Recording
 
 if TYPE_CHECKING:
@@ -24,60 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEALTHY = "healthy"
-
-
-@dataclass(frozen=True)
-class Alarm:
-    """When there is an alarm.
-
-    Parameters
-    ----------
-    threshold : float
-        Fault probability from which on.
-    hold : float
-        Seconds for which the probability must stay below it for the alarm to end.
-
-    Raises
-    ------
-    ModelError
-        If the threshold is no probability, or `hold` is negative.
-    """
-
-    threshold: float = 0.9
-    hold: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_number(self, "threshold", above=0, below=1)
-        check_number(self, "hold", least=0)
-
-
-@dataclass(frozen=True)
-class FaultEvent:
-    """An alarm.
-
-    Attributes
-    ----------
-    sensor : str
-        Whose.
-    start, end : float
-        From when to when, in seconds of the recording.
-    probability : float
-        The largest fault probability meanwhile.
-    kind : str or None
-        The fault mode that was most probable when it ended, if the learner knows modes.
-    onset : float or None
-        When it is taken to have begun, in seconds of the recording.
-    size : float or None
-        Of the fault when it ended: an offset in the sensor's unit; of a noisier sensor its noise in nominal ones.
-    """
-
-    sensor: str
-    start: float
-    end: float
-    probability: float
-    kind: str | None = None
-    onset: float | None = None
-    size: float | None = None
+ACTUATOR_SIGNALS = ("fault_probability", "mode_probability", "fault_size")
+Event = TypeVar("Event", FaultEvent, ActuatorEvent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +53,16 @@ class Monitored:
         Alarms in the order of their start.
     why_no_probability : str or None
         Why there are no probabilities, as a sentence.
+    actuators : tuple of str
+        Names of the inputs of whose faults the learner knows; empty if it knows of none.
+    actuator_fault_probability : ndarray, steps x actuators
+        Of each.
+    actuator_kinds : tuple of str
+        Names of their modes, the first being ``"healthy"``.
+    actuator_mode_probability : ndarray, steps x actuators x modes
+        Probability of each.
+    actuator_events : tuple of ActuatorEvent
+        Their alarms in the order of their start.
     """
 
     recording: Recording
@@ -115,6 +74,11 @@ class Monitored:
     innovation: Floats
     events: tuple[FaultEvent, ...]
     why_no_probability: str | None = None
+    actuators: tuple[str, ...] = ()
+    actuator_fault_probability: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    actuator_kinds: tuple[str, ...] = ()
+    actuator_mode_probability: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
+    actuator_events: tuple[ActuatorEvent, ...] = ()
 
     @property
     def time(self) -> Floats:
@@ -124,7 +88,8 @@ class Monitored:
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row for each step: the time ``t``, and for each sensor its fault probability and kind.
 
-        The columns have the sensors' names, and these with ``_kind`` (the most probable mode) where the learner knows modes.
+        The columns have the sensors' names, and these with ``_kind`` (the most probable mode) where the learner knows modes;
+        those of actuators begin with ``actuator_``.
         """
         import pandas as pd
 
@@ -133,6 +98,10 @@ class Monitored:
             columns[sensor] = self.fault_probability[:, i]
             if self.kinds:
                 columns[f"{sensor}_kind"] = np.array(self.kinds)[self.mode_probability[:, i].argmax(axis=1)]
+        for j, name in enumerate(self.actuators):
+            columns[f"actuator_{name}"] = self.actuator_fault_probability[:, j]
+            most = self.actuator_mode_probability[:, j].argmax(axis=1)
+            columns[f"actuator_{name}_kind"] = np.array(self.actuator_kinds)[most]
         return pd.DataFrame(columns)
 
     def plot(self) -> Figure:
@@ -140,32 +109,6 @@ class Monitored:
         from bayesftc.monitoring._figure import plot_monitored
 
         return plot_monitored(self)
-
-
-def default_precision(loss: Sequence[float], resolution: Sequence[float]) -> SwitchingPrecision:
-    """Return the learner of a monitor: every kind of fault, each once in an hour, and harmless bursts of noise.
-
-    Offsets may be large and drifts fast, for nobody knows how a recording's faults are; times are in seconds and sizes in the
-    sensors' own standard deviations, so that it fits any quantity. Sensors are judged one by one: in the joint form, on a real
-    drive, a fault that has been found casts doubt on sensors that share errors with the faulty one.
-
-    Parameters
-    ----------
-    loss : sequence of float
-        As of `SwitchingPrecision`.
-    resolution : sequence of float
-        Of each sensor, in its unit.
-    """
-    rare = {"time_to_fault": 3600.0}
-    modes = (
-        Frozen(**rare, dither=0.001, resolution=tuple(resolution)),
-        Offset(**rare, jump=30.0, walk=0.02),
-        Drifting(**rare, slope=0.1),
-        Noisier(**rare, scale=5.0),
-        DroppedOut(**rare),
-        Burst(scale=5.0),
-    )
-    return SwitchingPrecision(modes, loss=tuple(loss), joint=False)
 
 
 def monitor_recording(
@@ -210,66 +153,40 @@ def monitor_recording(
     if precision is None:
         precision = default_precision(recording.loss, recording.resolution)
     estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
+    known = precision if isinstance(precision, SwitchingPrecision) else None
+    modes, actuator_modes = (known.modes, known.actuator_modes) if known else ((), ())
     names = ["x_hat", "innovation", "fault_probability"]
-    modes = precision.modes if isinstance(precision, SwitchingPrecision) else ()
-    if modes:
-        names += ["mode_probability", "fault_size", "fault_onset"]
+    names += ["mode_probability", "fault_size", "fault_onset"] if modes else []
+    names += [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if actuator_modes else []
     signals = estimate(estimator, recording.y, recording.u, names, compiled)
-    kinds: tuple[str, ...] = ()
-    if modes:
-        kinds = (HEALTHY, *(type(mode).__name__ for mode in modes))
-    empty = np.empty((len(recording.y), model.sensors, 0))
+    alarm = alarm or Alarm()
     found = Monitored(
         recording,
         model,
         signals["fault_probability"],
-        kinds,
-        signals.get("mode_probability", empty),
+        _kinds(modes),
+        signals.get("mode_probability", np.empty((len(recording.y), model.sensors, 0))),
         signals["x_hat"],
         signals["innovation"],
-        (),
+        _in_order(sensor_events(recording, signals, modes, alarm)),
         precision.why_no_probability,
     )
-    events = sorted(_events(found, signals, modes, alarm or Alarm()), key=lambda event: event.start)
-    return replace(found, events=tuple(events))
+    if not actuator_modes:
+        return found
+    actuators = recording.inputs or tuple(f"input {j}" for j in range(model.controls))
+    return replace(
+        found,
+        actuators=actuators,
+        actuator_fault_probability=signals["actuator_fault_probability"],
+        actuator_kinds=_kinds(actuator_modes),
+        actuator_mode_probability=signals["actuator_mode_probability"],
+        actuator_events=_in_order(actuator_events(recording, actuators, signals, actuator_modes, alarm)),
+    )
 
 
-def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, int]]:
-    """Return the first step of each alarm and the one after its last; gaps of at most `hold` steps do not end it."""
-    above = np.flatnonzero(probability >= threshold)
-    if not len(above):
-        return []
-    breaks = np.flatnonzero(np.diff(above) > hold + 1)
-    first, last = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(above) - 1]])
-    return [(int(above[a]), int(above[b]) + 1) for a, b in zip(first, last, strict=True)]
+def _kinds(modes: Sequence[object]) -> tuple[str, ...]:
+    return (HEALTHY, *(type(mode).__name__ for mode in modes)) if modes else ()
 
 
-def _events(
-    found: Monitored, signals: dict[str, Floats], modes: Sequence[FaultMode], alarm: Alarm
-) -> Iterator[FaultEvent]:
-    time, faulty = found.time, [k for k, mode in enumerate(modes, start=1) if mode.is_fault]
-    for i, sensor in enumerate(found.recording.sensors):
-        for begin, end in alarms(
-            found.fault_probability[:, i], alarm.threshold, round(alarm.hold / float(found.recording.dt))
-        ):
-            span = (
-                sensor,
-                float(time[begin]),
-                float(time[end - 1]),
-                float(found.fault_probability[begin:end, i].max()),
-            )
-            if not modes:
-                yield FaultEvent(*span)
-                continue
-            p = found.mode_probability[begin:end, i]
-            kind = faulty[int(p[-1, faulty].argmax())]
-            # Size and onset belong to the most probable mode of all, which at moments may be another one.
-            own = np.flatnonzero(p.argmax(axis=1) == kind)
-            last = begin + int(own[-1]) if len(own) else end - 1
-            size, onset = (float(signals[name][last, i]) for name in ("fault_size", "fault_onset"))
-            yield FaultEvent(
-                *span,
-                kind=found.kinds[kind],
-                onset=float(time[0]) + onset if np.isfinite(onset) else None,
-                size=size if np.isfinite(size) else None,
-            )
+def _in_order(events: Iterable[Event]) -> tuple[Event, ...]:
+    return tuple(sorted(events, key=lambda event: event.start))

@@ -1,0 +1,34 @@
+"""The learner that a monitor has by default."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bayesftc.controllers.fault_modes import Burst, Drifting, DroppedOut, Frozen, Noisier, Offset
+from bayesftc.controllers.switching import SwitchingPrecision
+
+
+def default_precision(loss: Sequence[float], resolution: Sequence[float]) -> SwitchingPrecision:
+    """Return the learner of a monitor: every kind of fault, each once in an hour, and harmless bursts of noise.
+
+    Offsets may be large and drifts fast, for nobody knows how a recording's faults are; times are in seconds and sizes in the
+    sensors' own standard deviations, so that it fits any quantity. Sensors are judged one by one: in the joint form, on a real
+    drive, a fault that has been found casts doubt on sensors that share errors with the faulty one.
+
+    Parameters
+    ----------
+    loss : sequence of float
+        As of `SwitchingPrecision`.
+    resolution : sequence of float
+        Of each sensor, in its unit.
+    """
+    rare = {"time_to_fault": 3600.0}
+    modes = (
+        Frozen(**rare, dither=0.001, resolution=tuple(resolution)),
+        Offset(**rare, jump=30.0, walk=0.02),
+        Drifting(**rare, slope=0.1),
+        Noisier(**rare, scale=5.0),
+        DroppedOut(**rare),
+        Burst(scale=5.0),
+    )
+    return SwitchingPrecision(modes, loss=tuple(loss), joint=False)
