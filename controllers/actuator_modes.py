@@ -1,14 +1,18 @@
 """Actuator modes: the ways in which an actuator or the process can fail, which `SwitchingPrecision` tells from sensors' faults.
 
 Each is a number c that acts through the control channel: the plant gets ``u + c`` (`InputOffset`), ``(1 - c) u`` (`LostEffect`)
-or ``c`` (`StuckActuator`). c is estimated together with the state, so a mode is linear and said in numbers. To write one you
-must:
+or ``c`` (`StuckActuator`). c is estimated together with the state, so a mode is linear and said in numbers; it needs no step
+function. To write one you must:
 
 1. make it a frozen dataclass, a subclass of `ActuatorMode`, whose settings all have defaults;
-2. return from ``expected(scale)`` mean and variance of c at its onset and the variance of its walk per sample, where ``scale``
-   is the control that moves the state in one sample as far as its process noise does;
-3. name how it acts: the plant gets ``(1 + takes + relative c) u + absolute c``; `follows` is 1 if c begins at the last control;
-4. add it to `ACTUATOR_MODES`, from which scenario files choose and over which the tests run.
+2. give it a method ``expected(self, scale)`` that returns three numbers: mean and variance of c at its onset, and the variance of
+   its walk per sample. ``scale`` is the control that moves the state in one sample as far as its process noise does: c in units
+   of the control is best said in it;
+3. name how it acts, by attributes of the class: the plant gets ``(1 + takes + relative c) u + absolute c``; `follows` is 1 if c
+   begins at the last control, else 0.
+
+That is all in Python: ``SwitchingPrecision(actuator_modes=[Released()])``; ``docs/extend.md`` has a whole one. Scenario files
+choose by name from `ACTUATOR_MODES`, over which the tests run as well: one that they shall know is added there.
 """
 
 from __future__ import annotations

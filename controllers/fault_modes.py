@@ -3,14 +3,27 @@
 To write one you must:
 
 1. make it a frozen dataclass, a subclass of `FaultMode`, whose settings all have defaults;
-2. give it a step function ``evidence`` with exactly the arguments of `drops` in ``_mode_kernels.py``, which returns the logarithm
-   of a sample's density if the sensor has failed in this way. It may write ``memory[at + TRUST]`` (the precision, relative to
-   the nominal one, that the sample deserves), ``memory[at + SIZE]`` (the fault's size) and its own numbers from
-   ``memory[at + OWN]`` on. A fault that begins is not told from one that has been there: ``memory[at + ENTERED]`` is the share of
-   the former. These places and `log_density` can be imported from here;
-3. return from ``first`` what it keeps before the first sample, and from ``settings(model, sensor)`` what it reads as
-   ``settings[first]``, ``settings[first + 1]``, ...;
-4. add it to `FAULT_MODES`, from which scenario files choose and over which the tests run.
+2. give the class a step function, ``evidence = glitches``: a plain function outside the class with exactly these arguments::
+
+       glitches(e, present, variance, nominal, change, healthy, memory, at, settings, first)
+
+   It returns the logarithm of a sample's density if the sensor has failed in this way. ``e`` is the innovation (the sample
+   minus its prediction; 0 if it is missing), ``present`` 1 or 0 (0: what it returns does not count), ``variance`` that of a
+   healthy sensor's innovation, ``nominal`` the sensor's noise in it, ``change`` the sample minus the last one that there was
+   (NaN: there is none), ``healthy`` the logarithm of the density of a healthy sensor's sample. It may write
+   ``memory[at + TRUST]`` (the precision, relative to the nominal one, that the sample deserves), ``memory[at + SIZE]`` (the
+   fault's size) and its own numbers from ``memory[at + OWN]`` on. It reads the mode's settings as ``settings[first]``,
+   ``settings[first + 1]``, ... A fault that begins is not told from one that has been there: ``memory[at + ENTERED]`` is the
+   share of the former. These places and `log_density` can be imported from here; the mathematics comes from
+   `bayesftc.cosim.ops`, as in every step function;
+3. return from the property ``first`` what it keeps before the first sample (trust, size, own numbers), and from
+   ``settings(model, sensor)`` its settings for one sensor.
+
+That is all in Python: ``SwitchingPrecision([Glitching(), Offset()])``; ``docs/extend.md`` has a whole one. Scenario files choose
+by name from `FAULT_MODES`, over which the tests run as well: one that they shall know is added there.
+
+In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``; its
+``evidence`` then counts only where another sensor has an offset already, or an actuator has failed.
 
 A mode with ``is_fault = False`` is harmless: the sensor is trusted as the mode says, but its probability is no part of
 ``fault_probability``.

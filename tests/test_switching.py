@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from filterpy.kalman import KalmanFilter
 from scipy import integrate, special, stats
 
 from bayesftc import controllers
-from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision
-from bayesftc.controllers._mode_kernels import scatters, shifts
+from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision, fault_modes
+from bayesftc.controllers._mode_kernels import drops, scatters, shifts
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.controllers.fault_modes import ENTERED, OWN, SIZE
+from bayesftc.cosim.block import argument_names
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02
@@ -81,6 +83,18 @@ def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
         np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
 
 
+def jumped(e, nominal, variance, jump=3.0):
+    """Return the density of an innovation at an offset's onset: normal as far as was expected, and then as a Cauchy one."""
+    beyond = max(1.0, abs(e) / (jump * np.sqrt(nominal)))
+    return stats.norm.pdf(e, scale=np.sqrt(variance + (beyond * jump) ** 2 * nominal)) / beyond
+
+
+@pytest.mark.parametrize("jump", [0.5, 1.0, 5.0, 25.0])
+def test_what_an_onset_says_is_nearly_a_density(jump):
+    area, _ = integrate.quad(lambda e: jumped(e, 1.0, 1.2, jump), 0, 1000 * jump, points=[jump, 10 * jump], limit=200)
+    assert 0.9 < 2 * area < 1.2
+
+
 @pytest.mark.parametrize("joint", [True, False])
 def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     """At the first sample: each sensor's densities, weighted; in the joint form the second sensor's after the first one's."""
@@ -90,14 +104,14 @@ def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     out = estimator.online(compiled=False)(y=20.0 + e)
     R, enter = np.array([1.0, 4.0]), STEP / mode.time_to_fault
     alone = 0.9 * ((1 - enter) * stats.norm.pdf(e, scale=(P + R) ** 0.5))
-    alone += 0.9 * enter * stats.norm.pdf(e, scale=(P + 10 * R) ** 0.5)
+    alone += 0.9 * enter * np.array([jumped(*row) for row in zip(e, R, P + R, strict=True)])
     if not joint:
         assert out.log_density == pytest.approx(np.log(alone).sum(), rel=1e-9)
         return
     together = 0.0
-    for first, second in ((0.0, 0.0), (9.0, 0.0), (0.0, 9.0)):  # both at once do not begin with one sample
+    for first, second in ((0.0, 0.0), (16.0, 0.0), (0.0, 9.0)):  # both at once do not begin with one sample
         S = P + np.diag(R * (1.0 + np.array([first, second])))
-        weight = enter if first or second else 1 - 2 * enter
+        weight = enter * (0.75 if first else 1.0) if first or second else 1 - 2 * enter
         together += weight * stats.multivariate_normal.pdf(e, cov=S)
     assert out.log_density == pytest.approx(np.log(0.81 * together), rel=1e-9)
 
@@ -143,6 +157,7 @@ def test_noise_of_unknown_precision_has_the_density_of_numerical_integration():
 
 
 def test_the_first_sample_is_bayes_rule():
+    """An offset is expected to be as large as the first innovation, 4, if it is believed smaller."""
     modes = (Offset(time_to_fault=1.0, jump=3.0), Noisier(time_to_fault=2.0))
     probability, _, R = next(learned(SwitchingPrecision(modes=modes), np.array([[24.0, 20.0]]), spread=0.5 * np.eye(2)))
     S, enter = np.array([1.5, 4.5]), np.array([STEP / 1.0, STEP / 2.0])
@@ -150,7 +165,11 @@ def test_the_first_sample_is_bayes_rule():
         nominal = (1.0, 4.0)[i]
         noisy = stats.t.pdf(e / np.sqrt(S[i] * 16.0), 2) / np.sqrt(S[i] * 16.0)
         told = np.array(
-            [stats.norm.pdf(e, scale=np.sqrt(S[i])), stats.norm.pdf(e, scale=np.sqrt(S[i] + 9 * nominal)), noisy]
+            [
+                stats.norm.pdf(e, scale=np.sqrt(S[i])),
+                stats.norm.pdf(e, scale=np.sqrt(S[i] + max(9 * nominal, e * e))),
+                noisy,
+            ]
         )
         weights = told * [1 - enter.sum(), *enter]
         weights /= weights.sum()
@@ -236,6 +255,13 @@ def test_a_mode_of_ones_own():
     )
     assert probabilities[2][0] > 0.999
     assert probabilities[2][1] < 0.01
+
+
+def test_the_page_and_the_module_say_how_a_mode_is_called():
+    page = (Path(__file__).resolve().parents[1] / "docs" / "extend.md").read_text(encoding="utf-8")
+    arguments = f"({', '.join(argument_names(drops))})"
+    assert arguments in page
+    assert arguments in fault_modes.__doc__
 
 
 def of_ones_own(base, **attributes):
