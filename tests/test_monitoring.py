@@ -73,6 +73,7 @@ def test_inputs_are_averaged_backwards_and_hold_in_between():
         (lambda: align({"a": Signal([0, 1e9], [1, 2])}, {}, DT), "in seconds"),
         (lambda: align({"a": Signal([0, 1], [1, 2])}, {"u": Signal([2, 3], [1, 2])}, DT), "do not overlap"),
         (lambda: align({"a": Signal([0, 1], [1, 2])}, {}, 0.0), "sample time"),
+        (lambda: align({"a": Signal([0, 1], [1, 2])}, {}, 2.0), "to 1 s is shorter than one step of 2 s; give a smaller dt"),
     ],
 )  # fmt: skip
 def test_recordings_that_do_not_fit(make, words):
@@ -310,7 +311,26 @@ def test_own_modes_and_losses_of_the_file(tmp_path):
         (("dt = 0.05", 'dt = 0.05\nprecision = {kind = "SwitchingPrecision", loss = [0.1, 0.1]}'), "vector of 3"),
         (("dt = 0.05", "dt = 0.05\nalarm = {threshold = 2.0}"), "'alarm'.*threshold=2.0"),
         (("dt = 0.05", "dt = = 0.05"), "no valid TOML"),
-        (("[inputs.accel]", '[inputs.gyro]\nfile = "x.csv"\n[inputs.accel]'), "names 2"),
+        (
+            ("[inputs.accel]", '[inputs.gyro]\nfile = "x.csv"\n[inputs.accel]'),
+            "takes 1 input, but .* names 'gyro', 'accel'",
+        ),
+        (
+            ("[inputs.accel]\nerror_std = 1.0\nerror_walk = 0.02\n", ""),
+            "Integrator takes 1 input, but .* names none; name each",
+        ),
+        (('"Integrator"', '"RandomWalk"'), "RandomWalk takes no inputs, but .* names 'accel'; take out"),
+        (
+            (
+                "dt = 0.05",
+                'dt = 0.05\nprecision = {kind = "SwitchingPrecision", actuator_modes = {kind = "LostEffect"}}',
+            ),
+            r"'precision.actuator_modes' is .* must be a list of tables such as \[{ kind = \"LostEffect\" }\]",
+        ),
+        (
+            ("dt = 0.05", 'dt = 0.05\nprecision = {kind = "SwitchingPrecision", modes = {kind = "Burst"}}'),
+            r"'precision.modes' is .* must be a list of tables such as \[{ kind = \"Burst\" }\]",
+        ),
         ((MODEL, "dt = 1.0\n[model]\nkind = 'RandomWalk'\nstd = 1.0\n[sensors]\n"), "names no sensor"),
     ],
 )
@@ -344,12 +364,26 @@ def test_a_model_of_another_size_is_refused():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("t,left,right,gnss,accel\n0,1,x,1,1\n", "'x' in row 2 of the column 'right' is no number"),
-        ("t,left,rigth,gnss,accel\n0,1,1,1,1\n", "no column 'right'; did you mean 'rigth'"),
-        ("time,left,right,gnss,accel\n0,1,1,1,1\n", "no column 't'"),
+        ("t,left,right,gnss,accel\n0,1,x,1,1\n", "'x' in line 2, column 'right', is no number"),
+        ("t,left,right,gnss,accel\n\n0,1,1,1,1\n1,1,true,1,1\n", "'true' in line 4, column 'right', is no number"),
+        ("t,left,rigth,gnss,accel\n0,1,1,1,1\n", "no column 'right' for the sensor 'right'; did you mean 'rigth'"),
+        ("time,left,right,gnss,accel\n0,1,1,1,1\n", "no column 't' for the times of the sensor 'left'"),
+        ("t,left,right,gnss\n0,1,1,1\n", "no column 'accel' for the input 'accel'"),
         ("t,left,right,gnss,accel\n1,1,1,1,1\n0,1,1,1,1\n", "the sensor 'left': .* sort the recording"),
         ("t,left,right,gnss,accel\n0,1,1,,1\n", "the sensor 'gnss': .* not a single sample"),
-        ("", "no table of values"),
+        ("", "data.csv is empty"),
+        ("\n \n", "data.csv is empty"),
+        ("t,left,right,gnss,accel\n", "no row of samples"),
+        ("0,1,1,1,1\n1,1,1,1,1\n", "begins with numbers"),
+        ("t;left;right;gnss;accel\n0;1,5;1;1;1\n", "semicolons between its columns; save it with commas"),
+        ("t\tleft\tright\tgnss\taccel\n0\t1\t1\t1\t1\n", "tabs between its columns"),
+        (
+            "t,left,left,right,gnss,accel\n0,1,1,1,1,1\n",
+            "2 columns 'left', the first being number 2 and the last number 3",
+        ),
+        ("t,left,right,gnss,accel\n0,1,1,1,1\n1,1,1\n", "line 3 has 3 cell.* the first row has 5 name"),
+        ("t,left,right,gnss,accel\n0,1,1,1,1,\n1,1,1,1,1,\n", "line 2 has 6 cell.* the first row has 5 name"),
+        ("# a drive\nt,left,right,gnss,accel\n0,1,1,1,1\n", "line 2 has 5 cell.* the first row has 1 name"),
         ('t,left\n0,"1\n', "no table of values"),
         (b"\xff\xfe\x00", "no text in UTF-8"),
     ],
@@ -420,3 +454,13 @@ def test_few_decimals_are_no_freeze(decimals):
     model = LinearModel([[1.0]], [[0.0]], np.ones((3, 1)), 1e-6, 0.01, 0.1)
     found = monitor_recording(recording, model, initial_mean=20.0, compiled=False)
     assert not found.events
+
+
+def test_a_table_with_a_byte_order_mark_spaces_quotes_and_empty_lines_is_read(tmp_path):
+    _, file = write(tmp_path, drive(1.0))
+    text = 't, left ,"right",gnss,accel,x,x\n\n0,1,2,3,4,5,6\n \n0.05, 1 ,,"3",4,5,6\n'
+    (tmp_path / "data.csv").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
+    monitor = load_monitor(file)
+    recording = monitor.read([tmp_path / "data.csv"])
+    np.testing.assert_array_equal(recording.y, [[1.0, 2.0, 3.0], [1.0, np.nan, 3.0]])
+    assert recording.inputs == ("accel",)

@@ -79,7 +79,16 @@ class Monitor:
     @property
     def model(self) -> LinearModel:
         """The linear model, with the errors of inputs and sensors as states."""
-        states = len(self.plant.matrices(1.0)[0])
+        A, B, _ = self.plant.matrices(1.0)
+        wanted, states = 0 if B is None else B.shape[1], len(A)
+        if len(self.inputs) != wanted:
+            named = ", ".join(map(repr, self.inputs)) or "none"
+            remedy = "name each in [inputs.<name>]" if len(self.inputs) < wanted else "take out what it would not use"
+            raise ModelError(
+                f"The model {type(self.plant).__name__} takes {wanted or 'no'} input{'s' * (wanted != 1)}, but [inputs] names "
+                f"{named}; {remedy}, or take another model: Integrator takes one input, Matrices one for each column of B, the "
+                "others none."
+            )
         first = [1.0] + [0.0] * (states - 1)
         C = np.array(
             [
@@ -89,8 +98,6 @@ class Monitor:
         )
         noise = np.diag([sensor.std**2 for sensor in self.sensors.values()])
         model = self.plant.linear(rational_step(self.dt), len(self.inputs), C, noise)
-        if self.inputs and len(self.inputs) != model.controls:
-            raise ModelError(f"The model has {model.controls} input(s), but [inputs] names {len(self.inputs)}.")
         if self._input_errors:
             # The covariance must be positive, also that of an error which never changes.
             walks = [max(given.error_walk, SMALL) for given in self.inputs.values()]
@@ -123,8 +130,8 @@ class Monitor:
 
         def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
             file = tables.find(given.file, f"The {what} {name!r}")
-            time = tables.column(file, given.time or self.time)
-            values = tables.column(file, given.column or name)
+            time = tables.column(file, given.time or self.time, f"the times of the {what} {name!r}")
+            values = tables.column(file, given.column or name, f"the {what} {name!r}")
             try:
                 return Signal(time, values, bias=given.bias, delay=given.delay, **more)
             except RecordingError as error:

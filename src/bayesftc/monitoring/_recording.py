@@ -162,6 +162,11 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
             f"The recording of {end - start:g} s has more than {MOST_STEPS:,} steps of {show(step)} s; are its times in "
             "seconds?"
         )
+    if end - start < float(step) and any(len(signal.corrected[0]) > 1 for signal in sensors.values()):
+        raise RecordingError(
+            f"The recording from {start:g} s, when every sensor has begun, to {end:g} s is shorter than one step of "
+            f"{show(step)} s; give a smaller dt, about the interval of the fastest sensor."
+        )
     steps = int(np.rint((end - start) / float(step))) + 1
     y, loss, replaced = np.full((steps, len(sensors)), np.nan), [], []
     for i, signal in enumerate(sensors.values()):

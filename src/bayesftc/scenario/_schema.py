@@ -85,18 +85,28 @@ def as_table(value: object, place: Place) -> Mapping[str, Any]:
 
 def convert(value: object, hint: Any, place: Place) -> Any:
     """Return what a value of the file means as the type `hint`: lists become tuples, tables the dataclasses of the type."""
-    if isinstance(value, Mapping) and (classes := _dataclasses(hint)):
-        return build(classes[0], value, place) if len(classes) == 1 else build_one_of(classes, value, place)
+    classes = _dataclasses(hint)
+    if classes and isinstance(value, Mapping) and not _is_sequence(hint, always=True):
+        return _instance(classes, value, place)
     if isinstance(value, list) and _is_sequence(hint) and any(isinstance(item, Mapping) for item in value):
-        return tuple(convert(item, hint, place / i) for i, item in enumerate(value))
+        return tuple(
+            _instance(classes, item, place / i)
+            if classes and isinstance(item, Mapping)
+            else convert(item, hint, place / i)
+            for i, item in enumerate(value)
+        )
     plain = _writable(hint)
-    if plain is NoneType and not _dataclasses(hint):
+    if plain is NoneType and not classes:
         raise place.error("cannot be said in a scenario file; leave it out, or build this loop in a Python script.")
     try:
         return _adapter(plain).validate_python(_tuples(value), strict=True)
     except ValidationError:
         shown = str(value).lower() if isinstance(value, bool) else repr(value)
         raise place.error(f"is {shown}; it must be {_wanted(hint, value)}.") from None
+
+
+def _instance(classes: Sequence[type[Any]], table: Mapping[str, Any], place: Place) -> Any:
+    return build(classes[0], table, place) if len(classes) == 1 else build_one_of(classes, table, place)
 
 
 @cache
@@ -179,14 +189,18 @@ def _tables(hint: Any, value: object) -> list[str]:
         return [f"{'a list of tables' if of_many else 'a table'} with the settings of {classes[0].__name__}"]
     names = {_folded(cls.__name__): cls.__name__ for cls in classes}
     first = value[0] if isinstance(value, Sequence) and not isinstance(value, str) and value else value
+    first = first.get("kind") if isinstance(first, Mapping) else first
     table = f'{{ kind = "{names.get(_folded(str(first)), classes[0].__name__)}" }}'
     return [f"a list of tables such as [{table}]" if of_many else f"a table such as {table}"]
 
 
-def _is_sequence(hint: Any) -> bool:
+def _is_sequence(hint: Any, *, always: bool = False) -> bool:
+    """Return whether a type may be, or always is, a sequence of something."""
     origin = get_origin(hint)
     if origin in {Union, UnionType}:
-        return any(map(_is_sequence, get_args(hint)))
+        return (all if always else any)(
+            _is_sequence(part, always=always) for part in get_args(hint) if part is not NoneType
+        )
     return isinstance(origin, type) and issubclass(origin, Sequence)
 
 
