@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from bayesftc import controllers, cosim, fmus
+from bayesftc import controllers, cosim, fmus, monitoring
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-PUBLIC = {f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, controllers) for n in m.__all__}
+PUBLIC = {f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, controllers, monitoring) for n in m.__all__}
 
 
 def snippets(page):
@@ -80,12 +80,13 @@ def test_examples_folder_ships_with_the_package():
 
 
 def test_whatever_is_listed_is_public():
-    """A fault, learner, source, law or controller that is forgotten in the stub cannot be reached by name."""
+    """A fault, learner, source, law, controller or model that is forgotten in the stub cannot be reached by name."""
     from bayesftc.cosim import sources
 
     listed = [(cosim, cls) for cls in cosim.FAULTS] + [(cosim, getattr(sources, name)) for name in sources.__all__]
     for classes in (controllers.LEARNERS, controllers.LAWS, controllers.CONTROLLERS):
         listed += [(controllers, cls) for cls in classes]
+    listed += [(monitoring, cls) for cls in monitoring.PLANT_MODELS]
     for home, cls in listed:
         assert getattr(home, cls.__name__) is cls
 

@@ -1,8 +1,8 @@
 """Fault-tolerant control by Bayesian inference, as blocks for co-simulation.
 
 Two sub-packages hold everything a script needs: :mod:`bayesftc.cosim` (plants, sensors, faults, sources, diagrams and the
-engine that runs them) and :mod:`bayesftc.controllers` (the Bayesian controllers). :mod:`bayesftc.fmus` finds the FMUs that
-are shipped. Nothing heavy is imported before it is used.
+engine that runs them) and :mod:`bayesftc.controllers` (the Bayesian controllers). :mod:`bayesftc.monitoring` looks for faults in
+recorded samples, and :mod:`bayesftc.fmus` finds the FMUs that are shipped. Nothing heavy is imported before it is used.
 """
 
 from importlib import import_module
@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "controllers", "cosim", "fmus"]
+__all__ = ["__version__", "controllers", "cosim", "fmus", "monitoring"]
 
 _root = Path(__file__).resolve().parents[2]
 if (_root / "hatch_build.py").is_file() and not (Path(__file__).parent / "cosim").is_dir():
@@ -20,6 +20,6 @@ del _root
 
 
 def __getattr__(name: str) -> ModuleType:
-    if name in {"cosim", "controllers", "fmus", "examples"}:
+    if name in {"cosim", "controllers", "fmus", "examples", "monitoring"}:
         return import_module(f"bayesftc.{name}")
     raise AttributeError(f"module 'bayesftc' has no attribute {name!r}")

@@ -1,41 +1,21 @@
 """The estimator as a monitor: recorded samples of redundant sensors in, each sensor's fault probability out.
 
->>> from bayesftc.monitoring import load_monitor
->>> monitor = load_monitor("model.toml")  # doctest: +SKIP
->>> found = monitor.run(monitor.read(["data.csv"]))  # doctest: +SKIP
->>> print(found.events)  # doctest: +SKIP
+>>> import numpy as np
+>>> from bayesftc.controllers import LinearModel
+>>> from bayesftc.monitoring import Signal, align, monitor_recording
+>>> t = 0.1 * np.arange(200)
+>>> noise = 0.1 * np.random.default_rng(0).standard_normal((200, 3))
+>>> noise[100:, 1] += 2.0  # the second of three thermometers jumps at 10 s
+>>> recording = align({f"sensor {i}": Signal(t, 20.0 + noise[:, i]) for i in range(3)}, inputs={}, dt=0.1)
+>>> model = LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 0.01**2, 0.1**2, dt=0.1)
+>>> [(event.sensor, event.kind) for event in monitor_recording(recording, model, initial_mean=20.0).events]
+[('sensor 1', 'Offset')]
+
+From files, with a model in TOML: ``monitor = load_monitor("model.toml")``, ``monitor.run(monitor.read(["data.csv"]))``.
+Everything public is importable from here and loaded on first use.
 """
 
-from bayesftc.monitoring._alarms import ActuatorEvent, Alarm, FaultEvent
-from bayesftc.monitoring._columns import Column, Input, Sensor, SensorErrors
-from bayesftc.monitoring._likelihood import log_likelihood
-from bayesftc.monitoring._model_file import load_monitor
-from bayesftc.monitoring._models import ConstantRate, Integrator, Matrices, PlantModel, RandomWalk
-from bayesftc.monitoring._monitor import Monitor
-from bayesftc.monitoring._precision import default_precision
-from bayesftc.monitoring._recording import Recording, Signal, align
-from bayesftc.monitoring._run import Monitored, monitor_recording
+import lazy_loader
 
-__all__ = [
-    "ActuatorEvent",
-    "Alarm",
-    "Column",
-    "ConstantRate",
-    "FaultEvent",
-    "Input",
-    "Integrator",
-    "Matrices",
-    "Monitor",
-    "Monitored",
-    "PlantModel",
-    "RandomWalk",
-    "Recording",
-    "Sensor",
-    "SensorErrors",
-    "Signal",
-    "align",
-    "default_precision",
-    "load_monitor",
-    "log_likelihood",
-    "monitor_recording",
-]
+# The public names stand in __init__.pyi.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,18 @@
+"""The public names of `bayesftc.monitoring`, and where they stand; loaded on first use."""
+
+from ._alarms import ActuatorEvent as ActuatorEvent, Alarm as Alarm, FaultEvent as FaultEvent
+from ._columns import Column as Column, Input as Input, Sensor as Sensor, SensorErrors as SensorErrors
+from ._likelihood import log_likelihood as log_likelihood
+from ._model_file import load_monitor as load_monitor
+from ._models import (
+    PLANT_MODELS as PLANT_MODELS,
+    ConstantRate as ConstantRate,
+    Integrator as Integrator,
+    Matrices as Matrices,
+    PlantModel as PlantModel,
+    RandomWalk as RandomWalk,
+)
+from ._monitor import Monitor as Monitor
+from ._precision import default_precision as default_precision
+from ._recording import Recording as Recording, Signal as Signal, align as align
+from ._run import Monitored as Monitored, monitor_recording as monitor_recording
