@@ -21,7 +21,7 @@ from bayesftc.controllers._bank_layout import (
     WORKS,
     Layout,
 )  # fmt: skip
-from bayesftc.controllers._mode_kernels import AGE, OWN, SIZE, WEIGHT
+from bayesftc.controllers._mode_kernels import AGE, OWN, SIZE, WEIGHT, expected_jump
 from bayesftc.controllers._switching_kernels import BEGINS, ENDS, FIRST, FIRST_SETTINGS, HEALTHY, LEAST, OWN_SETTINGS
 from bayesftc.cosim.ops import maximum, minimum
 
@@ -85,7 +85,7 @@ def make_pass_time(
             if j != i:
                 blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0, FIRST, width, other)
 
-    def pass_time(A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
+    def pass_time(e, A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
         # What begins, by the probabilities before time passes.
         for i in range(m):
             seen = witnessed(memory, none + kept, i)
@@ -121,9 +121,10 @@ def make_pass_time(
                 for j in range(m):
                     if j != i:
                         pass_other(memory, at + kept + j * sensor, settings, j * row_length)
-                jump, slope, walk = settings[own] * nominal[i, i], settings[own + 1] * nominal[i, i], settings[own + 2]
+                jump = expected_jump(e[i], settings[own], nominal[i, i])
+                slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
                 move(
-                    memory, at, n, 1, 1, 0.0, jump + slope, slope, slope, walk * nominal[i, i],
+                    memory, at, n, 1, 1, 0.0, jump + slope, slope, slope, walk,
                     A, Q, start, covariance, largest, couples, shift, scratch,
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
@@ -155,7 +156,8 @@ def make_pass_time(
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
                 own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
-                jump, slope, walk = settings[own] * nominal[i, i], settings[own + 1] * nominal[i, i], settings[own + 2]
+                jump = expected_jump(e[i], settings[own], nominal[i, i])
+                slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
                 came = memory[grow + 1 + i * K + q]
                 stays = stays - came
                 receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
@@ -164,7 +166,7 @@ def make_pass_time(
                 left = left - came
                 b, bb = memory[block + OWN], memory[block + OWN + 3]
                 cb = memory[block + OWN + 2] + bb
-                cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk * nominal[i, i]
+                cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk
                 receive(memory, at, came, pool, i, memory[block + AGE], memory[block + SIZE] + b, b, cc, cb, bb)
         for j in range(p):
             for q in range(L):

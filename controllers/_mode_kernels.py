@@ -15,6 +15,9 @@ LOG_2_PI = 1.8378770664093453
 FURTHEST = 1e12
 """Largest squared innovation, in units of its variance, that a density is computed of: it is held there."""
 
+FURTHEST_JUMP = 1e6
+"""Largest variance, in the sensor's own, that the first innovation makes an offset have at its onset."""
+
 
 def log_density(squared, variance):
     """Return the logarithm of a normal density where the error has this square."""
@@ -57,6 +60,15 @@ def freezes(e, present, variance, nominal, change, healthy, memory, at, settings
     return select(change == change, told, healthy)
 
 
+def expected_jump(e, jump, nominal):
+    """Return the variance of an offset at its onset, in the sensor's unit squared: at least as large as the first innovation.
+
+    So an offset far beyond what was expected is not taken for noise, as if any larger scale were as likely as ``jump`` itself.
+    One that grows from zero (``jump`` 0) has none.
+    """
+    return select(jump > 0.0, maximum(jump * nominal, minimum(e * e, FURTHEST_JUMP * nominal)), 0.0)
+
+
 def shifts(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Add an offset c that moves by b a sample: each starts at zero, uncertain, and is then filtered.
 
@@ -64,7 +76,7 @@ def shifts(e, present, variance, nominal, change, healthy, memory, at, settings,
     numbers: b; the covariance of c and b. Onsets and offsets that have been there are merged into one Gaussian
     distribution, as interacting multiple models do.
     """
-    jump, slope = settings[first] * nominal, settings[first + 1] * nominal
+    jump, slope = expected_jump(e, settings[first], nominal), settings[first + 1] * nominal
     walk = settings[first + 2] * nominal
     c, b = memory[at + SIZE] + memory[at + OWN], memory[at + OWN]
     cc = memory[at + OWN + 1] + 2.0 * memory[at + OWN + 2] + memory[at + OWN + 3] + walk

@@ -36,7 +36,7 @@ class ActuatorMode:
         Mean time in seconds until it is healthy again.
     """
 
-    time_to_fault: float = 600.0
+    time_to_fault: float = 3000.0
     time_to_recovery: float = 20.0
 
     absolute: ClassVar[float] = 0.0

@@ -53,12 +53,13 @@ class FaultMode:
     Parameters
     ----------
     time_to_fault : float
-        Mean time in seconds until a healthy sensor fails in this way.
+        Mean time in seconds until a healthy sensor fails in this way. The default is short enough that faults are found soon, and
+        so long that with a fifth of it healthy sensors still pay nothing.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
     """
 
-    time_to_fault: float = 60.0
+    time_to_fault: float = 300.0
     time_to_recovery: float = 20.0
 
     evidence: ClassVar[Callable[..., float]]
@@ -135,7 +136,7 @@ class Offset(FaultMode):
     time_to_fault, time_to_recovery
         See `FaultMode`.
     jump : float
-        Standard deviation of the offset at its onset, in those of the sensor's noise.
+        Standard deviation of the offset at its onset, in those of the sensor's noise; if the first innovation is larger, that.
     slope : float
         Standard deviation of its rate, in those of the sensor's noise per sample.
     walk : float

@@ -80,7 +80,7 @@ def test_the_first_sample_is_bayes_rule_with_all_sensors_at_once():
     weights = [1 - 2 * sum(begins)]
     told = [stats.multivariate_normal.pdf([4.0, 0.5], cov=shared + np.diag(NOISE))]
     for i in range(2):
-        for variance, begin in zip((9.0, 0.25), begins, strict=True):
+        for variance, begin in zip(((16.0, 9.0)[i], 0.25), begins, strict=True):  # as large as the first innovation, 4
             more = np.diag([variance * NOISE[i] * (j == i) for j in range(2)])
             weights.append(begin)
             told.append(stats.multivariate_normal.pdf([4.0, 0.5], cov=shared + np.diag(NOISE) + more))

@@ -163,7 +163,7 @@ def test_times_and_sizes_are_found_from_a_start_that_is_wrong_by_a_factor_of_fiv
             np.testing.assert_allclose(np.log([now.time_to_fault, now.time_to_recovery]), np.log(true), atol=0.35)
         assert learned.precision.modes[1].jump == pytest.approx(5.0, rel=0.3)
         assert np.diff(learned.log_likelihood).min() > -1e-3 * abs(learned.log_likelihood[0])
-        assert learned.log_likelihood[-1] > learned.log_likelihood[0]
+        assert factor == 1.0 or learned.log_likelihood[-1] > learned.log_likelihood[0] + 500.0
 
 
 def test_a_mode_that_never_shows_gets_rare_and_stays_possible():
@@ -331,6 +331,6 @@ def test_five_times_wrong_is_safe(case):
         {"time_to_fault": a, "time_to_recovery": b} for a, b in ((5, 1), (0.2, 1), (1, 5), (1, 0.2), (5, 5), (0.2, 0.2))
     ]
     best = tracked(right, case)
-    for factors in [*times, {"jump": 5, "slope": 5}]:
+    for factors in [*times, {"jump": 5, "slope": 5}, {"jump": 0.2, "slope": 0.2}]:
         modes = [replace(m, **{n: f * getattr(m, n) for n, f in factors.items() if hasattr(m, n)}) for m in right.modes]
         assert tracked(replace(right, modes=modes), case) < 1.04 * best, factors
