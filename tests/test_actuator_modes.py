@@ -100,6 +100,22 @@ def test_faults_of_actuators_are_told_from_those_of_sensors_and_made_up_for(kind
         np.testing.assert_allclose(out.actuator_mode_probability.sum(), 1.0, rtol=1e-9)
 
 
+@pytest.mark.parametrize(("share", "times"), [(0.5, 2.0), (1.0, 10.0), (-1.0, 0.5)])
+def test_a_lost_share_is_made_up_for_by_ten_times_the_control_at_most_and_within_its_limits(share, times):
+    lost = LostEffect(AT_ONCE, NEVER, share=share, spread=1e-6, walk=0.0)
+    switching = SwitchingPrecision((controllers.Offset(NEVER, NEVER),), loss=1e-9, actuator_modes=(lost,))
+    asked = {}
+    for name, precision, most in (
+        ("healthy", controllers.FixedPrecision(), np.inf),
+        ("lost", switching, np.inf),
+        ("limited", switching, 6e3),
+    ):
+        controller = BayesianController(MODEL, precision=precision, initial_mean=20.0, u_max=most)
+        asked[name] = controller.online(compiled=False)(y=[20.0, 20.0], goal=[21.0]).u[0]
+    assert asked["lost"] == pytest.approx(times * asked["healthy"], rel=1e-3)
+    assert asked["limited"] == pytest.approx(min(asked["lost"], 6e3), rel=1e-9)
+
+
 def test_without_its_modes_a_failed_actuator_is_taken_for_failed_sensors():
     """That is why they are there."""
     outs, errors = zip(*drive("InputOffset", ()), strict=True)
