@@ -16,18 +16,18 @@ NEEDS_RECORDING = "the recorded drive is not here: BAYESFTC_DATA names no folder
 @pytest.fixture
 def recorded():
     """The folder of the recorded drive."""
-    if RECORDED is None or not RECORDED.is_dir():
+    if RECORDED is None:
         pytest.skip(NEEDS_RECORDING)
     return RECORDED
 
 
 def test_no_part_is_forgotten_and_the_drive_is_small():
-    assert {p.stem for p in FOLDER.glob("*.py")} - {"__init__"} == {"fit", "study", "synthetic", "watch"}
+    assert {p.stem for p in FOLDER.glob("*.py")} - {"__init__"} == {"command", "fit", "study", "synthetic", "watch"}
     assert sum(p.stat().st_size for p in (FOLDER / "data").iterdir()) < 300_000
 
 
 def test_the_drives_files_are_what_its_script_writes(tmp_path):
-    synthetic.main(tmp_path)
+    synthetic.main([str(tmp_path)])
     for file in tmp_path.iterdir():
         # Sines and exponentials may differ in the last bit between machines, and so a wheel's sample by one step.
         ours, theirs = (np.loadtxt(f, delimiter=",", skiprows=1) for f in (file, FOLDER / "data" / file.name))
@@ -57,6 +57,47 @@ def test_four_faults_are_found_with_their_kinds(capsys):
         assert event.onset == pytest.approx(span[0], abs=0.2)
         assert event.end == pytest.approx(span[1], abs=0.1)
     assert len(capsys.readouterr().out.splitlines()) == 8
+
+
+@pytest.mark.parametrize(
+    ("main", "arguments", "code", "words"),
+    [
+        (study.main, ["nowhere"], 16, "nowhere cannot be read"),
+        (study.main, ["--model", "nowhere.toml"], 3, "nowhere.toml cannot be read"),
+        (study.main, ["--model", "fixed.toml"], 9, "fixed.toml gives no fault probability to study: FixedPrecision"),
+        (study.main, ["short"], 16, "The drive in short ends at 35.0 s; a study needs"),
+        (study.main, ["--onsets", "1"], 2, "'1' must be a whole number of at least 2"),
+        (study.main, ["--seed", "-1"], 2, "'-1' must be a whole number of at least 0"),
+        (fit.main, ["--start", "30"], 16, "nothing between 30 and 20 s"),
+        (fit.main, ["--iterations", "x"], 2, "'x' must be a whole number"),
+        (watch.main, ["--figure", "nowhere/x.png"], 12, "x.png cannot be written"),
+        (watch.main, ["--figure", "x.abc"], 2, "'abc' is not supported"),
+        (synthetic.main, ["fixed.toml"], 12, "fixed.toml cannot be written"),
+        (synthetic.main, [], 2, "required: folder"),
+    ],
+)
+def test_wrong_arguments_end_in_a_sentence(main, arguments, code, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("BAYESFTC_DATA", raising=False)
+    if "short" in arguments:
+        (tmp_path / "short").mkdir()
+        for file in (FOLDER / "data").glob("*.csv"):
+            head, *rows = file.read_text(encoding="utf-8").splitlines(keepends=True)
+            text = head + "".join(row for row in rows if float(row.split(",")[0]) < 35.0)
+            (tmp_path / "short" / file.name).write_text(text, encoding="utf-8")
+    model = (FOLDER / "data" / "model.toml").read_text(encoding="utf-8")
+    (tmp_path / "fixed.toml").write_text(model + '[precision]\nkind = "FixedPrecision"\n', encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == code
+    assert words in capsys.readouterr().err
+
+
+def test_a_folder_of_recordings_that_is_not_there_is_none(monkeypatch, tmp_path):
+    monkeypatch.setenv("BAYESFTC_DATA", str(tmp_path))
+    assert study.recorded() is None
+    (tmp_path / "comma2k19").mkdir()
+    assert study.recorded() == tmp_path / "comma2k19"
 
 
 def check(folder, onsets):

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
+from bayesftc.cosim.errors import RecordingError
+from bayesftc.examples.redundant_speed_sensors.command import at_least, sentences
 from bayesftc.examples.redundant_speed_sensors.study import DATA, FITTED, recorded
 from bayesftc.monitoring import Integrator, Monitor, Recording, load_monitor, log_likelihood
 
@@ -68,6 +70,11 @@ def part(monitor: Monitor, folder: Path, start: float, stop: float) -> Recording
     """Return the steps of a recording from one time to another."""
     whole = monitor.read([folder])
     kept = (whole.time >= start) & (whole.time < stop)
+    if not kept.any():
+        raise RecordingError(
+            f"The drive in {folder}, from {whole.time[0]:.1f} to {whole.time[-1]:.1f} s, has nothing between {start:g} and "
+            f"{stop:g} s; choose another part."
+        )
     return replace(whole, start=float(whole.time[kept][0]), y=whole.y[kept], u=whole.u[kept])
 
 
@@ -90,16 +97,21 @@ def main(argv: Sequence[str] | None = None) -> dict[str, float]:
     parser.add_argument("folder", nargs="?", type=Path, default=recorded() or DATA, help="where the CSV files are")
     parser.add_argument("--start", type=float, default=0.0, help="seconds")
     parser.add_argument("--stop", type=float, default=FITTED, help="seconds")
-    parser.add_argument("--iterations", type=int, default=40, help="of the optimiser, at most")
+    parser.add_argument("--iterations", type=at_least(1), default=40, help="of the optimiser, at most")
     arguments = parser.parse_args(argv)
+    with sentences(parser):
+        return _fit_and_print(arguments.folder, arguments.start, arguments.stop, arguments.iterations)
+
+
+def _fit_and_print(folder: Path, start: float, stop: float, iterations: int) -> dict[str, float]:
     monitor = load_monitor(DATA / "model.toml")
-    recording = part(monitor, arguments.folder, arguments.start, arguments.stop)
-    fitted, best = fit(monitor, recording, arguments.iterations)
+    recording = part(monitor, folder, start, stop)
+    fitted, best = fit(monitor, recording, iterations)
     print(f"{'':34} {'file':>9} {'fitted':>9}")
     for name, value in numbers(monitor).items():
         print(f"{name:34} {value:9.4g} {fitted[name]:9.4g}")
     print(f"{'log-likelihood':34} {likelihood(monitor, recording):9.1f} {best:9.1f}\n")
-    alarms = len(changed(monitor, fitted).run(monitor.read([arguments.folder])).events)
+    alarms = len(changed(monitor, fitted).run(monitor.read([folder])).events)
     print(f"Alarms in the whole drive with the fitted numbers: {alarms}\n")
     print("Log-likelihood of the fitted numbers, by smoothing (down) and delay (across), in seconds")
     print(f"{'':8}" + "".join(f"{delay:10g}" for delay in GRID["delay"]))
@@ -112,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> dict[str, float]:
                 inputs={"acceleration": replace(other.inputs["acceleration"], smooth=smooth)},
                 sensors={**other.sensors, "gnss": replace(other.sensors["gnss"], delay=delay)},
             )
-            row.append(likelihood(other, part(other, arguments.folder, arguments.start, arguments.stop)))
+            row.append(likelihood(other, part(other, folder, start, stop)))
         print(f"{smooth:8g}" + "".join(f"{value:10.1f}" for value in row))
     return fitted
 

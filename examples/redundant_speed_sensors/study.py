@@ -19,11 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
+from sklearn.metrics import roc_auc_score
 
 from bayesftc.controllers import Burst, StateEstimator
+from bayesftc.cosim.errors import ModelError, RecordingError
+from bayesftc.examples.redundant_speed_sensors.command import at_least, sentences
 from bayesftc.monitoring import Monitor, Monitored, Recording, Signal, align, default_precision, load_monitor
-from bayesftc.reproduce._roc import auc
-from bayesftc.reproduce._statistics import interval
 
 DATA = Path(__file__).parent / "data"
 CASES = (
@@ -53,8 +55,8 @@ class Found:
 
 def recorded() -> Path | None:
     """Return the folder of the recorded drive, if BAYESFTC_DATA says where it is."""
-    folder = os.environ.get("BAYESFTC_DATA")
-    return Path(folder) / "comma2k19" if folder else None
+    folder = Path(os.environ.get("BAYESFTC_DATA", ""), "comma2k19")
+    return folder if "BAYESFTC_DATA" in os.environ and folder.is_dir() else None
 
 
 def noise_of(monitor: Monitor, sensor: str) -> float:
@@ -94,10 +96,20 @@ def study(
     folder: Path, onsets: int = 200, seed: int = 0, model: Path = DATA / "model.toml"
 ) -> tuple[Monitored, list[Found]]:
     """Return what is found in the drive as it is, and for each kind and size of fault how well it is found."""
+    if onsets < 2:
+        raise ModelError(f"A study with onsets={onsets} has no interval of its means; take two or more.")
     monitor = load_monitor(model)
     sensors, inputs = monitor.signals([folder])
-    healthy = monitor.run(align(sensors, inputs, monitor.dt), compiled=True)
-    first, last = max(FITTED, healthy.time[0]) + SPAN, healthy.time[-1] - SPAN
+    recording = align(sensors, inputs, monitor.dt)
+    first, last = max(FITTED, recording.time[0]) + SPAN, recording.time[-1] - SPAN
+    if first >= last:
+        raise RecordingError(
+            f"The drive in {folder} ends at {recording.time[-1]:.1f} s; a study needs {FITTED:g} s that are left alone, and "
+            f"more than {2 * SPAN:g} s thereafter."
+        )
+    if monitor.precision is not None and monitor.precision.why_no_probability:
+        raise ModelError(f"{model} gives no fault probability to study: {monitor.precision.why_no_probability}")
+    healthy = monitor.run(recording, compiled=True)
     rows = []
     for number, (kind, size) in enumerate(CASES):
         rng = np.random.default_rng([seed, number])
@@ -112,18 +124,19 @@ def study(
             truth = np.zeros((window.sum(), len(sensors)), dtype=bool)
             truth[found.time[window] >= onset, i] = True
             score = found.fault_probability[window]
-            areas.append(auc(truth, score))
+            areas.append(roc_auc_score(truth.ravel(), score.ravel()))
             truths.append(truth.ravel())
             scores.append(score.ravel())
             own = [e for e in found.events if e.sensor == name and e.end >= onset]
             delays.append(max(own[0].start - onset, 0.0) if own else np.inf)
             names.append(bool(own) and own[-1].kind == KINDS[kind])
             others += sum(e.sensor != name and e.start >= onset - SPAN for e in found.events)
-        low, high = interval(np.array(areas))
-        high = min(high, 1.0)  # Student's interval knows of no bound
+        half = stdtrit(onsets - 1, 0.975) * np.std(areas, ddof=1) / np.sqrt(onsets)
+        low, high = np.mean(areas) - half, min(np.mean(areas) + half, 1.0)  # Student's interval knows of no bound
         rows.append(
             Found(
-                kind, size, float(np.mean(areas)), low, high, auc(np.concatenate(truths), np.concatenate(scores)),
+                kind, size, float(np.mean(areas)), float(low), float(high),
+                float(roc_auc_score(np.concatenate(truths), np.concatenate(scores))),
                 float(np.isinf(delays).mean()), float(np.median(delays)), float(np.mean(names)), others,
             )
         )  # fmt: skip
@@ -156,7 +169,9 @@ def _variances(monitor: Monitor) -> dict[str, float]:
     """Return the variance of each sensor's errors altogether."""
     model = monitor.model
     covariance = np.asarray(StateEstimator(model).initial_covariance)
-    first = model.states - model.disturbances + model.controls  # the plant's states and the inputs' errors are none
+    # The last states: what comes before, the plant's states and the inputs' errors, is no error of a sensor.
+    count = sum(1 if e.common else len(e.sensors or monitor.sensors) for e in monitor.errors)
+    first = model.states - count
     C = model.matrix("C")[:, first:]
     total = np.diag(C @ covariance[first:, first:] @ C.T + model.matrix("sensor_covariance"))
     return dict(zip(monitor.sensors, total.tolist(), strict=True))
@@ -188,15 +203,18 @@ def main(argv: Sequence[str] | None = None) -> list[dict[str, Any]]:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("folder", nargs="?", type=Path, default=recorded() or DATA, help="where the CSV files are")
     parser.add_argument("--model", type=Path, default=DATA / "model.toml", help="the model file")
-    parser.add_argument("--onsets", type=int, default=200, help="random onsets of each kind and size, at least two")
-    parser.add_argument("--seed", type=int, default=0, help="of the onsets and of the added noise")
+    parser.add_argument(
+        "--onsets", type=at_least(2), default=200, help="random onsets of each kind and size, at least two"
+    )
+    parser.add_argument("--seed", type=at_least(0), default=0, help="of the onsets and of the added noise")
     arguments = parser.parse_args(argv)
-    healthy, rows = study(arguments.folder, arguments.onsets, arguments.seed, arguments.model)
-    print(table(healthy, rows))
-    monitor = load_monitor(arguments.model)
-    print("\nAlarms in the drive without a fault, with another model:")
-    for name, other in otherwise(monitor, healthy.recording).items():
-        print(f"  {name}: {len(other.run(healthy.recording).events)}")
+    with sentences(parser):
+        healthy, rows = study(arguments.folder, arguments.onsets, arguments.seed, arguments.model)
+        print(table(healthy, rows))
+        monitor = load_monitor(arguments.model)
+        print("\nAlarms in the drive without a fault, with another model:")
+        for name, other in otherwise(monitor, healthy.recording).items():
+            print(f"  {name}: {len(other.run(healthy.recording).events)}")
     return [asdict(row) for row in rows]
 
 

@@ -7,11 +7,14 @@ next) and that the wheels of an axle share; slip that goes with the acceleration
 of GNSS that are late; an accelerometer with a bias.
 """
 
-import sys
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bayesftc.examples.redundant_speed_sensors.command import sentences
 
 Floats = NDArray[np.float64]
 SECONDS = 40.0
@@ -77,11 +80,21 @@ def text(columns: dict[str, Floats]) -> str:
     return ",".join(columns) + "\n" + "\n".join(lines) + "\n"
 
 
-def main(folder: str | Path) -> None:
-    """Write the files."""
+def write(folder: Path) -> None:
+    """Write the files into a folder, which is made if it is not there."""
+    folder.mkdir(parents=True, exist_ok=True)
     for name, columns in drive().items():
-        (Path(folder) / name).write_text(text(columns), encoding="utf-8", newline="\n")
+        (folder / name).write_text(text(columns), encoding="utf-8", newline="\n")
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Write the files into the folder that is named."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("folder", type=Path, help="where to")
+    arguments = parser.parse_args(argv)
+    with sentences(parser):
+        write(arguments.folder)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main()

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesftc.examples.redundant_speed_sensors.command import sentences
 from bayesftc.examples.redundant_speed_sensors.study import DATA, broken, noise_of
 from bayesftc.monitoring import Monitored, align, load_monitor
 
@@ -37,14 +38,18 @@ def main(argv: Sequence[str] | None = None) -> Monitored:
     parser.add_argument("folder", nargs="?", type=Path, default=DATA, help="where the CSV files are")
     parser.add_argument("--figure", type=Path, help="file to draw into")
     arguments = parser.parse_args(argv)
-    found = watch(arguments.folder)
+    with sentences(parser):
+        found = watch(arguments.folder)
+        if arguments.figure is not None:
+            try:
+                found.plot().savefig(arguments.figure, dpi=150)
+            except ValueError as error:
+                parser.error(f"argument --figure: {error}")
     for name, kind, _, span in FAULTS:
         print(f"put in  {name:12} {kind:10} {span[0]:6.2f} to {span[1]:6.2f} s")
     for event in found.events:
         since = "" if event.onset is None else f", since {event.onset:.2f} s"
         print(f"found   {event.sensor:12} {event.kind:10} {event.start:6.2f} to {event.end:6.2f} s{since}")
-    if arguments.figure is not None:
-        found.plot().savefig(arguments.figure, dpi=150)
     return found
 
 

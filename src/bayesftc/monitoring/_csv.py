@@ -37,6 +37,9 @@ class Tables:
         self._files = [Path(path).expanduser() for path in paths]
         if not self._files:
             raise RecordingError("There is no recording to read; give at least one CSV file.")
+        for path in self._files:
+            if not path.exists():
+                raise RecordingError(f"The recording {fspath(path)} cannot be read: there is no such file or folder.")
         self._read: dict[Path, tuple[list[str], pd.DataFrame]] = {}
 
     def find(self, name: str | None, wanted_by: str) -> Path:
