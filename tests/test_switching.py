@@ -334,6 +334,26 @@ def test_a_harmless_mode_is_no_part_of_the_fault_probability(joint):
     assert min(out.precision[0] for out in outs[155:]) < 0.5
 
 
+def test_a_sensor_whose_offset_is_known_informs_though_its_own_precision_is_near_zero():
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, STEP)
+    alone = LinearModel([[0.999]], [[2e-4]], [[1.0]], 0.001, 1.0, STEP)
+    steps = [
+        controllers.StateEstimator(of, precision, initial_mean=20.0).online(compiled=False)
+        for of, precision in (
+            (model, SwitchingPrecision()),
+            (model, controllers.FixedPrecision()),
+            (alone, controllers.FixedPrecision()),
+        )
+    ]
+    rng, x = np.random.default_rng(0), 20.0
+    for k in range(500):
+        y = x + rng.normal(size=2) + [8.0 * (k >= 100), 0.0]
+        known, both, one = (step(y=y[2 - size :], u=[0.0]) for step, size in zip(steps, (2, 2, 1), strict=True))
+        x = 0.999 * x + 0.001**0.5 * rng.normal()
+    assert known.precision[0] < 1e-9
+    assert both.P[0, 0] < known.P[0, 0] < (both.P[0, 0] + one.P[0, 0]) / 2
+
+
 def test_insurance_costs_nothing_on_healthy_sensors():
     squares = {}
     for precision in (SwitchingPrecision(), controllers.FixedPrecision()):
