@@ -23,6 +23,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.roles import ALARM
 from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
 from bayesftc.reproduce._models_car import RIGHT, Condition, believed, conditions, disturbed, loop
+from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._statistics import ratio
 from bayesftc.reproduce._tracking_bench import CHUNK, HEALTHY, ORACLE, PAPERS, RECORD, techniques
 from bayesftc.reproduce.settings import Car, Models, Tracking
@@ -55,11 +56,28 @@ class Detector(NamedTuple):
         return -result[self.record] if self.signal == "precision" else result[self.record]
 
 
+ACTUATOR = Detector("actuator_fault_probability")
+"""When a learner with modes of actuators blames one of those."""
+
+
+Detectors = tuple[Detector | None, Detector | None]
+"""Of faults of sensors, and of those of the actuator."""
+
+
 class Runs(NamedTuple):
-    """The runs of one cell: the root-mean-square tracking error of each in m/s, and all alarms, if there is a detector."""
+    """The runs of one cell.
+
+    Attributes
+    ----------
+    rmse : ndarray of shape (runs,)
+        Root-mean-square tracking error of each run, in m/s.
+    alarms, actuator_alarms : Alarms or None
+        All alarms for sensors and for the actuator, if there is a detector.
+    """
 
     rmse: Floats
     alarms: Alarms | None
+    actuator_alarms: Alarms | None
 
 
 @dataclass(frozen=True)
@@ -109,8 +127,7 @@ def run(
         If a seed, a number of jobs or a number of runs cannot be one.
     """
     settings, car = Models.of(settings, runs), car or Car()
-    known = techniques(Tracking())
-    known = known if beyond else {name: known[name] for name in PAPERS}
+    known = learners(beyond)
     bench = _Bench(settings, car, Ensemble(seed, jobs, progress), conditions(settings, car), believed(settings, car))
     detectors = bench.detectors(known)
     found = bench.measure("Wrong models", bench.cells(bench.models, (HEALTHY, *bench.faults), known), known, detectors)
@@ -119,7 +136,8 @@ def run(
         if cell.technique != ORACLE:
             entry = _errors(its, found[cell.over(FIXED if cell.case == HEALTHY else ORACLE)])
             if cell.case == HEALTHY:
-                entry["alarms"] = None if its.alarms is None else its.alarms.to_dict()
+                for kind in ("alarms", "actuator_alarms"):
+                    entry[kind] = None if (alarms := getattr(its, kind)) is None else alarms.to_dict()
             table[cell.model][cell.condition].setdefault(cell.technique, {})[cell.case] = entry
     return {
         "settings": {
@@ -128,6 +146,7 @@ def run(
             "car": car.to_dict(),
             "techniques": {name: repr(learner) for name, learner in known.items()},
             "conditions": {name: condition.text for name, condition in bench.conditions.items()},
+            "labels": {name: condition.label for name, condition in bench.conditions.items()},
         },
         "errors": table,
         "oracle": {
@@ -142,6 +161,15 @@ def run(
         "grid": _grid(bench, known) if beyond else None,
         "paper": {},
     }
+
+
+def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
+    """Return the tracking experiment's techniques, and one that may blame the actuator for what is not as it believes."""
+    known = techniques(Tracking())
+    if not beyond:
+        return {name: known[name] for name in PAPERS}
+    modes = (controllers.InputOffset(), controllers.LostEffect(), controllers.StuckActuator())
+    return {**known, f"{SWITCHING}, actuator modes": controllers.SwitchingPrecision(actuator_modes=modes)}
 
 
 @dataclass(frozen=True)
@@ -222,8 +250,12 @@ class _Bench:
         seeds = {case: chunks(self.ensemble.seeds(f"models/{case}", runs[case]), CHUNK) for case in runs}
         tasks = []
         for cell, each in zip(cells, loops, strict=True):
-            detector = detectors.get((cell.model, cell.technique)) if cell.case == HEALTHY else None
-            tasks += [partial(_run, s.duration, detector, each, few) for few in seeds[cell.case]]
+            watched: Detectors = (None, None)
+            if cell.case == HEALTHY:
+                ports = learners[cell.technique].learner(self.models[cell.model]).ports
+                blames = ACTUATOR.signal in {port.name for port in ports}
+                watched = (detectors.get((cell.model, cell.technique)), ACTUATOR if blames else None)
+            tasks += [partial(_run, s.duration, watched, each, few) for few in seeds[cell.case]]
         done = iter(self.ensemble.run(tasks, what))
         parts = {cell: [next(done) for _ in seeds[cell.case]] for cell in cells}
         return {cell: _pooled(mine) for cell, mine in parts.items()}
@@ -257,22 +289,29 @@ def _scores(duration: float, detector: Detector, loop: cosim.Diagram, own_seeds:
     return [detector.score(r) for r in repeat(loop, duration, own_seeds, (detector.record,))]
 
 
-def _run(duration: float, detector: Detector | None, loop: cosim.Diagram, own_seeds: Sequence[int]) -> Runs:
+def _run(duration: float, detectors: Detectors, loop: cosim.Diagram, own_seeds: Sequence[int]) -> Runs:
     """Make runs of one cell; the controller aims at the goal of t_k with the state of t_k+1."""
-    results = list(repeat(loop, duration, own_seeds, (*RECORD, *([detector.record] if detector else []))))
+    results = list(repeat(loop, duration, own_seeds, (*RECORD, *(d.record for d in detectors if d))))
     errors = np.array([r["plant.v"][1:] - r["reference.y"][:-1] for r in results])
-    rmse = np.sqrt(np.mean(errors**2, axis=1))
+    return Runs(np.sqrt(np.mean(errors**2, axis=1)), *(_judged(results, d) for d in detectors))
+
+
+def _judged(results: Sequence[cosim.Result], detector: Detector | None) -> Alarms | None:
+    """Return all alarms of fault-free runs."""
     if detector is None:
-        return Runs(rmse, None)
-    scores = [detector.score(r) for r in results]
-    step = float(results[0].step)
-    judged = [judge_alarms(x, np.zeros(x.shape, bool), threshold=detector.threshold, step=step) for x in scores]
-    return Runs(rmse, reduce(add, judged))
+        return None
+    scores, step = [detector.score(r) for r in results], float(results[0].step)
+    return _sum([judge_alarms(x, np.zeros(x.shape, bool), threshold=detector.threshold, step=step) for x in scores])
+
+
+def _sum(alarms: Sequence[Alarms | None]) -> Alarms | None:
+    known = [each for each in alarms if each is not None]
+    return reduce(add, known) if known else None
 
 
 def _pooled(parts: Sequence[Runs]) -> Runs:
-    alarms = [part.alarms for part in parts if part.alarms is not None]
-    return Runs(np.concatenate([part.rmse for part in parts]), reduce(add, alarms) if alarms else None)
+    rmse, alarms, actuator = zip(*parts, strict=True)
+    return Runs(np.concatenate(rmse), _sum(alarms), _sum(actuator))
 
 
 def _errors(its: Runs, over: Runs) -> dict[str, Any]:

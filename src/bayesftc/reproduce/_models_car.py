@@ -97,6 +97,8 @@ class Condition:
     ----------
     text : str
         In words.
+    label : str
+        In few words, as they stand in figures.
     car : mapping
         Parameters of `TrueCar` that differ.
     noise : float
@@ -108,6 +110,7 @@ class Condition:
     """
 
     text: str
+    label: str
     car: Mapping[str, float] = field(default_factory=dict)
     noise: float = 1.0
     ageing: float = 1.0
@@ -123,19 +126,36 @@ def conditions(settings: Models, car: Car) -> dict[str, Condition]:
     s = settings
     limit = {"force_limit": s.force_limit}
     return {
-        RIGHT: Condition("all is as the controller believes"),
-        "mass up": Condition(f"the mass is {s.heavier:g} times the believed one", {"mass": s.heavier * car.mass}),
-        "mass down": Condition(f"the mass is {s.lighter:g} times the believed one", {"mass": s.lighter * car.mass}),
+        RIGHT: Condition("all is as the controller believes", "all as believed"),
+        "mass up": Condition(
+            f"the mass is {s.heavier:g} times the believed one", f"mass x {s.heavier:g}", {"mass": s.heavier * car.mass}
+        ),
+        "mass down": Condition(
+            f"the mass is {s.lighter:g} times the believed one", f"mass x {s.lighter:g}", {"mass": s.lighter * car.mass}
+        ),
         "drag": Condition(
             f"a drag of {s.quadratic_drag:g} N s^2/m^2 times the squared speed on top",
+            "further drag",
             {"quadratic_drag": s.quadratic_drag},
         ),
-        "hill": Condition(f"a slope of {s.slope:.0%}", {"slope": s.slope}),
-        "sd up": Condition(f"the sensors' sd is {s.noisier:g} times the believed one", noise=s.noisier),
-        "sd down": Condition(f"the sensors' sd is {s.quieter:g} times the believed one", noise=s.quieter),
-        "worn": Condition(f"the sensors' sd grows to {s.ageing:g} times the believed one", ageing=s.ageing),
-        UNKNOWN_LIMIT: Condition(f"the actuator gives no more than {s.force_limit:g} N to either side", limit),
-        "sat. told": Condition("the same, and the controller knows the limit", limit, known_limit=True),
+        "hill": Condition(f"a slope of {s.slope:.0%}", f"hill of {100 * s.slope:g} %", {"slope": s.slope}),
+        "sd up": Condition(
+            f"the sensors' sd is {s.noisier:g} times the believed one", f"sensor noise x {s.noisier:g}", noise=s.noisier
+        ),
+        "sd down": Condition(
+            f"the sensors' sd is {s.quieter:g} times the believed one", f"sensor noise x {s.quieter:g}", noise=s.quieter
+        ),
+        "worn": Condition(
+            f"the sensors' sd grows to {s.ageing:g} times the believed one",
+            f"noise grows to x {s.ageing:g}",
+            ageing=s.ageing,
+        ),
+        UNKNOWN_LIMIT: Condition(
+            f"the actuator gives no more than {s.force_limit:g} N to either side", "force limit, untold", limit
+        ),
+        "sat. told": Condition(
+            "the same, and the controller knows the limit", "force limit, told", limit, known_limit=True
+        ),
     }
 
 

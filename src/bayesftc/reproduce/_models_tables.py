@@ -51,6 +51,12 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             judged,
             lambda cell: f"{cell[HEALTHY]['alarms']['false_share']:.1%}",
         )
+        yield from _tables(
+            f"{title}: share of time in which the actuator is blamed",
+            cells,
+            [n for n in names if cells[RIGHT][n][HEALTHY]["actuator_alarms"]],
+            lambda cell: f"{cell[HEALTHY]['actuator_alarms']['false_share']:.1%}",
+        )
         cases = list(next(iter(report["oracle"][model].values())))
         yield from _tables(
             f"Controller's model {model}, one sensor failed: tracking error over the oracle's, the worst of "
