@@ -18,11 +18,17 @@ if TYPE_CHECKING:
 MULTIPLES = (0.8, 0.9, 1.0, 1.15, 1.35, 1.6, 2.0, 2.5, 3.2, 4.0)
 """Sizes at which delays are drawn, in smallest detectable ones."""
 
+FORMS = {
+    "loop": "in the loop, where precision is learned",
+    "fixed filter": "filter at fixed precision",
+    "stream": "without a filter",
+}
+"""What the legend calls results that have no name of their own but their form's."""
 COLOURS = (BLUE, SENSOR_COLOURS[0], BLACK, *SENSOR_COLOURS[1:])
 AXES = {
     "offset": "offset (sensor's units)",
     "drift": "drift (sensor's units per second)",
-    "noise": "added noise, standard deviation (sensor's units)",
+    "noise": "standard deviation of further noise (sensor's units)",
 }
 
 
@@ -58,9 +64,9 @@ def _draw_tails(axis: Axes, results: Mapping[str, Detectability]) -> None:
         axis.semilogy(beta, np.maximum(result.exceedance(beta), 1e-12), **_look(i))
         axis.plot([result.threshold], [result.false_alarm_probability], "o", ms=6, color=COLOURS[i % len(COLOURS)])
     axis.set_ylim(bottom=0.05 * min(r.false_alarm_probability for r in results.values()), top=1.5)
-    axis.set_xlabel("beta (squared units of the sensor)")
-    axis.set_ylabel("probability of more, without a fault")
-    axis.set_title("False alarms: the dot is the threshold", fontsize=10, loc="left")
+    axis.set_xlabel("value of beta (sensor's units, squared)")
+    axis.set_ylabel("probability that beta is larger")
+    axis.set_title("No fault; dot: threshold and false alarms per sample", fontsize=10, loc="left")
 
 
 def _draw_delays(axis: Axes, results: Mapping[str, Detectability], kind: str) -> None:
@@ -70,7 +76,7 @@ def _draw_delays(axis: Axes, results: Mapping[str, Detectability], kind: str) ->
         sizes = smallest * np.array(MULTIPLES)
         delays = result.delay(kind, sizes)  # type: ignore[arg-type]
         least = min(least, float(delays.min()))
-        axis.loglog(sizes, delays, label=label, **_look(i))
+        axis.loglog(sizes, delays, label=FORMS.get(label, label), **_look(i))
         delay = getattr(result, f"{kind}_delay")
         axis.plot([smallest], [delay], MARKERS[i % len(MARKERS)], ms=6, color=COLOURS[i % len(COLOURS)])
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
@@ -84,5 +90,5 @@ def _draw_delays(axis: Axes, results: Mapping[str, Detectability], kind: str) ->
     axis.set_xlabel(AXES[kind])
     axis.set_ylabel("expected delay (s)")
     asked = next(iter(results.values()))
-    found = f"found within {asked.within:g} s with probability {asked.detection_probability:g}"
-    axis.set_title(f"Mark: {found}", fontsize=10, loc="left")
+    found = f"{100 * asked.detection_probability:g} % are found within {asked.within:g} s"
+    axis.set_title(f"{kind.capitalize()}; mark: {found}", fontsize=10, loc="left")

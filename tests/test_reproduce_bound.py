@@ -204,7 +204,7 @@ def test_tables_and_figure_show_all(report, printed):
     ):
         assert words in text
     axis = _bound_figures.areas(report).axes[0]
-    assert next(t.get_text() for t in axis.get_legend().get_texts()) == "bound"
+    assert next(t.get_text() for t in axis.get_legend().get_texts()).startswith("bound (")
     assert len(axis.containers) == len(report["cells"][0]["auc"])
 
 

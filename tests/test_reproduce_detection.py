@@ -304,7 +304,9 @@ def test_learners_of_fault_modes_are_told_how_often_faults_come_and_not_how_larg
         assert sum(1 / mode.time_to_fault for mode in learner.modes) == pytest.approx(1 / 2.8)
         assert {mode.time_to_recovery for mode in learner.modes} == {0.4}
         for mode in learner.modes:
-            assert replace(mode, time_to_fault=60.0, time_to_recovery=20.0) == type(mode)()
+            default = type(mode)()
+            times = {name: getattr(default, name) for name in ("time_to_fault", "time_to_recovery")}
+            assert replace(mode, **times) == default
 
 
 def test_figures_show_every_residual_once(report):
@@ -320,7 +322,7 @@ def test_figures_show_every_residual_once(report):
     diagram = _detection_figures.calibration(report)
     assert [t.get_text().split(":")[0] for t in diagram.axes[0].get_legend().get_texts()] == [
         "calibrated",
-        "SwitchingPrecision",
+        "SwitchingPrecision (mean times to\nfault and recovery known)",
     ]
     maps = _detection_figures.grid(report).axes[:9]
     assert all(len(axis.texts) == 4 for axis in maps)

@@ -8,7 +8,8 @@ import numpy as np
 
 from bayesftc.cosim.plotting import BLACK, BLUE, SENSOR_COLOURS
 from bayesftc.reproduce._bound import BOUND
-from bayesftc.reproduce._drawing import figure, legend, tidy
+from bayesftc.reproduce._drawing import SWITCHING_STYLES, figure, legend, tidy
+from bayesftc.reproduce._residuals import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 MARKS = "ovsD^Pph"
 ASIDE = 0.09
 """Between two marks of one cell, which would hide each other."""
+COLOURS = {"SER": SENSOR_COLOURS[0], "beta": BLUE, **{name: style["color"] for name, style in SWITCHING_STYLES.items()}}
+"""As in the figures of tracking and detection."""
 
 
 def areas(report: dict[str, Any]) -> Figure:
@@ -25,22 +28,26 @@ def areas(report: dict[str, Any]) -> Figure:
     made = figure(8.2, 4.2)
     axis = made.subplots()
     x = np.arange(len(cells))
-    for i, name in enumerate([BOUND, *reversed(names)]):
+    for i, name in enumerate([BOUND, *names]):
         mean = np.array([cell["auc"][name]["mean"] for cell in cells])
         low, high = np.array([cell["auc"][name]["ci"] for cell in cells]).T
         style: dict[str, Any] = {"color": BLACK, "lw": 1.6, "marker": "_", "ms": 22, "mew": 2.2, "ls": "none"}
         if name != BOUND:
-            colour = (BLUE, *SENSOR_COLOURS)[(i - 1) % (1 + len(SENSOR_COLOURS))]
-            style = {"color": colour, "marker": MARKS[(i - 1) % len(MARKS)], "ms": 6, "ls": "none"}
-        aside = 0.0 if name == BOUND else ASIDE * ((len(names) - 1) / 2 - (i - 1))
-        axis.errorbar(x + aside, mean, [mean - low, high - mean], capsize=3, label=name, **style)
+            style = {"color": COLOURS.get(name, "0.5"), "marker": MARKS[(i - 1) % len(MARKS)], "ms": 6, "ls": "none"}
+        aside = 0.0 if name == BOUND else ASIDE * (i - 1 - (len(names) - 1) / 2)
+        axis.errorbar(x + aside, mean, [mean - low, high - mean], capsize=3, label=_label(name), **style)
     axis.set_xticks(x, [f"{c['injection']:g} m/s\n{c['drift']:g} m/s per s" for c in cells], fontsize=9)
     axis.set_xlabel("injection and drift")
     axis.set_ylabel("AUC of the presence of a fault")
     axis.set_title(f"Mean over {report['settings']['streams']} streams; bars: 95 % intervals", fontsize=10, loc="left")
     tidy(axis)
-    legend(axis, [BOUND, *reversed(names)])
+    best_first = sorted(names, key=lambda name: -sum(cell["auc"][name]["mean"] for cell in cells))
+    legend(axis, [_label(name) for name in (BOUND, *best_first)])
     return made
+
+
+def _label(name: str) -> str:
+    return "bound (mean times and sizes\nof the faults known)" if name == BOUND else LABELS.get(name, name)
 
 
 FIGURES = {"bound": areas}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.reproduce._detection_tables import KNOWS
 from bayesftc.reproduce._tables import sentence_list, table
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             {name: _row(cell, name) for name in cell["auc"]},
             corner="residual",
         )
+    yield KNOWS
     errors = [cell["calibration"]["ece"]["mean"] for cell in report["cells"]]
     yield f"The bound is calibrated: its expected calibration error is {min(errors):.4f} to {max(errors):.4f}."
 

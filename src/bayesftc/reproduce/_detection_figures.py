@@ -8,7 +8,8 @@ import numpy as np
 
 from bayesftc.cosim.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.reproduce._calibration import OWN
-from bayesftc.reproduce._drawing import FURTHER_STYLE, figure, heat_map, legend, tidy
+from bayesftc.reproduce._drawing import FURTHER_STYLE, SWITCHING_STYLES, figure, heat_map, legend, tidy
+from bayesftc.reproduce._residuals import LABELS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,18 +19,17 @@ RANKS_LIKE_BETA = "precision"
 
 
 def roc(report: dict[str, Any]) -> Figure:
-    """Return the receiver operating characteristics on the test parts, the paper's two residuals in front."""
-    made = figure(7.8, 4.8)
+    """Return the receiver operating characteristics on the test parts, the paper's residuals and fault modes in front."""
+    made = figure(8.4, 4.8)
     axis = made.subplots()
     false, auc = report["roc"]["false_positive_rate"], report["auc"]
-    further = sorted(
-        (n for n in auc if n not in {*report["paper"], RANKS_LIKE_BETA}), key=auc.__getitem__, reverse=True
-    )
+    styles = {**SWITCHING_STYLES, "beta": {"color": BLUE, "lw": 2.8}, "SER": {"color": SENSOR_COLOURS[0], "lw": 2.2}}
+    front = {name: styles[name] for name in styles if name in auc}
+    further = sorted((n for n in auc if n not in {*front, RANKS_LIKE_BETA}), key=auc.__getitem__, reverse=True)
     for name in further:
         axis.plot(false, report["roc"]["true_positive_rate"][name], **FURTHER_STYLE)
-    front = {"beta": {"color": BLUE, "lw": 2.8}, "SER": {"color": SENSOR_COLOURS[0], "lw": 2.2}}
     for name, style in front.items():
-        axis.plot(false, report["roc"]["true_positive_rate"][name], label=_label(report, name), **style)  # type: ignore[arg-type]
+        axis.plot(false, report["roc"]["true_positive_rate"][name], label=_label(report, name), **style)
     axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="guessing: AUC 0.5")
     axis.set_xlim(0, 1)
     axis.set_ylim(0, 1.005)
@@ -45,7 +45,7 @@ def roc(report: dict[str, Any]) -> Figure:
 
 def _label(report: dict[str, Any], name: str) -> str:
     paper = f" (paper {report['paper'][name]:.3f})" if name in report["paper"] else ""
-    return f"{name}: AUC {report['auc'][name]:.3f}{paper}"
+    return f"{LABELS.get(name, name)}: AUC {report['auc'][name]:.3f}{paper}"
 
 
 def grid(report: dict[str, Any]) -> Figure | None:
@@ -99,12 +99,16 @@ def calibration(report: dict[str, Any]) -> Figure:
         bins = [b for b in of["diagram"]["equal_widths"] if b["ci"] is not None]
         x, y = ([b[key] for b in bins] for key in ("predicted", "observed"))
         error = np.abs(np.array([b["ci"] for b in bins]).T - y)
-        label = f"{name}: ECE {of['ece']['mean']:.3f}"
-        axis.errorbar(x, y, error, color=colour, marker=mark, ms=4.5, ls=line, lw=1.6, capsize=2.5, label=label)
-        below.plot(x, [100 * b["share"] for b in bins], color=colour, marker=mark, ms=4.5, ls=line, lw=1.2)
+        label = f"{LABELS.get(name, name)}: ECE {of['ece']['mean']:.3f}"
+        look = {"color": colour, "ls": line, **SWITCHING_STYLES.get(name, {}), "lw": 1.6, "marker": mark, "ms": 4.5}
+        axis.errorbar(x, y, error, capsize=2.5, label=label, **look)
+        below.plot(x, [100 * b["share"] for b in bins], **look)
+    axis.set_ylim(-0.03, 1.03)
     axis.set_ylabel("share of faulty samples")
     axis.set_title(
-        f"{len(report['streams'])} streams, two sensors pooled; bars: 95 % intervals", fontsize=10, loc="left"
+        f"{len(report['streams'])} streams, two sensors pooled; bars: 95 % intervals; ECE: expected calibration error",
+        fontsize=10,
+        loc="left",
     )
     axis.legend(frameon=False, fontsize=9, loc="upper left")
     below.set_yscale("log")

@@ -11,6 +11,10 @@ from bayesftc.reproduce._tables import table
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+KNOWS = (
+    "SwitchingPrecision, also per sensor, knows the mean times to a fault and to recovery, but not how large faults are; with "
+    "default settings it knows neither."
+)
 EDGE = 0.002
 """A difference in AUC that is worth a word."""
 
@@ -38,6 +42,8 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         },
         corner="residual",
     )
+    if "SwitchingPrecision" in auc:
+        yield KNOWS
     if "precision" in auc:
         yield "The precision ranks the samples as beta does, for all shapes are the same: it is the same residual."
     low, high = report["difference"]["ci"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.plotting import BLACK
+from bayesftc.cosim.plotting import BLACK, SENSOR_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,7 +16,13 @@ if TYPE_CHECKING:
 
 ORACLE_STYLE: dict[str, Any] = {"color": BLACK, "ls": ":", "lw": 1.4}
 FURTHER_STYLE: dict[str, Any] = {"color": "0.6", "ls": "-", "lw": 0.9}
-"""Of everything that is not in the paper: there is too much of it for colours of its own."""
+"""Of what is not in the paper: there is too much of it for colours of its own."""
+SWITCHING_STYLES: dict[str, dict[str, Any]] = {
+    "SwitchingPrecision": {"color": SENSOR_COLOURS[2], "lw": 2.4, "zorder": 6},
+    "SwitchingPrecision, per sensor": {"color": SENSOR_COLOURS[3], "lw": 1.7, "ls": (0, (5, 2)), "zorder": 7},
+    "SwitchingPrecision, default": {"color": SENSOR_COLOURS[2], "lw": 1.7, "ls": (0, (1, 1.2)), "zorder": 7},
+}
+"""But of these: they come closest to the best that can be had."""
 
 
 def figure(width: float, height: float) -> Figure:

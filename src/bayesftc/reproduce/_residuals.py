@@ -17,6 +17,12 @@ SIGNALS = ("controller.innovation", "controller.beta", "controller.precision", "
 GRID = ("SER", "beta", "beta (PL of tracking)")
 """The residuals of the grid; each has one loop."""
 SWITCHING = "SwitchingPrecision"
+LABELS = {
+    SWITCHING: "SwitchingPrecision (mean times to\nfault and recovery known)",
+    f"{SWITCHING}, per sensor": "SwitchingPrecision, per sensor\n(mean times known)",
+    f"{SWITCHING}, default": "SwitchingPrecision (default settings)",
+}
+"""What figures call residuals whose names do not say what their learners know."""
 PLAIN = controllers.FixedPrecision()
 """A Kalman filter that trusts all sensors."""
 LEAST = 1e-16

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.plotting import BLUE, SENSOR_COLOURS
-from bayesftc.reproduce._drawing import FURTHER_STYLE, ORACLE_STYLE, figure, heat_map, legend, tidy
+from bayesftc.reproduce._drawing import FURTHER_STYLE, ORACLE_STYLE, SWITCHING_STYLES, figure, heat_map, legend, tidy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,8 +20,9 @@ STYLES: dict[str, dict[str, Any]] = {
     # One lies on the other: the upper one is dashed.
     "No FT": {"color": SENSOR_COLOURS[1], "lw": 1.8, "ls": (0, (4, 3)), "zorder": 4},
     "EF-FDI": {"color": SENSOR_COLOURS[4], "lw": 3.6, "zorder": 3},
+    **SWITCHING_STYLES,
 }
-"""Of the paper's techniques."""
+"""Of the techniques that are named one by one."""
 
 
 def error_over_time(report: dict[str, Any]) -> Figure:
@@ -34,7 +35,7 @@ def error_over_time(report: dict[str, Any]) -> Figure:
     during = slice(round(settings["fault_start"] / step), round(settings["fault_stop"] / step))
     curves = {name: np.asarray(curve) for name, curve in report["mean_absolute_error"].items()}
     further = [name for name in curves if name not in STYLES and name != "oracle"]
-    styles = {**STYLES, "oracle": ORACLE_STYLE, **dict.fromkeys(further, FURTHER_STYLE)}
+    styles = {**STYLES, "oracle": {**ORACLE_STYLE, "zorder": 8}, **dict.fromkeys(further, FURTHER_STYLE)}
     for name, values in curves.items():
         smooth = np.convolve(values, np.full(width, 1 / width), mode="valid")
         time = step * (1 + np.arange(len(smooth)) + 0.5 * (width - 1))
