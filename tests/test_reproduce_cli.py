@@ -85,6 +85,13 @@ def test_wrong_settings_are_a_sentence(make, words):
         make()
 
 
+def test_help_says_what_each_experiment_is(bayesftc_):
+    lines = bayesftc_("reproduce", "--help").stdout.splitlines()
+    for experiment in EXPERIMENTS.values():
+        (line,) = (line for line in lines if line.split()[:1] == [experiment.name])
+        assert ("Beyond the paper" in line) == experiment.beyond
+
+
 def test_a_folder_that_cannot_be_written_is_told_before_the_run(bayesftc_, tmp_path):
     (tmp_path / "file").write_text("")
     done = bayesftc_("reproduce", "all", "--out", "file/below")

@@ -1,4 +1,4 @@
-"""``bayesftc reproduce``: the paper's experiments to tables, figures and files."""
+"""``bayesftc reproduce``: the paper's experiments, and ours beyond it, to tables, figures and files."""
 
 from __future__ import annotations
 
