@@ -28,6 +28,17 @@ class Engine(StrEnum):
     interpreted = "interpreted"
 
 
+EXPERIMENTS = """Run the paper's experiments, with our numbers beside its own, and ours beyond it.
+
+\b
+arm        A robot arm with a frozen encoder (the paper's table 1).
+tracking   A car whose speed sensor fails: tracking errors (table 2).
+detection  Sensors that fail at random: which residual tells (table 3).
+bound      Beyond the paper: how good could a detector be at best?
+models     Beyond the paper: learners where the model is wrong.
+"""
+"""Help of ``bayesftc reproduce``; lines after a backspace are not joined."""
+
 Json = Annotated[bool, typer.Option("--json", help="Print plain JSON instead of tables.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 
@@ -146,7 +157,7 @@ def monitor(
         monitor_files(recording, model, out, json=json, quiet=quiet)
 
 
-@app.command()
+@app.command(help=EXPERIMENTS)
 def reproduce(
     experiment: Annotated[str, typer.Argument(help="One of those above, or all.")],
     out: Annotated[
@@ -167,15 +178,7 @@ def reproduce(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
     debug: Debug = False,
 ) -> None:
-    """Run the paper's experiments, with our numbers beside its own, and ours beyond it.
-
-    \b
-    arm        A robot arm with a frozen encoder (the paper's table 1).
-    tracking   A car whose speed sensor fails: tracking errors (table 2).
-    detection  Sensors that fail at random: which residual tells (table 3).
-    bound      Beyond the paper: how good could a detector be at best?
-    models     Beyond the paper: learners where the model is wrong.
-    """
+    """Run experiments; the help is `EXPERIMENTS`."""
     with guarded(debug):
         from bayesftc.cli.reproduce import reproduce_experiments
 
