@@ -2,16 +2,19 @@
 
 import sys
 
+from bayesftc._interrupt import EXIT_CODE, SENTENCE, Interrupted, heard
+
 
 def main() -> None:
     """Run the command line and end the process with its exit code."""
     try:
-        from bayesftc.cli import app
+        with heard():
+            from bayesftc.cli import app
 
-        app(prog_name="bayesftc")
-    except KeyboardInterrupt:  # while modules were loading; the commands catch their own
-        print("Stopped by Ctrl-C.", file=sys.stderr)  # noqa: T201
-        sys.exit(130)
+            app(prog_name="bayesftc")
+    except (Interrupted, KeyboardInterrupt):
+        print(SENTENCE, file=sys.stderr)  # noqa: T201
+        sys.exit(EXIT_CODE)
 
 
 if __name__ == "__main__":

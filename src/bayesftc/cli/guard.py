@@ -15,7 +15,9 @@ from contextlib import contextmanager
 
 import typer
 
-BUG, NO_MEMORY, INTERRUPTED, BROKEN_PIPE = 70, 71, 130, 141
+from bayesftc._interrupt import EXIT_CODE, SENTENCE
+
+BUG, NO_MEMORY, INTERRUPTED, BROKEN_PIPE = 70, 71, EXIT_CODE, 141
 
 
 @contextmanager
@@ -38,8 +40,8 @@ def guarded(debug: bool = False) -> Iterator[None]:
             traceback.print_exc()
         _say(f"Error: {error}")
         raise typer.Exit(error.exit_code) from None
-    except KeyboardInterrupt:
-        _say("Stopped by Ctrl-C before the end; no half-finished file was left behind.")
+    except KeyboardInterrupt:  # where the program is not ours: else `bayesftc._interrupt` has made it `Interrupted`
+        _say(SENTENCE)
         raise typer.Exit(INTERRUPTED) from None
     except MemoryError:
         _say(

@@ -1,0 +1,168 @@
+"""Ctrl-C ends the command line at once, with one sentence and exit code 130, also while numba compiles."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pytest
+
+from bayesftc._interrupt import SENTENCE, Interrupted, heard
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
+
+WHERE_IT_IS_LOST = {
+    "a callback": ("llvmlite.binding.executionengine", "ExecutionEngine", "_find_module_ptr"),
+    "a finaliser": ("llvmlite.binding.ffi", "ObjectRef", "__del__"),
+}
+HIT = """
+import importlib, signal, sys
+module, cls, name = sys.argv.pop(1).split()
+owner = getattr(importlib.import_module(module), cls)
+usual, hits = getattr(owner, name), []
+def hit(self, *given):
+    hits.append(1)
+    if len(hits) == 3:
+        print("hit", flush=True)
+        signal.raise_signal(signal.SIGINT)
+    return usual(self, *given)
+setattr(owner, name, hit)
+from bayesftc.__main__ import main
+main()
+"""
+COMPILING = ("run", "cruise_control", "--engine", "compiled", "--quiet", "--out", "out")
+
+
+@pytest.fixture
+def compiling(tmp_path):
+    """Return a process that compiles, with an empty cache, in a folder of its own."""
+    started = []
+
+    def start(*command):
+        environment = {**os.environ, "BAYESFTC_CACHE": str(tmp_path / "cache")}
+        (tmp_path / "here").mkdir()
+        process = subprocess.Popen(
+            [sys.executable, *command, *COMPILING],
+            cwd=tmp_path / "here",
+            env=environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            # A test runner in the background hands down an ignored SIGINT; the process is to have the usual one.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+
+
+def assert_stopped(process, folder, out=""):
+    said, errors = process.communicate(timeout=60)
+    assert (process.returncode, said, errors) == (130, out, SENTENCE + "\n")
+    assert not list((folder / "here").iterdir())
+
+
+@pytest.mark.parametrize("where", list(WHERE_IT_IS_LOST))
+def test_where_python_ignores_it(where, compiling, tmp_path):
+    assert_stopped(compiling("-c", HIT, " ".join(WHERE_IT_IS_LOST[where])), tmp_path, "hit\n")
+
+
+def stop_after(seconds, compiling, folder):
+    process = compiling("-c", "print(flush=True)\nfrom bayesftc.__main__ import main\nmain()")
+    process.stdout.readline()
+    time.sleep(seconds)
+    for _ in range(3):  # somebody in a hurry
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+    assert_stopped(process, folder)
+
+
+@pytest.mark.parametrize("seconds", [0.3, 2.0])
+def test_while_modules_load_and_while_numba_compiles(seconds, compiling, tmp_path):
+    stop_after(seconds, compiling, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.1 + 0.37 * i for i in range(30)])
+def test_at_any_moment(seconds, compiling, tmp_path):
+    stop_after(seconds, compiling, tmp_path)
+
+
+@pytest.fixture
+def usual():
+    """The usual answers to a signal and to ignored exceptions, before and after."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler), sys.unraisablehook
+    yield
+    signal.signal(signal.SIGINT, before[0])
+    assert sys.unraisablehook is before[1]
+
+
+def stopped(work):
+    with pytest.raises(Interrupted), heard():
+        work()
+
+
+class Deaf:
+    """Is hit by Ctrl-C where Python ignores what is raised."""
+
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_one_that_is_lost_comes_again_and_ends_a_wait(usual):
+    begin = time.monotonic()
+
+    def wait():
+        deaf = Deaf()
+        del deaf
+        time.sleep(60.0)
+
+    stopped(wait)
+    assert time.monotonic() - begin < 30.0
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # what comes thereafter disturbs nobody
+
+
+def test_one_that_is_swallowed_is_told_at_the_end(usual):
+    def swallow():
+        with suppress(BaseException):
+            signal.raise_signal(signal.SIGINT)
+        raise ValueError("what comes of it")
+
+    stopped(swallow)
+
+
+def test_a_second_one_does_not_disturb_what_puts_files_away(usual):
+    tidied = []
+
+    def tidy():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            signal.raise_signal(signal.SIGINT)
+            tidied.append(True)
+
+    stopped(tidy)
+    assert tidied
+
+
+def test_other_ignored_exceptions_and_other_handlers_stay_as_they_are(usual, monkeypatch):
+    class Broken:
+        def __del__(self):
+            raise ValueError("lost")
+
+    seen = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda lost: seen.append(lost.exc_type))
+    with heard():
+        broken = Broken()
+        del broken
+    assert seen == [ValueError]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with heard():
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    monkeypatch.undo()
