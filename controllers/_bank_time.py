@@ -22,7 +22,16 @@ from bayesftc.controllers._bank_layout import (
     Layout,
 )  # fmt: skip
 from bayesftc.controllers._mode_kernels import AGE, OWN, SIZE, WEIGHT, expected_jump
-from bayesftc.controllers._switching_kernels import BEGINS, ENDS, FIRST, FIRST_SETTINGS, HEALTHY, LEAST, OWN_SETTINGS
+from bayesftc.controllers._switching_kernels import (
+    BEGINS,
+    ENDS,
+    FIRST,
+    FIRST_SETTINGS,
+    HEALTHY,
+    LEAST,
+    OWN_SETTINGS,
+    held,
+)  # fmt: skip
 from bayesftc.cosim.ops import maximum, minimum
 
 EXPIRES = 0.02
@@ -121,7 +130,7 @@ def make_pass_time(
                 for j in range(m):
                     if j != i:
                         pass_other(memory, at + kept + j * sensor, settings, j * row_length)
-                jump = expected_jump(e[i], settings[own], nominal[i, i])
+                jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
                 slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
                 move(
                     memory, at, n, 1, 1, 0.0, jump + slope, slope, slope, walk,
@@ -156,7 +165,7 @@ def make_pass_time(
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
                 own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
-                jump = expected_jump(e[i], settings[own], nominal[i, i])
+                jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
                 slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
                 came = memory[grow + 1 + i * K + q]
                 stays = stays - came

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from bayesftc.controllers._checks import as_numbers
-from bayesftc.controllers._mode_kernels import AGE, ENTERED, TRUST, WEIGHT, drops
+from bayesftc.controllers._mode_kernels import AGE, ENTERED, FACTOR, TRUST, WEIGHT, drops
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import FaultMode
 from bayesftc.cosim.block import Floats, argument_names
@@ -139,7 +139,7 @@ def settings_of(mode: FaultMode, told: object) -> Floats:
     name = type(mode).__name__
     settings = as_numbers(f"What {name}.settings returned", told, "it must be a tuple of numbers").reshape(-1)
     memory = np.concatenate([np.zeros(TRUST), first_of(mode)])
-    memory[[WEIGHT, ENTERED, AGE]] = 0.25, 0.5, 3.0
+    memory[[WEIGHT, ENTERED, FACTOR, AGE]] = 0.25, 0.5, 1.0, 3.0
     sample = {"e": 0.5, "present": 1.0, "variance": 1.5, "nominal": 1.0, "change": 0.25, "healthy": -1.2}
     try:
         with np.errstate(all="ignore"):

@@ -1,22 +1,20 @@
 """Step functions of fault modes: how probable a sample is if its sensor has failed in one way, and what is learned from it then.
 
 Each has the arguments of `drops` below: one sample of one sensor, and where the mode's numbers stand. It returns the logarithm of
-the sample's density, which counts only if there is a sample.
+the sample's density, which counts only if there is a sample; what it writes as the `FACTOR` is still to be multiplied with that.
 """
 
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.cosim.ops import absolute, log, maximum, minimum, select, sqrt
 
-WEIGHT, ENTERED, AGE, TRUST, SIZE, OWN = range(6)
-"""Places in the block of a mode: three for the switching; the precision that a sample deserves (nominal: 1); the size; own."""
+WEIGHT, ENTERED, FACTOR, AGE, TRUST, SIZE, OWN = range(7)
+"""Places in the block of a mode: two for the switching; a factor of the density, 1 unless it is written, for a root is cheaper
+than its logarithm; the age; the precision that a sample deserves (nominal: 1); the size; own."""
 
 LOG_2_PI = 1.8378770664093453
 
 FURTHEST = 1e12
 """Largest squared innovation, in units of its variance, that a density is computed of: it is held there."""
-
-FURTHEST_JUMP = 1e6
-"""Largest variance, in the sensor's own, that the first innovation makes an offset have at its onset."""
 
 
 def log_density(squared, variance):
@@ -60,23 +58,23 @@ def freezes(e, present, variance, nominal, change, healthy, memory, at, settings
     return select(change == change, told, healthy)
 
 
-def expected_jump(e, jump, nominal):
+def expected_jump(e, jump, reach, nominal):
     """Return the variance of an offset at its onset, in the sensor's unit squared: at least as large as the first innovation.
 
     So an offset far beyond what was expected is not taken for noise, as if any larger scale were as likely as ``jump`` itself.
-    One that grows from zero (``jump`` 0) has none.
+    One that grows from zero has none: its ``reach`` is 0, that of others 1.
     """
-    return select(jump > 0.0, maximum(jump * nominal, minimum(e * e, FURTHEST_JUMP * nominal)), 0.0)
+    return maximum(jump * nominal, reach * (e * e))
 
 
 def shifts(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Add an offset c that moves by b a sample: each starts at zero, uncertain, and is then filtered.
 
-    ``settings``, in units of the noise's variance: how uncertain c is at the start; likewise b; how far c walks in a sample. Own
-    numbers: b; the covariance of c and b. Onsets and offsets that have been there are merged into one Gaussian
-    distribution, as interacting multiple models do.
+    ``settings``, in units of the noise's variance: how uncertain c is at the start; likewise b; how far c walks in a sample; the
+    reach of `expected_jump`. Own numbers: b; the covariance of c and b. Onsets and offsets that have been there are merged into
+    one Gaussian distribution, as interacting multiple models do.
     """
-    jump, slope = expected_jump(e, settings[first], nominal), settings[first + 1] * nominal
+    jump, slope = expected_jump(e, settings[first], settings[first + 3], nominal), settings[first + 1] * nominal
     walk = settings[first + 2] * nominal
     c, b = memory[at + SIZE] + memory[at + OWN], memory[at + OWN]
     cc = memory[at + OWN + 1] + 2.0 * memory[at + OWN + 2] + memory[at + OWN + 3] + walk
@@ -91,14 +89,16 @@ def shifts(e, present, variance, nominal, change, healthy, memory, at, settings,
     c, b = lasts * c, lasts * b
     error = e - c
     total = variance + cc
-    part = present / total
+    inverse = 1.0 / total
+    part = present * inverse
     gain_c, gain_b = cc * part, cb * part
     memory[at + SIZE] = c + gain_c * error
     memory[at + OWN] = b + gain_b * error
     memory[at + OWN + 1] = cc - gain_c * cc
     memory[at + OWN + 2] = cb - gain_c * cb
     memory[at + OWN + 3] = maximum(bb - gain_b * cb, 0.0)
-    return log_density(error * error, total)
+    memory[at + FACTOR] = sqrt(variance * inverse)
+    return healthy + 0.5 * (e * e / variance - error * error * inverse)
 
 
 def scatters(e, present, variance, nominal, change, healthy, memory, at, settings, first):
@@ -111,9 +111,10 @@ def scatters(e, present, variance, nominal, change, healthy, memory, at, setting
     kept = (1.0 - memory[at + ENTERED]) * rho
     a = kept * memory[at + OWN] + (1.0 - kept) * a0
     b = kept * memory[at + OWN + 1] + (1.0 - kept) * b0
-    part = 1.0 / (variance * b)
-    squared = e * e * part
-    told = 0.5 * (log(squared_gamma_half_step(a) * part) - LOG_2_PI) - (a + 0.5) * log(1.0 + 0.5 * squared)
+    each, part = e * e / variance, 1.0 / b
+    squared = each * part
+    memory[at + FACTOR] = sqrt(squared_gamma_half_step(a) * part)
+    told = healthy + 0.5 * each - (a + 0.5) * log(1.0 + 0.5 * squared)
     b = b + 0.5 * present * squared * b
     a = a + 0.5 * present
     part = 1.0 / (a * b)

@@ -24,7 +24,8 @@ memory[at + HEALTHY] = stays
 _PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings, row + {settings})"
 
 _WEIGH = """
-error, sound = held(e, variance), log_density(minimum(e * e, FURTHEST * variance), variance)
+error = held(e, variance)
+sound = log_density(error * error, variance)
 told = select(present > 0.5, settings[row + ARRIVES] + sound, settings[row + MISSING])
 {modes}
 most = {most}
@@ -32,9 +33,9 @@ healthy = memory[at + HEALTHY] * share_of(told, most)
 {weights}
 total = {total}
 part = 1.0 / total
-memory[at + HEALTHY] = maximum(healthy * part, LEAST)
+memory[at + HEALTHY] = healthy * part + LEAST
 {probabilities}
-memory[at + TRUSTED] = maximum(minimum(({trust}) * part, 1.0), LEAST_TRUST)
+memory[at + TRUSTED] = maximum(({trust}) * part, LEAST_TRUST)
 return most + log(total)
 """
 
@@ -103,9 +104,9 @@ def sensor_functions(
     weighing = _WEIGH.format(
         modes=lines(_WEIGH_MODE),
         most=_paired(["told", *of_modes("told{k}")], "maximum({}, {})"),
-        weights=lines("weight{k} = memory[block{k} + WEIGHT] * share_of(told{k}, most)"),
+        weights=lines("weight{k} = memory[block{k} + WEIGHT] * memory[block{k} + FACTOR] * share_of(told{k}, most)"),
         total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
-        probabilities=lines("memory[block{k} + WEIGHT] = maximum(weight{k} * part, LEAST)"),
+        probabilities=lines("memory[block{k} + WEIGHT] = weight{k} * part + LEAST"),
         trust=_paired(["healthy", *of_modes("weight{k} * memory[block{k} + TRUST]")], "({} + {})"),
     )
     return _function("pass_time", _OF_TIME, passing, names), _function("weigh", _OF_A_SAMPLE, weighing, names)

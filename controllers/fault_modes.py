@@ -12,10 +12,10 @@ To write one you must:
    healthy sensor's innovation, ``nominal`` the sensor's noise in it, ``change`` the sample minus the last one that there was
    (NaN: there is none), ``healthy`` the logarithm of the density of a healthy sensor's sample. It may write
    ``memory[at + TRUST]`` (the precision, relative to the nominal one, that the sample deserves), ``memory[at + SIZE]`` (the
-   fault's size) and its own numbers from ``memory[at + OWN]`` on. It reads the mode's settings as ``settings[first]``,
-   ``settings[first + 1]``, ... A fault that begins is not told from one that has been there: ``memory[at + ENTERED]`` is the
-   share of the former. These places and `log_density` can be imported from here; the mathematics comes from
-   `bayesftc.cosim.ops`, as in every step function;
+   fault's size), ``memory[at + FACTOR]`` (a factor of the density beside that logarithm) and its own numbers from
+   ``memory[at + OWN]`` on. It reads the mode's settings as ``settings[first]``, ``settings[first + 1]``, ... A fault that
+   begins is not told from one that has been there: ``memory[at + ENTERED]`` is the share of the former. These places and
+   `log_density` can be imported from here; the mathematics comes from `bayesftc.cosim.ops`, as in every step function;
 3. return from the property ``first`` what it keeps before the first sample (trust, size, own numbers), and from
    ``settings(model, sensor)`` its settings for one sensor.
 
@@ -40,7 +40,7 @@ import numpy as np
 
 from bayesftc.controllers import _mode_kernels as kernels
 from bayesftc.controllers._checks import as_number, as_vector, check_number
-from bayesftc.controllers._mode_kernels import ENTERED, OWN, SIZE, TRUST, log_density
+from bayesftc.controllers._mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST, log_density
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
@@ -161,7 +161,7 @@ class Offset(FaultMode):
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
-        return self.jump**2, self.slope**2, self.walk**2
+        return self.jump**2, self.slope**2, self.walk**2, float(self.jump > 0)
 
 
 @dataclass(frozen=True)
@@ -289,6 +289,6 @@ FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, N
 """To add a fault mode, write it by the rules above and name it here."""
 
 __all__ = [
-    "ENTERED", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Burst", "Drifting", "DroppedOut", "FaultMode", "Frozen", "Noisier",
-    "Offset", "Ramping", "log_density",
+    "ENTERED", "FACTOR", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Burst", "Drifting", "DroppedOut", "FaultMode", "Frozen",
+    "Noisier", "Offset", "Ramping", "log_density",
 ]  # fmt: skip

@@ -112,7 +112,7 @@ class SwitchingPrecision(PrecisionLearner):
         for _ in range(m):
             memory += [np.nan, 1.0, 1.0]
             for values in first:
-                block = [kernels.LEAST, 0.0, 0.0, *values]
+                block = [kernels.LEAST, 0.0, 1.0, 0.0, *values]
                 memory += block + [0.0] * (width - len(block))
         evidence = tuple(type(mode).evidence for mode in self.modes)
         single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)

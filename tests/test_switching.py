@@ -13,7 +13,7 @@ from bayesftc import controllers
 from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision, fault_modes
 from bayesftc.controllers._mode_kernels import drops, scatters, shifts
 from bayesftc.controllers._special import squared_gamma_half_step
-from bayesftc.controllers.fault_modes import ENTERED, OWN, SIZE
+from bayesftc.controllers.fault_modes import ENTERED, FACTOR, OWN, SIZE
 from bayesftc.cosim.block import argument_names
 from bayesftc.cosim.errors import ModelError
 
@@ -114,11 +114,12 @@ def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
 def test_an_offset_is_filtered_as_filterpy_does_from_the_merged_prior(begins, present):
     nominal, variance, e = 4.0, 4.7, 6.0
     jump, slope, walk = 25.0 * nominal, 0.04 * nominal, 0.01 * nominal
-    memory, settings = np.zeros(OWN + 4), np.array([25.0, 0.04, 0.01])
+    memory, settings = np.zeros(OWN + 4), np.array([25.0, 0.04, 0.01, 1.0])
     mean, P = np.array([2.0, 0.3]), np.array([[3.0, 0.2], [0.2, 0.1]])
     memory[ENTERED], memory[SIZE], memory[OWN] = begins, *mean
     memory[OWN + 1 :] = P[0, 0], P[0, 1], P[1, 1]
-    told = shifts(e, present, variance, nominal, np.nan, 0.0, memory, 0, settings, 0)
+    healthy = stats.norm.logpdf(e, scale=np.sqrt(variance))
+    told = shifts(e, present, variance, nominal, np.nan, healthy, memory, 0, settings, 0) + np.log(memory[FACTOR])
     filtered = KalmanFilter(2, 1)
     filtered.F, filtered.H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
     filtered.Q, filtered.R, filtered.x, filtered.P = np.diag([walk, 0.0]), np.array([[variance]]), mean[:, None], P
@@ -139,7 +140,9 @@ def test_noise_of_unknown_precision_has_the_density_of_numerical_integration():
     a, b, variance = 1.7, 12.0, 2.0
     for e in (0.0, 0.5, 4.0, 30.0):
         memory = np.array([0.0] * OWN + [a, b])
-        told = scatters(e, 1.0, variance, 1.0, np.nan, 0.0, memory, 0, np.array([1.0, 16.0, 1.0]), 0)
+        healthy = stats.norm.logpdf(e, scale=np.sqrt(variance))
+        told = scatters(e, 1.0, variance, 1.0, np.nan, healthy, memory, 0, np.array([1.0, 16.0, 1.0]), 0)
+        told += np.log(memory[FACTOR])
         density, _ = integrate.quad(
             lambda w, e=e: stats.norm.pdf(e, scale=np.sqrt(variance / w)) * stats.gamma.pdf(w, a, scale=1 / b),
             0,
@@ -288,7 +291,7 @@ def grasping(e, present, variance, nominal, change, healthy, memory, at, setting
         ({"evidence": renamed}, "Wrong.evidence has the arguments e, present, variance, noise,"),
         ({"evidence": swapped}, "in this order: evidence.e, present, variance, nominal,"),
         ({"evidence": silent}, "Wrong.evidence returned None; it must return one number"),
-        ({"evidence": grasping}, "Wrong.evidence reaches beyond .*: its own are 5 numbers"),
+        ({"evidence": grasping}, "Wrong.evidence reaches beyond .*: its own are 6 numbers"),
         ({"evidence": glitches}, "Wrong.evidence reaches beyond .* and 0 from settings"),
         ({"evidence": glitches, "settings": lambda self, model, i: "no"}, "What Wrong.settings returned is 'no'"),
         ({"evidence": glitches, "first": (0.0,)}, "Wrong.first is .* at least two numbers"),
