@@ -1,5 +1,6 @@
 """Ctrl-C ends the command line at once, with one sentence and exit code 130, also while numba compiles."""
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -10,6 +11,7 @@ from contextlib import suppress
 import pytest
 
 from bayesftc._interrupt import SENTENCE, Interrupted, heard
+from bayesftc.cli.guard import guarded
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 
@@ -127,6 +129,38 @@ def test_one_that_is_lost_comes_again_and_ends_a_wait(usual):
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # what comes thereafter disturbs nobody
 
 
+def test_an_error_that_comes_of_it_is_none_of_ours(usual, capsys):
+    def turn():
+        with guarded():
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except Interrupted:
+                raise ImportError("half a module") from None
+
+    stopped(turn)
+    assert capsys.readouterr().err == ""
+
+
+def test_one_that_c_code_loses_without_a_word_comes_again(usual):
+    class Key:
+        def __hash__(self):
+            return 1
+
+        def __eq__(self, other):
+            signal.raise_signal(signal.SIGINT)
+            return False
+
+    def compare():
+        get = ctypes.pythonapi.PyDict_GetItem  # ignores all errors
+        get.argtypes, get.restype = (ctypes.py_object, ctypes.py_object), ctypes.c_void_p
+        assert get({Key(): 0}, Key()) is None
+        time.sleep(60.0)
+
+    begin = time.monotonic()
+    stopped(compare)
+    assert time.monotonic() - begin < 30.0
+
+
 def test_one_that_is_swallowed_is_told_at_the_end(usual):
     def swallow():
         with suppress(BaseException):
@@ -143,6 +177,8 @@ def test_a_second_one_does_not_disturb_what_puts_files_away(usual):
         try:
             signal.raise_signal(signal.SIGINT)
         finally:
+            signal.raise_signal(signal.SIGINT)
+            time.sleep(0.2)
             signal.raise_signal(signal.SIGINT)
             tidied.append(True)
 

@@ -1,15 +1,14 @@
 """Ctrl-C that comes through.
 
-Python raises it at its next line, wherever that is: in a callback of the compiler, in a ``__del__`` or where a weak reference
-ends. What is raised there is ignored, and the program would go on; while numba compiles that is one Ctrl-C in four. Here
-an interrupt that is lost in this way comes again a moment later, until it is raised where it is heard. Once it has been, another
-Ctrl-C does not disturb for a while what puts files away. Loads nothing that is not there already.
+Python raises it at its next line, wherever that is: in a callback of the compiler, in a ``__del__``, where a weak reference ends,
+in a comparison that C code asks for. What is raised there is lost, and the program would go on; while numba compiles that is one
+Ctrl-C in four. Here an interrupt that is lost comes again a moment later, until it is raised where it is heard; and while what
+was begun is put away, another Ctrl-C does not disturb. Loads nothing that is not there already.
 """
 
 from __future__ import annotations
 
 import _thread
-import math
 import signal
 import sys
 import threading
@@ -21,9 +20,7 @@ from typing import Any
 EXIT_CODE = 130
 SENTENCE = "Stopped by Ctrl-C before the end; no half-finished file was left behind."
 PAUSE = 0.02
-"""Seconds after which a lost interrupt comes again."""
-GRACE = 2.0
-"""Seconds for which one that was raised is not raised again."""
+"""Seconds after which an interrupt that was lost comes again."""
 
 
 class Interrupted(BaseException):
@@ -38,32 +35,51 @@ class _Interrupts:
 
     def __init__(self, ignored: Callable[[Any], object]):
         self.asked = False
-        self._raised = -math.inf
+        self._raised = False
         self._ignored = ignored
 
     def handle(self, *_: object) -> None:
         """Answer the signal."""
         self.asked = True
-        if time.monotonic() - self._raised > GRACE:
-            self._raised = time.monotonic()
+        if not self._raised:
+            self._raised = True
+            _thread.start_new_thread(self._watch, ())  # not threading's, whose locks may be held at this moment
             raise Interrupted
 
     def ignored(self, lost: Any) -> None:
-        """Answer an exception that Python ignores (`sys.unraisablehook`); it cannot be raised from here either."""
-        if issubclass(lost.exc_type, Interrupted):
-            _thread.start_new_thread(self._again, ())  # not threading's, whose locks may be held at this moment
-        else:
+        """Answer an exception that Python ignores (`sys.unraisablehook`)."""
+        if not issubclass(lost.exc_type, Interrupted):
             self._ignored(lost)
 
-    def _again(self) -> None:
+    def _watch(self) -> None:
+        """Send the signal again if what was raised is lost."""
         time.sleep(PAUSE)
-        self._raised = -math.inf
-        if signal.getsignal(signal.SIGINT) != self.handle:
-            return  # all is over
-        if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # ends a wait as well
-        else:
-            _thread.interrupt_main()
+        while signal.getsignal(signal.SIGINT) == self.handle:
+            if not _is_handled():
+                self._raised = False
+                if hasattr(signal, "pthread_kill"):
+                    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # ends a wait as well
+                else:
+                    _thread.interrupt_main()
+                return
+            time.sleep(PAUSE)
+
+
+def _is_handled() -> bool:
+    """Return whether the main thread is on its way out: in what an interrupt makes it do (``finally``, ``with``, ``except``)."""
+    found: Any = sys._current_exceptions().get(threading.main_thread().ident or 0)
+    error = found[1] if isinstance(found, tuple) else found  # from Python 3.12 on the exception alone
+    while error is not None:
+        if isinstance(error, Interrupted):
+            return True
+        error = error.__context__
+    return False
+
+
+def asked() -> bool:
+    """Return whether there was a Ctrl-C inside `heard`: then an error may be no more than what came of it."""
+    answer = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
+    return isinstance(answer, _Interrupts) and answer.asked
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 import typer
 
-from bayesftc._interrupt import EXIT_CODE, SENTENCE
+from bayesftc._interrupt import EXIT_CODE, SENTENCE, Interrupted, asked
 
 BUG, NO_MEMORY, INTERRUPTED, BROKEN_PIPE = 70, 71, EXIT_CODE, 141
 
@@ -34,7 +34,12 @@ def guarded(debug: bool = False) -> Iterator[None]:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning  # type: ignore[assignment]
-            yield
+            try:
+                yield
+            except Exception:
+                if asked():
+                    raise Interrupted from None
+                raise
     except BayesFTCError as error:
         if debug:
             traceback.print_exc()
