@@ -75,7 +75,7 @@ def test_where_python_ignores_it(where, compiling, tmp_path):
 
 
 def stop_after(seconds, compiling, folder):
-    process = compiling("-c", "print(flush=True)\nfrom bayesftc.__main__ import main\nmain()")
+    process = compiling("-c", "from bayesftc.__main__ import main\nprint(flush=True)\nmain()")
     process.stdout.readline()
     time.sleep(seconds)
     for _ in range(3):  # somebody in a hurry
