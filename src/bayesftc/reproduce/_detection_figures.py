@@ -106,7 +106,7 @@ def calibration(report: dict[str, Any]) -> Figure:
     axis.set_ylim(-0.03, 1.03)
     axis.set_ylabel("share of faulty samples")
     axis.set_title(
-        f"{len(report['streams'])} streams, two sensors pooled; bars: 95 % intervals; ECE: expected calibration error",
+        f"{len(report['streams'])} streams; bars: 95 % intervals; ECE: expected calibration error",
         fontsize=10,
         loc="left",
     )
