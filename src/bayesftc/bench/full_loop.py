@@ -13,6 +13,7 @@ from bayesftc.bench._user_loop import COLUMNS, Setting, user_loop
 from bayesftc.cosim.block import Floats
 
 if TYPE_CHECKING:
+    from bayesftc.controllers.precision import PrecisionLearner
     from bayesftc.cosim.diagram import Diagram
 
 SETTING = Setting()
@@ -23,27 +24,28 @@ RECORD = ("plant.v", "freeze_0.y", "controller.u", "controller.x_hat", "controll
 """The signals of the eight columns that both loops record."""
 
 
-def full_diagram(setting: Setting = SETTING) -> Diagram:
-    """Return the loop as a diagram of this package."""
+def full_diagram(setting: Setting = SETTING, precision: PrecisionLearner | None = None, sensors: int = 2) -> Diagram:
+    """Return the loop as a diagram of this package; by default with the learner of the user's loop."""
     from bayesftc import controllers, cosim, fmus
 
     s = setting
     model = controllers.LinearModel(
         [[s.a]],
         [[s.b]],
-        [[1.0], [1.0]],
+        [[1.0]] * sensors,
         process_covariance=s.process_variance,
         sensor_covariance=s.sensor_std**2,
         dt=s.step,
     )
-    precision = controllers.GammaPrecision(forgetting=s.forgetting, prior_shape=s.prior_shape)
+    if precision is None:
+        precision = controllers.GammaPrecision(forgetting=s.forgetting, prior_shape=s.prior_shape)
     return cosim.closed_loop(
         plant=cosim.FMU(fmus.path(CAR), parameters={"v0": s.start_speed}),
         controller=controllers.BayesianController(model, precision=precision, initial_mean=s.start_speed),
         control="force",
         measured="v",
         noise={"disturbance": cosim.Gaussian(std=s.process_variance**0.5)},
-        sensors=cosim.Sensors(count=2, std=s.sensor_std),
+        sensors=cosim.Sensors(count=sensors, std=s.sensor_std),
         faults=[cosim.Freeze(sensor=0, start=s.fault_start, stop=s.fault_stop)],
         reference=cosim.Sine(amplitude=s.amplitude, period=s.period, offset=s.offset),
     )
