@@ -143,7 +143,8 @@ class BayesianBlock(Block):
         return (*(Port(name, shape) for name, shape in shapes.items()), Port("fault_probability", (m,)))
 
     def _learner(self) -> Learner:
-        return self.precision.learner(self.model)
+        """Return the precision learner for the model."""
+        raise NotImplementedError
 
     def _prior_precision(self) -> Floats:
         p = self.model.controls

@@ -17,6 +17,7 @@ from bayesftc.controllers._belief import arrive, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.precision import Learner
 from bayesftc.cosim.block import Definition, Floats
 from bayesftc.cosim.errors import ModelError
 
@@ -127,10 +128,16 @@ class BayesianController(BayesianBlock):
             )
         self._check_settings()
         self._check_reach(self.model.matrix("B"))
-        if self.belief == "joint":
-            self.precision.apart("A BayesianController with belief='joint'")
         self._learner()  # settings that do not fit the model fail here, not in the loop
         self._warn_if_unstable()
+
+    def _learner(self) -> Learner:
+        precision = self.precision
+        if (
+            self.belief == "joint"
+        ):  # what the goal says counts as known of the state, by which no actuator can be judged
+            precision = precision.apart("A BayesianController with belief='joint'")
+        return precision.learner(self.model)
 
     @property
     def measurement_matrix(self) -> Floats:

@@ -29,10 +29,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
+    from bayesftc.controllers.actuator_modes import ActuatorMode
     from bayesftc.controllers.model import LinearModel
 
 NAN = float("nan")
@@ -92,25 +92,19 @@ class PrecisionLearner:
         """
         raise TypeError(f"{type(self).__name__} does not say how it learns: give it a method learner(model).")
 
-    @property
-    def together(self) -> bool:
-        """Whether it can infer what was asked for (faults of actuators) only together with the state."""
-        return False
-
     def apart(self, who: str) -> PrecisionLearner:
-        """Return it for one that learns precisions apart from the state.
+        """Return it without what can only be inferred together with the state, for ``who`` learns precisions apart from it.
 
         Raises
         ------
         ModelError
-            If it can infer only both together.
+            If just that was asked for.
         """
-        if self.together:
-            raise ModelError(
-                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; take a "
-                "BayesianController with belief='filtered' or a StateEstimator, or leave the actuator modes out."
-            )
         return self
+
+    def actuator_modes_of(self, model: LinearModel) -> tuple[ActuatorMode, ...]:
+        """Return the ways in which actuators can fail that it tells with a model."""
+        return ()
 
     @property
     def why_no_probability(self) -> str | None:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayesftc.controllers import _switching_kernels as kernels
+from bayesftc.controllers._actuator_settings import actuator_settings, chance, control_scales
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags
-from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, expected_of, first_of, settings_of
+from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
-from bayesftc.controllers.actuator_modes import ActuatorMode
+from bayesftc.controllers.actuator_modes import ACTUATOR_MODES, ActuatorMode
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
 from bayesftc.controllers.precision import Learner, PrecisionLearner
 from bayesftc.cosim.errors import ModelError
@@ -57,11 +58,13 @@ class SwitchingPrecision(PrecisionLearner):
         every step (a slow one) the share of the steps without a sample.
     joint : bool
         Whether offsets are estimated together with the state. The per-sensor form is faster and tells slow drifts later.
-    actuator_modes : sequence of ActuatorMode
-        The ways in which each actuator or the process can fail, see `ACTUATOR_MODES`; in the joint form. Then there are, for each
-        actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``,
-        ``actuator_fault_kind`` (the most probable mode by its number, 0: healthy) and ``actuator_fault_size`` (of that mode: its
-        c, see there; NaN of a healthy one); and the control makes up for what is lost and added.
+    actuator_modes : sequence of ActuatorMode, optional
+        The ways in which each actuator or the process can fail, in the joint form; ``()`` for none. By default all of
+        `ACTUATOR_MODES` where that form applies and each control moves a state that has process noise, so that sensors are not
+        blamed for what the model does not know of the plant; else none. With them there are, for each actuator, the outputs
+        ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``, ``actuator_fault_kind``
+        (the most probable mode by its number, 0: healthy) and ``actuator_fault_size`` (of that mode: its c, see there; NaN of a
+        healthy one); and the control makes up for what is lost and added.
 
     Raises
     ------
@@ -73,12 +76,13 @@ class SwitchingPrecision(PrecisionLearner):
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Noisier(), DroppedOut())
     loss: float | Sequence[float] = 0.01
     joint: bool = True
-    actuator_modes: Sequence[ActuatorMode] = ()
+    actuator_modes: Sequence[ActuatorMode] | None = None
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
         object.__setattr__(self, "modes", as_fault_modes(self.modes))
-        object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
+        if self.actuator_modes is not None:
+            object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
         loss = self.loss
         each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
         for value in each:
@@ -88,8 +92,8 @@ class SwitchingPrecision(PrecisionLearner):
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
         m, step = model.sensors, float(model.step)
-        begins = [_chance(mode, "time_to_fault", step) for mode in self.modes]
-        ends = [_chance(mode, "time_to_recovery", step) for mode in self.modes]
+        begins = [chance(mode, "time_to_fault", step) for mode in self.modes]
+        ends = [chance(mode, "time_to_recovery", step) for mode in self.modes]
         if sum(begins) >= 1:
             raise ModelError(
                 f"SwitchingPrecision has fault modes that begin with a probability of {sum(begins):.3g} together in each sample "
@@ -127,35 +131,54 @@ class SwitchingPrecision(PrecisionLearner):
             ports.append(Port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
             ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
-        settings += [step, *self._actuator_settings(model)]
+        settings += [step, *actuator_settings(self.actuator_modes_of(model), model)]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
         )  # fmt: skip
 
-    @property
-    def together(self) -> bool:
-        """See `PrecisionLearner.together`."""
-        return bool(self.actuator_modes)
+    def apart(self, who: str) -> SwitchingPrecision:
+        """See `PrecisionLearner.apart`."""
+        if self.actuator_modes:
+            raise ModelError(
+                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; take a "
+                "BayesianController with belief='filtered' or a StateEstimator, or leave the actuator modes out."
+            )
+        return replace(self, actuator_modes=())
+
+    def actuator_modes_of(self, model: LinearModel) -> tuple[ActuatorMode, ...]:
+        """Return the actuator modes that are told with a model: those that were given, or by default all where that can be."""
+        if self.actuator_modes is not None:
+            return tuple(self.actuator_modes)
+        told = self._is_joint(model) and bool(self._kinds) and all(control_scales(model))
+        return tuple(mode() for mode in ACTUATOR_MODES) if told else ()
 
     @property
     def _faults(self) -> tuple[int, ...]:
         return tuple(int(mode.is_fault) for mode in self.modes)
 
+    @property
+    def _kinds(self) -> tuple[int, ...]:
+        """The modes that are estimated together with the state in the joint form."""
+        return tuple(k for k, mode in enumerate(self.modes) if isinstance(mode, Offset))
+
+    def _is_joint(self, model: LinearModel) -> bool:
+        nominal = model.matrix("sensor_covariance")
+        return self.joint and not np.any(nominal != np.diag(np.diag(nominal)))
+
     def _layout(self, model: LinearModel, width: int, settings: int) -> Layout | None:
         """Return the layout of the joint form's bank, if it is that form."""
-        nominal = model.matrix("sensor_covariance")
-        kinds = tuple(k for k, mode in enumerate(self.modes) if isinstance(mode, Offset))
-        if not self.joint or not (kinds or self.actuator_modes) or np.any(nominal != np.diag(np.diag(nominal))):
-            if self.actuator_modes:
+        kinds, actuator_modes = self._kinds, self.actuator_modes_of(model)
+        if not self._is_joint(model) or not (kinds or actuator_modes):
+            if actuator_modes:
                 raise ModelError(
                     "SwitchingPrecision has actuator_modes, which are told from sensors' faults in the joint form only; leave "
                     "joint=True and give sensors of independent noise, or leave the actuator modes out."
                 )
             return None
         step = float(model.step)
-        begins = model.sensors * sum(_chance(self.modes[k], "time_to_fault", step) for k in kinds)
-        begins += model.controls * sum(_chance(mode, "time_to_fault", step) for mode in self.actuator_modes)
+        begins = model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in kinds)
+        begins += model.controls * sum(chance(mode, "time_to_fault", step) for mode in actuator_modes)
         if begins >= 1:
             raise ModelError(
                 f"The offsets of {model.sensors} sensors and the actuators' faults begin with a probability of {begins:.3g} "
@@ -169,7 +192,7 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, kinds=kinds, slow=slow, alone=spans[0], other=spans[1],
-            faults=self._faults, actuator_modes=len(self.actuator_modes), width=width, width_of_settings=settings,
+            faults=self._faults, actuator_modes=len(actuator_modes), width=width, width_of_settings=settings,
         )  # fmt: skip
 
     def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -187,39 +210,3 @@ class SwitchingPrecision(PrecisionLearner):
             sensor_functions(evidence, of, layout.width, layout.width_of_settings) for of in self._parts(layout.m)
         )
         return make_infer(layout, *alone, *other)
-
-    def _actuator_settings(self, model: LinearModel) -> list[float]:
-        """Return what the joint form is told of each mode of each actuator, one after the other."""
-        B, Q, settings = model.matrix("B"), model.matrix("process_covariance"), []
-        for j, effect in enumerate(B.T):
-            moved = effect != 0.0
-            if not moved.any() and self.actuator_modes:
-                raise ModelError(
-                    f"SwitchingPrecision has actuator_modes, but control {j} of the model moves no state (column of B): leave "
-                    "that control out."
-                )
-            told = float(effect @ np.linalg.pinv(Q, hermitian=True) @ effect)
-            scale = told**-0.5 if told > 0 else 0.0
-            for mode in self.actuator_modes:
-                if mode.absolute and not scale:
-                    raise ModelError(
-                        f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any "
-                        f"state that control {j} moves; give it a process_covariance there."
-                    )
-                mean, variance, walk = expected_of(mode, scale)
-                rates = (
-                    _chance(mode, "time_to_fault", float(model.step)),
-                    _chance(mode, "time_to_recovery", float(model.step)),
-                )
-                settings += [*rates, mean, mode.follows, variance, walk, mode.absolute, mode.relative, mode.takes]
-        return settings
-
-
-def _chance(mode: FaultMode | ActuatorMode, name: str, step: float) -> float:
-    """Return the probability per sample of what takes a mean time in seconds."""
-    chance = step / float(getattr(mode, name))
-    if chance >= 1:
-        raise ModelError(
-            f"{type(mode).__name__} has {name}={getattr(mode, name)!r}, which is not longer than the sample time of {step:g} s."
-        )
-    return chance

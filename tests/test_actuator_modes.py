@@ -30,6 +30,32 @@ def test_all_modes_are_here():
     assert {type(mode) for mode in MODES} == set(ACTUATOR_MODES)
 
 
+CORRELATED = LinearModel([[A]], [[B]], [[1.0], [1.0]], Q, [[1.0, 0.5], [0.5, 1.0]], STEP)
+STILL = LinearModel([[A]], [[0.0]], [[1.0], [1.0]], Q, 1.0, STEP)
+CERTAIN = LinearModel([[A]], [[B]], [[1.0], [1.0]], 0.0, 1.0, STEP)
+
+
+@pytest.mark.parametrize(
+    ("precision", "model", "known"),
+    [
+        (SwitchingPrecision(), MODEL, 3),
+        (SwitchingPrecision(actuator_modes=()), MODEL, 0),
+        (SwitchingPrecision(actuator_modes=[LostEffect()]), MODEL, 1),
+        (SwitchingPrecision(joint=False), MODEL, 0),
+        (SwitchingPrecision([controllers.Frozen()]), MODEL, 0),
+        (SwitchingPrecision(), CORRELATED, 0),
+        (SwitchingPrecision(), STILL, 0),
+        (SwitchingPrecision(), CERTAIN, 0),
+        (controllers.GammaPrecision(), MODEL, 0),
+    ],
+)
+def test_by_default_faults_of_actuators_are_told_where_they_can_be(precision, model, known):
+    assert len(precision.actuator_modes_of(model)) == known
+    ports = {port.name: port.shape for port in StateEstimator(model, precision).outputs}
+    assert ports.get("actuator_mode_probability") == ((1, 1 + known) if known else None)
+    StateEstimator(model, precision, initial_covariance=1.0).online(compiled=False)(y=[0.1, 0.2], u=[0.0])
+
+
 @pytest.mark.parametrize("kind", ACTUATOR_MODES)
 def test_a_fault_that_has_begun_is_filtered_as_filterpy_does(kind):
     """Whatever the controller counts on in between; the offset of a sensor has no chance beside it."""

@@ -154,7 +154,7 @@ def monitor_recording(
         precision = default_precision(recording.loss, recording.resolution)
     estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
     known = precision if isinstance(precision, SwitchingPrecision) else None
-    modes, actuator_modes = (known.modes, known.actuator_modes) if known else ((), ())
+    modes, actuator_modes = known.modes if known else (), precision.actuator_modes_of(model)
     names = ["x_hat", "innovation", "fault_probability"]
     names += ["mode_probability", "fault_size", "fault_onset"] if modes else []
     names += [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if actuator_modes else []

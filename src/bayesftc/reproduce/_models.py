@@ -164,12 +164,11 @@ def run(
 
 
 def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
-    """Return the tracking experiment's techniques, and one that may blame the actuator for what is not as it believes."""
+    """Return the tracking experiment's techniques, and one that cannot blame the actuator for what is not as it believes."""
     known = techniques(Tracking())
     if not beyond:
         return {name: known[name] for name in PAPERS}
-    modes = (controllers.InputOffset(), controllers.LostEffect(), controllers.StuckActuator())
-    return {**known, f"{SWITCHING}, actuator modes": controllers.SwitchingPrecision(actuator_modes=modes)}
+    return {**known, f"{SWITCHING}, sensors only": controllers.SwitchingPrecision(actuator_modes=())}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,63 @@
+"""What the joint form of `SwitchingPrecision` is told of the ways in which each actuator can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.controllers._given_modes import expected_of
+from bayesftc.controllers.actuator_modes import ActuatorMode
+from bayesftc.controllers.fault_modes import FaultMode
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+
+
+def control_scales(model: LinearModel) -> list[float]:
+    """Return for each control how much of it moves the state in one sample as far as its process noise does; 0: there is none.
+
+    Of several states that of the one that tells most.
+    """
+    told = np.linalg.pinv(model.matrix("process_covariance"), hermitian=True)
+    information = [float(effect @ told @ effect) for effect in model.matrix("B").T]
+    return [value**-0.5 if value > 0 else 0.0 for value in information]
+
+
+def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list[float]:
+    """Return the settings of each mode of each actuator, one after the other.
+
+    Raises
+    ------
+    ModelError
+        If a control moves no state, or none with process noise and a mode expects sizes in its units.
+    """
+    settings: list[float] = []
+    for j, scale in enumerate(control_scales(model) if modes else ()):
+        if not model.matrix("B")[:, j].any():
+            raise ModelError(
+                f"SwitchingPrecision has actuator_modes, but control {j} of the model moves no state (column of B): leave that "
+                "control out."
+            )
+        for mode in modes:
+            if mode.absolute and not scale:
+                raise ModelError(
+                    f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any state "
+                    f"that control {j} moves; give it a process_covariance there."
+                )
+            mean, variance, walk = expected_of(mode, scale)
+            rates = [chance(mode, name, float(model.step)) for name in ("time_to_fault", "time_to_recovery")]
+            settings += [*rates, mean, mode.follows, variance, walk, mode.absolute, mode.relative, mode.takes]
+    return settings
+
+
+def chance(mode: FaultMode | ActuatorMode, name: str, step: float) -> float:
+    """Return the probability per sample of what takes a mean time in seconds."""
+    per_sample = step / float(getattr(mode, name))
+    if per_sample >= 1:
+        raise ModelError(
+            f"{type(mode).__name__} has {name}={getattr(mode, name)!r}, which is not longer than the sample time of {step:g} s."
+        )
+    return per_sample
