@@ -213,6 +213,8 @@ def test_particles_that_do_not_suffice_and_sensors_that_are_too_many_are_told():
         run(settings=replace(FEW, particles=4, most_particles=4, moves=1e-9, cells=((5.0, 2.0),)))
     with pytest.raises(cosim.ModelError, match="4 sensors"):
         PosteriorFilter(OFTEN, Car(sensors=4), LARGE, 8)
+    with pytest.raises(cosim.ModelError, match="have a resolution"):
+        PosteriorFilter(OFTEN, Car(resolution=0.1), LARGE, 8)
 
 
 @pytest.mark.slow

@@ -36,6 +36,7 @@ tracking   A car whose speed sensor fails: tracking errors (table 2).
 detection  Sensors that fail at random: which residual tells (table 3).
 bound      Beyond the paper: how good could a detector be at best?
 models     Beyond the paper: learners where the model is wrong.
+beliefs    Beyond the paper: fault modes whose settings are wrong.
 """
 """Help of ``bayesftc reproduce``; lines after a backspace are not joined."""
 
@@ -171,7 +172,7 @@ def reproduce(
         bool,
         typer.Option(
             "--paper-only",
-            help="Leave out what is not in the paper: further techniques, other faults; of all also bound and models.",
+            help="Leave out what is not in the paper: further techniques, other faults; of all also bound, models and beliefs.",
         ),
     ] = False,
     json: Json = False,

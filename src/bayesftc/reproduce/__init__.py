@@ -1,21 +1,23 @@
 """The paper's experiments, our numbers beside its own: ``bayesftc reproduce``, or from Python.
 
 ``reproduce.arm`` is experiment 1, ``reproduce.tracking`` experiment 2, ``reproduce.detection`` experiment 3;
-``reproduce.bound`` has the best that a detector could do there, and ``reproduce.models`` asks what wrong models do. Each returns
-what its JSON file holds, as plain data: ``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons stand in
-`bayesftc.reproduce.settings`, the paper's own numbers in `bayesftc.reproduce.paper`.
+``reproduce.bound`` has the best that a detector could do there, ``reproduce.models`` asks what wrong models do, and
+``reproduce.beliefs`` how wrong the settings of fault modes may be. Each returns what its JSON file holds, as plain data:
+``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons stand in `bayesftc.reproduce.settings`, the paper's own numbers
+in `bayesftc.reproduce.paper`.
 """
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bayesftc.reproduce._arm import run as arm
+    from bayesftc.reproduce._beliefs import run as beliefs
     from bayesftc.reproduce._bound import run as bound
     from bayesftc.reproduce._detection import run as detection
     from bayesftc.reproduce._models import run as models
     from bayesftc.reproduce._tracking import run as tracking
 
-__all__ = ["arm", "bound", "detection", "models", "tracking"]
+__all__ = ["arm", "beliefs", "bound", "detection", "models", "tracking"]
 
 
 def __getattr__(name: str) -> Any:

@@ -49,7 +49,7 @@ class PosteriorFilter:
     Raises
     ------
     ModelError
-        If there are more than three sensors.
+        If there are more than three sensors, or they have a resolution.
     """
 
     settings: Detection
@@ -62,6 +62,10 @@ class PosteriorFilter:
         if self.car.sensors > MOST_SENSORS:
             raise ModelError(
                 f"There are {self.car.sensors} sensors; hypotheses about more than {MOST_SENSORS} together are too many to keep."
+            )
+        if self.car.resolution:
+            raise ModelError(
+                "The sensors have a resolution; the bound is for those that repeat themselves only when frozen."
             )
 
     def log_odds(self, y: Floats, u: Floats, seed: int = 0) -> Floats:

@@ -44,7 +44,7 @@ def closed_loop(
         control="force",
         measured="v",
         noise={"disturbance": cosim.Gaussian(std=car.process_variance**0.5)},
-        sensors=cosim.Sensors(count=car.sensors, std=car.sensor_variance**0.5),
+        sensors=cosim.Sensors(count=car.sensors, std=car.sensor_variance**0.5, resolution=car.resolution),
         faults=faults,
         reference=reference,
     )

@@ -212,7 +212,7 @@ def loop(
         control="force",
         measured="v",
         noise={"disturbance": cosim.Gaussian(std=car.process_variance**0.5)},
-        sensors=cosim.Sensors(count=car.sensors, std=condition.noise * std),
+        sensors=cosim.Sensors(count=car.sensors, std=condition.noise * std, resolution=car.resolution),
         faults=[*ageing, *faults],
         reference=cosim.Sine(s.amplitude, s.period, offset=s.mean_speed),
     )

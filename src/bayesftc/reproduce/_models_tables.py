@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce._models import FIXED
 from bayesftc.reproduce._models_car import RIGHT, UNKNOWN_LIMIT
-from bayesftc.reproduce._tables import sentence_list, table
+from bayesftc.reproduce._tables import interval_widths, sentence_list, table
 from bayesftc.reproduce._tracking_bench import HEALTHY
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             names,
             lambda cell: _digits(cell[HEALTHY]["ratio"]),
         )
-        yield _widths([(n, c, cells[c][n][HEALTHY]) for c in cells for n in names])
+        yield interval_widths([(n, c, cells[c][n][HEALTHY]) for c in cells for n in names])
         yield _above(report["above_the_bar"][model], settings["bar"])
         judged = [n for n in names if cells[RIGHT][n][HEALTHY]["alarms"]]
         hours = cells[RIGHT][judged[0]][HEALTHY]["alarms"]["fault_free_hours"]
@@ -65,7 +64,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             [FIXED, *names],
             lambda cell, cases=cases: _worst(cell, cases),  # type: ignore[misc]
         )
-        yield _widths([(n, f"{case}, {c}", cells[c][n][case]) for c in cells for n in names for case in cases])
+        yield interval_widths([(n, f"{case}, {c}", cells[c][n][case]) for c in cells for n in names for case in cases])
 
     if report["grid"]:
         yield from _of_the_grid(report)
@@ -133,16 +132,6 @@ def _worst(cell: Mapping[str, Any], cases: list[str]) -> str:
 
 def _digits(x: float) -> str:
     return f"{x:.2f}" if x < 9.995 else f"{x:.1f}" if x < 99.95 else f"{x:.0f}"
-
-
-def _widths(cells: list[tuple[str, str, Mapping[str, Any]]]) -> str:
-    """Return in words how wide the confidence intervals of ratios are, beside the ratios."""
-    halves = {(n, c): (cell["ratio_ci"][1] - cell["ratio_ci"][0]) / 2 / cell["ratio"] for n, c, cell in cells}
-    widest = max(halves, key=halves.__getitem__)
-    return (
-        f"The 95 % intervals are in the JSON file: +-{median(halves.values()):.1%} of the ratio in the median, "
-        f"+-{halves[widest]:.0%} at most ({widest[0]}, {widest[1]})."
-    )
 
 
 def _above(worse: Mapping[str, list[str]], bar: float) -> str:

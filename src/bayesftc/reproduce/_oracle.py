@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers
-from bayesftc.cosim.block import Floats
-from bayesftc.reproduce._statistics import ratio
+from bayesftc.reproduce._statistics import rms_ratio
 from bayesftc.reproduce._tracking_bench import ORACLE, REFERENCES, Bench, Scenario
 
 
@@ -55,15 +54,8 @@ def over_oracle(
             c.name: {
                 "bar": bars[c],
                 "oracle": float(np.sqrt(np.mean(oracle[c][ORACLE] ** 2))),
-                "ratio": {name: _over((found[c] | rest[c])[name], oracle[c][ORACLE]) for name in known},
+                "ratio": {name: rms_ratio((found[c] | rest[c])[name], oracle[c][ORACLE]) for name in known},
             }
             for c in scenarios
         }
     }
-
-
-def _over(ours: Floats, oracles: Floats) -> dict[str, Any]:
-    """Return the ratio of two root mean squares over runs with the same noise."""
-    n = len(ours)
-    squared, bounds = ratio(ours**2, oracles[:n] ** 2)
-    return {"ratio": squared**0.5, "ratio_ci": [max(b, 0.0) ** 0.5 for b in bounds], "n": n}

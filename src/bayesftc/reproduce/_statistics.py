@@ -50,6 +50,24 @@ def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, lis
     return r, [r + low, r + high]
 
 
+def rms_ratio(ours: Floats, theirs: Floats) -> dict[str, Any]:
+    """Return the ratio of two root mean squares over runs with the same noise, and its 95 % confidence interval.
+
+    Parameters
+    ----------
+    ours, theirs : ndarray of shape (runs,)
+        Error of each run; of theirs there may be more, of which the first count.
+
+    Returns
+    -------
+    dict
+        ``ratio``, ``ratio_ci``, ``n`` (number of runs).
+    """
+    n = len(ours)
+    squared, bounds = ratio(ours**2, theirs[:n] ** 2)
+    return {"ratio": squared**0.5, "ratio_ci": [max(b, 0.0) ** 0.5 for b in bounds], "n": n}
+
+
 def outcomes(ours: ArrayLike, theirs: ArrayLike, significance: float) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Return 1 where our mean error is significantly smaller, -1 where it is significantly larger, else 0.
 

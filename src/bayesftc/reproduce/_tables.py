@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from statistics import median
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -37,3 +38,19 @@ def _broken(name: str) -> str:
 def sentence_list(names: Sequence[str]) -> str:
     """Return names as they stand in a sentence: a, b and c."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def interval_widths(cells: Sequence[tuple[str, str, Mapping[str, Any]]]) -> str:
+    """Return in words how wide the confidence intervals of ratios are, beside the ratios.
+
+    Parameters
+    ----------
+    cells : sequence of tuple
+        Row and column of a table, and what the report has of the cell: ``ratio`` and ``ratio_ci``.
+    """
+    halves = {(n, c): (cell["ratio_ci"][1] - cell["ratio_ci"][0]) / 2 / cell["ratio"] for n, c, cell in cells}
+    widest = max(halves, key=halves.__getitem__)
+    return (
+        f"The 95 % intervals are in the JSON file: +-{median(halves.values()):.1%} of the ratio in the median, "
+        f"+-{halves[widest]:.0%} at most ({widest[0]}, {widest[1]})."
+    )

@@ -24,6 +24,8 @@ from bayesftc.reproduce import (
     _arm,
     _arm_figures,
     _arm_tables,
+    _beliefs,
+    _beliefs_tables,
     _bound,
     _bound_figures,
     _bound_tables,
@@ -65,6 +67,7 @@ EXPERIMENTS = {
         Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.FIGURES),
         Experiment("bound", _bound.run, _bound_tables.show, _bound_figures.FIGURES, beyond=True),
         Experiment("models", _models.run, _models_tables.show, _models_figures.FIGURES, beyond=True),
+        Experiment("beliefs", _beliefs.run, _beliefs_tables.show, {}, beyond=True),
     )
 }
 """All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""

@@ -1,0 +1,153 @@
+"""Wrong settings of fault modes, small: which settings a row changes, and its numbers by other ways of computing them."""
+
+import json
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+from sklearn.metrics import roc_auc_score
+
+from bayesftc import controllers, reproduce
+from bayesftc.cosim.errors import ModelError
+from bayesftc.reproduce import _beliefs, _beliefs_tables, _tracking_bench
+from bayesftc.reproduce._ensemble import Ensemble, seeds
+from bayesftc.reproduce._residuals import SWITCHING
+from bayesftc.reproduce._streams import Faults, Streams
+from bayesftc.reproduce._tracking_bench import Bench, Scenario
+from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
+
+FORM = f"{SWITCHING}, per sensor"
+SMALL = Beliefs(
+    runs=2, faults=(("injection", 5.0),), coarse_faults=(("injection", 5.0),), streams=2, sizes=((5.0, 2.0),)
+)
+SHORT = Tracking(duration=1.0, fault_start=0.2, fault_stop=0.8)
+STREAMS = Detection(steps=5_000)
+
+
+FEW = controllers.SwitchingPrecision((controllers.Frozen(), controllers.Offset()), joint=False)
+"""Few modes are compiled soon, and these for the detection experiment as well."""
+
+
+def interpreted(loop, duration, own_seeds, record):
+    """Return runs of a loop without compiling it."""
+    return [loop.simulate(duration, seed=seed, record=record, engine="interpreted") for seed in own_seeds]
+
+
+def small(jobs):
+    """Return a report of one form, whose streams alone are compiled."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_beliefs, "FORMS", {FORM: False})
+        patch.setattr(_beliefs, "switching", lambda settings, joint: FEW)
+        patch.setattr(_tracking_bench, "repeat", interpreted)
+        patch.setattr(Ensemble, "prepare", lambda self, loops: None)
+        return reproduce.beliefs(seed=3, jobs=jobs, settings=SMALL, tracking=SHORT, detection=STREAMS)
+
+
+@pytest.fixture(scope="module")
+def report():
+    return small(2)
+
+
+def test_a_row_changes_the_settings_that_it_names_and_no_others():
+    rows = _beliefs.wrong(controllers.SwitchingPrecision(), 5.0)
+    assert list(rows)[:3] == ["unchanged", "to fault x 5", "to fault / 5"]
+    assert rows["unchanged"] == controllers.SwitchingPrecision()
+    frozen, offset, _, ramping, noisier, _ = rows["times / 5"].modes
+    assert frozen == controllers.Frozen(60.0, 4.0)
+    assert offset == controllers.Offset(60.0, 4.0)
+    frozen, offset, _, ramping, noisier, _ = rows["sizes x 5"].modes
+    assert (frozen, noisier) == (controllers.Frozen(), controllers.Noisier())
+    assert offset == controllers.Offset(jump=25.0)
+    assert ramping == controllers.Ramping(slope=1.5)
+    assert rows["recovery x 5"].modes[3] == controllers.Ramping(time_to_recovery=100.0)
+    assert not any(row.joint for row in _beliefs.wrong(controllers.SwitchingPrecision(joint=False), 2.0).values())
+
+
+def test_coarse_sensors_are_told_their_resolution_rightly_or_wrongly():
+    rows = _beliefs.coarse_learners(Beliefs(), SWITCHING)
+    assert {name: row.modes[0].resolution for name, row in rows.items()} == pytest.approx(
+        {"unchanged": 0.1, "resolution x 5": 0.5, "resolution / 5": 0.02}
+    )
+    assert all(row.modes[1:] == controllers.SwitchingPrecision().modes[1:] for row in rows.values())
+
+
+def test_errors_are_those_of_the_runs(report):
+    """Each run again by itself; the coarse sensors read whole multiples of their resolution."""
+    cell, own = Scenario("injection", "sine", 5.0), seeds(3, "injection/sine", 2)
+    bench = Bench(SHORT, Car(), Ensemble(3))
+    for car, row, learner, table in (
+        (Car(), "sizes / 5", _beliefs.learners(SMALL, FORM)["sizes / 5"], report["errors"]),
+        (
+            Car(resolution=0.1),
+            "resolution x 5",
+            _beliefs.coarse_learners(SMALL, FORM)["resolution x 5"],
+            report["coarse"]["errors"],
+        ),
+    ):
+        this, squares = replace(bench, car=car), []
+        for learns, told in ((learner, False), (controllers.FixedPrecision(), True)):
+            results = interpreted(this.loop(cell, learns, told=told), 1.0, own, None)
+            squares.append(np.mean([np.mean((r["plant.v"][1:] - r["reference.y"][:-1]) ** 2) for r in results]))
+            steps = results[0]["sensors.y"] / 0.1
+            assert np.allclose(steps, np.round(steps)) == bool(car.resolution)
+        entry = table[FORM][row]["injection 5"]
+        assert entry["ratio"] == pytest.approx(np.sqrt(squares[0] / squares[1]), rel=1e-12)
+        assert entry["over_unchanged"] == pytest.approx(
+            entry["ratio"] / table[FORM]["unchanged"]["injection 5"]["ratio"]
+        )
+        assert entry["n"] == 2
+
+
+def test_the_area_is_that_of_scikit_learn(report):
+    learner = _beliefs.wrong(FEW, 5.0)["to fault x 5"]
+    source = Streams(STREAMS, Car())
+    streams = source.run(
+        source.loop(Faults(5.0, 2.0), learner), seeds(3, "beliefs/injection 5, drift 2", 2), [_beliefs.PROBABILITY]
+    )
+    areas = [
+        roc_auc_score(s.faulty[200:].ravel(), s.result["controller.fault_probability"][200:].ravel()) for s in streams
+    ]
+    entry = report["detection"][FORM]["to fault x 5"]["injection 5, drift 2"]
+    assert entry["auc"]["mean"] == pytest.approx(np.mean(areas), rel=1e-12)
+    assert entry["ece"]["ci"][0] < entry["ece"]["mean"] < entry["ece"]["ci"][1]
+    assert 0.0 < entry["ece"]["mean"] < 0.2
+
+
+def test_the_worst_is_the_largest_of_all(report):
+    worst = report["worst"][FORM]
+    tables = (report["errors"][FORM], report["coarse"]["errors"][FORM])
+    every = [entry["over_unchanged"] for table in tables for cells in table.values() for entry in cells.values()]
+    assert worst["over_unchanged"] == max(every) >= 1.0
+    assert any(table.get(worst["row"], {}).get(worst["cell"], {}).get("ratio") == worst["ratio"] for table in tables)
+
+
+def test_the_report_is_the_same_for_any_number_of_jobs_and_says_why(report):
+    assert small(1) == report
+    json.dumps(report, allow_nan=False)
+    for name in vars(SMALL):
+        assert len(report["settings"]["why"][name]) > 5
+
+
+def test_what_is_printed(report):
+    console = Console(file=StringIO(), width=80)
+    for part in _beliefs_tables.show(report):
+        console.print(part)
+    text = console.file.getvalue()
+    for row in (*report["errors"][FORM], *report["coarse"]["errors"][FORM]):
+        assert f"\n {row} " in text  # on one line
+    words = " ".join(text.split())
+    worst = report["worst"][FORM]
+    assert f"in no cell has a row more than {worst['over_unchanged']:.3f} times the error of the first" in words
+
+
+def test_wrong_settings_are_a_sentence():
+    for make, words in (
+        (lambda: Beliefs(factor=1.0), "factor=1.0"),
+        (lambda: Beliefs(resolution=0.0), "resolution=0.0"),
+        (lambda: Beliefs(streams=1), "streams is 1"),
+        (lambda: reproduce.beliefs(settings=Tracking()), "this experiment takes Beliefs"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            make()
