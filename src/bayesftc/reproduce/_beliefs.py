@@ -18,6 +18,7 @@ import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim.probabilities import reliability
+from bayesftc.reproduce._car import model
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import SWITCHING, switching
 from bayesftc.reproduce._roc import auc as area
@@ -87,9 +88,9 @@ def run(
     ensemble = Ensemble(seed, jobs, progress)
     fine = Bench(tracking, car, ensemble)
     coarse = replace(fine, car=replace(car, resolution=settings.resolution))
-    errors, oracle = _tracked(fine, settings.reference, settings.faults, {f: learners(settings, f) for f in FORMS})
+    errors, oracle = _tracked(fine, settings.reference, settings.faults, {f: learners(settings, car, f) for f in FORMS})
     at_coarse, oracle_at_coarse = _tracked(
-        coarse, settings.reference, settings.coarse_faults, {f: coarse_learners(settings, f) for f in FORMS}
+        coarse, settings.reference, settings.coarse_faults, {f: coarse_learners(settings, car, f) for f in FORMS}
     )
     return {
         "settings": {
@@ -109,23 +110,28 @@ def run(
 
 
 def wrong(
-    learner: controllers.SwitchingPrecision, factor: float, of: Mapping[str, Sequence[str]] = SETTINGS
+    learner: controllers.SwitchingPrecision, car: Car, factor: float, of: Mapping[str, Sequence[str]] = SETTINGS
 ) -> dict[str, controllers.SwitchingPrecision]:
-    """Return a learner as it is, and for each row with settings of its modes multiplied and divided by a factor.
+    """Return a learner as it is, and for each row with settings of all its modes multiplied and divided by a factor.
 
     Parameters
     ----------
     learner : SwitchingPrecision
-        What the settings are right for.
+        Whose settings they are.
+    car : Car
+        Whose actuator may fail.
     factor : float
         By how much they are wrong.
     of : mapping
         The settings of each row; modes without one stay as they are.
     """
+    actuators = learner.actuator_modes_of(model(car))
 
     def times(names: Sequence[str], by: float) -> controllers.SwitchingPrecision:
-        changed = [replace(m, **{n: by * getattr(m, n) for n in names if hasattr(m, n)}) for m in learner.modes]
-        return replace(learner, modes=changed)
+        def changed(modes: Sequence[Any]) -> list[Any]:
+            return [replace(m, **{n: by * getattr(m, n) for n in names if hasattr(m, n)}) for m in modes]
+
+        return replace(learner, modes=changed(learner.modes), actuator_modes=changed(actuators))
 
     rows = {UNCHANGED: learner}
     for name, settings in of.items():
@@ -133,18 +139,18 @@ def wrong(
     return rows
 
 
-def learners(settings: Beliefs, form: str) -> Learners:
+def learners(settings: Beliefs, car: Car, form: str) -> Learners:
     """Return the rows of a form, about its default settings."""
-    return wrong(controllers.SwitchingPrecision(joint=FORMS[form]), settings.factor)
+    return wrong(controllers.SwitchingPrecision(joint=FORMS[form]), car, settings.factor)
 
 
-def coarse_learners(settings: Beliefs, form: str) -> Learners:
+def coarse_learners(settings: Beliefs, car: Car, form: str) -> Learners:
     """Return the rows of a form that knows the resolution of coarse sensors, rightly or wrongly."""
     default = controllers.SwitchingPrecision(joint=FORMS[form])
     told = [
         replace(m, resolution=settings.resolution) if isinstance(m, controllers.Frozen) else m for m in default.modes
     ]
-    return wrong(replace(default, modes=told), settings.factor, COARSE_SETTINGS)
+    return wrong(replace(default, modes=told), car, settings.factor, COARSE_SETTINGS)
 
 
 def _tracked(
@@ -187,7 +193,9 @@ def _worst(tables: Iterable[Table]) -> dict[str, Any]:
 
 def _detected(source: Streams, ensemble: Ensemble, settings: Beliefs) -> dict[str, Table]:
     """Return for each form, row and size of the faults AUC and calibration error; the unchanged row knows the true times."""
-    rows = {form: wrong(switching(source.settings, joint), settings.factor) for form, joint in FORMS.items()}
+    rows = {
+        form: wrong(switching(source.settings, joint), source.car, settings.factor) for form, joint in FORMS.items()
+    }
     sizes = {_sizes(*size): Faults(*size) for size in settings.sizes}
     cells = [(form, row, size) for form in FORMS for row, size in product(rows[form], sizes)]
     own = {size: ensemble.seeds(f"beliefs/{size}", settings.streams) for size in sizes}

@@ -455,7 +455,7 @@ class Beliefs(Repeated):
     """Beyond the paper: wrong settings of `SwitchingPrecision`, on the car of `Tracking` and the streams of `Detection`."""
 
     runs: int = chosen(
-        1000,
+        500,
         "of a cell: errors are root mean squares, in which a row that loses the car once in a hundred runs shows; with 200 the "
         "ratio of such a row is known within 40 % only",
     )
