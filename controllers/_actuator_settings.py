@@ -26,27 +26,49 @@ def control_scales(model: LinearModel) -> list[float]:
     return [value**-0.5 if value > 0 else 0.0 for value in information]
 
 
-def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list[float]:
-    """Return the settings of each mode of each actuator, one after the other.
+def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Sequence[str]) -> None:
+    """Refuse modes of controls that cannot be told.
+
+    Parameters
+    ----------
+    modes : sequence of ActuatorMode
+        Of each control.
+    model : LinearModel
+        What the controls move.
+    names : sequence of str
+        What each control is called in a sentence.
 
     Raises
     ------
     ModelError
         If a control moves no state, or none with process noise and a mode expects sizes in its units.
     """
-    settings: list[float] = []
-    for j, scale in enumerate(control_scales(model) if modes else ()):
-        if not model.matrix("B")[:, j].any():
+    for name, effect, scale in zip(names, model.matrix("B").T, control_scales(model), strict=True) if modes else ():
+        if not effect.any():
             raise ModelError(
-                f"SwitchingPrecision has actuator_modes, but control {j} of the model moves no state (column of B): leave that "
-                "control out."
+                f"SwitchingPrecision has actuator_modes, but {name} moves no state (its column of B is zero); leave it out, or "
+                "the actuator modes."
             )
         for mode in modes:
             if mode.absolute and not scale:
                 raise ModelError(
                     f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any state "
-                    f"that control {j} moves; give it a process_covariance there."
+                    f"that {name} moves; give it a process_covariance there."
                 )
+
+
+def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list[float]:
+    """Return the settings of each mode of each actuator, one after the other.
+
+    Raises
+    ------
+    ModelError
+        As of `check_controls`, or if a mode expects no numbers.
+    """
+    check_controls(modes, model, [f"control {j} of the model" for j in range(model.controls)])
+    settings: list[float] = []
+    for scale in control_scales(model) if modes else ():
+        for mode in modes:
             mean, variance, walk = expected_of(mode, scale)
             rates = [chance(mode, name, float(model.step)) for name in ("time_to_fault", "time_to_recovery")]
             settings += [*rates, mean, mode.follows, variance, walk, mode.absolute, mode.relative, mode.takes]
@@ -58,6 +80,7 @@ def chance(mode: FaultMode | ActuatorMode, name: str, step: float) -> float:
     per_sample = step / float(getattr(mode, name))
     if per_sample >= 1:
         raise ModelError(
-            f"{type(mode).__name__} has {name}={getattr(mode, name)!r}, which is not longer than the sample time of {step:g} s."
+            f"{type(mode).__name__} has {name}={getattr(mode, name)!r}, which is not longer than the sample "
+            f"time of {step:g} s; give more seconds, or a shorter sample time."
         )
     return per_sample

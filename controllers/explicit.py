@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 FURTHEST = 1e6
 """Largest error, in standard deviations, that a distance is computed from: its square must stay finite."""
 
+INSTEAD = "do without ExplicitDetection"
+"""What to do where the learner must infer faults together with the state."""
+
 # The memory is a table whose rows are as long as the wrapped learner's memory: that itself, its prior, then, one after the
 # other, for each group whether it has been triggered and for how many samples it has been quiet since, and for each sensor
 # whether a fault is detected. The settings likewise: the wrapped learner's, then HOLD and, for each group, LEARNED, its squared
@@ -193,7 +196,7 @@ class ExplicitDetection(PrecisionLearner):
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        m, wrapped = model.sensors, self.learning.apart("ExplicitDetection").learner(model)
+        m, wrapped = model.sensors, self.learning.apart("ExplicitDetection", INSTEAD).learner(model)
         groups = tuple((i,) for i in range(m)) if self.groups is None else self.groups
         own: list[Floats] = [
             np.array([whole_steps(self.hold, model.step, "ExplicitDetection's hold")], dtype=np.float64)

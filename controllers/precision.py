@@ -17,7 +17,10 @@ To write a precision learner you must:
    takes;
 7. if it detects faults itself, name one of its ports ``detected``, of one number for each sensor (1: detected): ``bayesftc
    run`` takes it for the alarm where there is no probability;
-8. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
+8. if it infers something together with the state (``infer`` of the `Learner`), return from ``apart(who, instead)`` the learner
+   without that, for controllers that learn apart from the state; and if it tells faults of actuators, return from
+   ``actuator_modes_of(model)`` which, for they become signals and a table of a run;
+9. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
 """
 
 from __future__ import annotations
@@ -42,6 +45,9 @@ ERROR_CAP = 1e12
 
 RATE_FLOOR = 1e-12
 """Least rate, in units of its prior: sensors that agree exactly for ever must not become infinitely precise."""
+
+TOGETHER = "take a BayesianController with belief='filtered' or a StateEstimator"
+"""What learns precisions together with the state."""
 
 
 def report_nothing(memory, settings, nominal, first, outputs):
@@ -92,8 +98,15 @@ class PrecisionLearner:
         """
         raise TypeError(f"{type(self).__name__} does not say how it learns: give it a method learner(model).")
 
-    def apart(self, who: str) -> PrecisionLearner:
+    def apart(self, who: str, instead: str = TOGETHER) -> PrecisionLearner:
         """Return it without what can only be inferred together with the state, for ``who`` learns precisions apart from it.
+
+        Parameters
+        ----------
+        who : str
+            What learns apart, as a sentence begins.
+        instead : str
+            What to do instead.
 
         Raises
         ------

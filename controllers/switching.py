@@ -19,7 +19,7 @@ from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
 from bayesftc.controllers.actuator_modes import ACTUATOR_MODES, ActuatorMode
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
-from bayesftc.controllers.precision import Learner, PrecisionLearner
+from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
@@ -97,7 +97,7 @@ class SwitchingPrecision(PrecisionLearner):
         if sum(begins) >= 1:
             raise ModelError(
                 f"SwitchingPrecision has fault modes that begin with a probability of {sum(begins):.3g} together in each sample "
-                f"of {step:g} s; their times to a fault are too short."
+                f"of {step:g} s; their times to a fault are too short: lengthen time_to_fault."
             )
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         own = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
@@ -137,12 +137,12 @@ class SwitchingPrecision(PrecisionLearner):
             infer=self._infer(layout, evidence),
         )  # fmt: skip
 
-    def apart(self, who: str) -> SwitchingPrecision:
+    def apart(self, who: str, instead: str = TOGETHER) -> SwitchingPrecision:
         """See `PrecisionLearner.apart`."""
         if self.actuator_modes:
             raise ModelError(
-                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; take a "
-                "BayesianController with belief='filtered' or a StateEstimator, or leave the actuator modes out."
+                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; {instead}, or leave "
+                "the actuator modes out."
             )
         return replace(self, actuator_modes=())
 
@@ -183,7 +183,7 @@ class SwitchingPrecision(PrecisionLearner):
             raise ModelError(
                 f"The offsets of {model.sensors} sensors and the actuators' faults begin with a probability of {begins:.3g} "
                 f"together in each sample of {step:g} s; their times to a fault are too short for the joint form of "
-                "SwitchingPrecision."
+                "SwitchingPrecision: lengthen time_to_fault, or take joint=False."
             )
         slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
         spans = [

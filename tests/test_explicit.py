@@ -239,6 +239,12 @@ def test_learned_on_a_healthy_run_of_the_shipped_car():
         (lambda: ExplicitDetection(hold=0.03).learner(MODEL), "take 0.02 s or 0.04 s"),
         (lambda: ExplicitDetection(hold=0.011).learner(MODEL), r"no whole number of steps of 0\.02 s; take 0\.02 s\.$"),
         (lambda: ExplicitDetection(threshold=np.array(4.0)), "it must be a number above 0"),
+        (
+            lambda: ExplicitDetection(
+                controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
+            ).learner(MODEL),
+            "cannot be told; do without ExplicitDetection, or leave the actuator modes out",
+        ),
         (lambda: ExplicitDetection(groups=[]), "give a list of groups"),
         (lambda: ExplicitDetection(groups=[0, 1]), "each a list of sensors by their numbers"),
         (lambda: ExplicitDetection(groups="01"), "each a list of sensors by their numbers"),

@@ -20,13 +20,14 @@ ENGINE: dict[str | None, cosim.Fault] = {
 SENSOR: dict[str | None, cosim.Fault] = {"5 m/s more": cosim.Bias(magnitude=5.0, start=START, stop=STOP)}
 SINE = cosim.Sine(amplitude=10.0, period=8.0, offset=20.0)
 CASES = [(engine, None) for engine in ENGINE] + [(None, "5 m/s more"), ("1500 N more", "5 m/s more"), (None, None)]
+MODES = (InputOffset, LostEffect, StuckActuator)
 LEARNERS = {
     "FixedPrecision": FixedPrecision(),
-    "sensor faults only": SwitchingPrecision(actuator_modes=()),
     "SwitchingPrecision": SwitchingPrecision(),
+    "with actuator modes": SwitchingPrecision(actuator_modes=[mode() for mode in MODES]),
 }
-OFTEN = SwitchingPrecision(actuator_modes=[InputOffset(60.0), LostEffect(60.0), StuckActuator(60.0)])
-"""The same if engines failed in each way every minute, 50 times as often as is believed by default."""
+OFTEN = SwitchingPrecision(actuator_modes=[mode(time_to_fault=60.0) for mode in MODES])
+"""The same if engines failed as often as sensors."""
 
 
 def main(runs: int = 20) -> dict[tuple[str | None, str | None], dict[str, float]]:
@@ -39,7 +40,7 @@ def main(runs: int = 20) -> dict[tuple[str | None, str | None], dict[str, float]
         for name, precision in LEARNERS.items():
             diagram = cruise_control(precision, SENSOR.get(sensor), SINE, ENGINE.get(engine))
             signals = ["plant.v", "reference.y", "controller.fault_probability"]
-            signals += ["controller.actuator_fault_probability"] * (name == "SwitchingPrecision")
+            signals += ["controller.actuator_fault_probability"] * (name == "with actuator modes")
             results = [diagram.simulate(DURATION, seed=seed, record=signals) for seed in range(runs)]
             during = (results[0].time > START) & (results[0].time <= STOP)
             errors = [(r["plant.v"][1:] - r["reference.y"][:-1])[during[1:]] for r in results]
