@@ -49,6 +49,7 @@ def as_fault_modes(given: object) -> tuple[FaultMode, ...]:
                 f"{name}.evidence has the arguments {', '.join(names) or '(none)'}; it must be a step function with exactly "
                 f"these, in this order: {form}."
             )
+        _check_call(mode, "settings", "model, sensor")
     return modes
 
 
@@ -68,13 +69,7 @@ def as_actuator_modes(given: object) -> tuple[ActuatorMode, ...]:
             raise ModelError(
                 f"The actuator mode {name} does not say what to expect; give it a method expected(self, scale)."
             )
-        try:
-            signature(mode.expected).bind(1.0)
-        except TypeError:
-            raise ModelError(
-                f"{name}.expected is called as expected(scale), but it is expected{signature(mode.expected)}; write it as "
-                "expected(self, scale)."
-            ) from None
+        _check_call(mode, "expected", "scale")
         if not (mode.absolute or mode.relative or mode.takes):
             raise ModelError(
                 f"The actuator mode {name} does not say how it acts: the plant would get u as ever; set absolute, relative or "
@@ -155,7 +150,25 @@ def settings_of(mode: FaultMode, told: object) -> Floats:
         raise ModelError(
             f"{name}.evidence returned {density!r}; it must return one number, the logarithm of a density."
         )
+    if not density < np.inf:  # -inf is a sample that cannot be
+        raise ModelError(
+            f"{name}.evidence returned {float(density)} for an ordinary sample; it must be the logarithm of a density, a number."
+        )
     return settings
+
+
+def _check_call(mode: Mode, method: str, arguments: str) -> None:
+    """Refuse a mode whose method cannot be called with these arguments."""
+    name, call = f"{type(mode).__name__}.{method}", f"{method}({arguments})"
+    function = getattr(mode, method)
+    if not callable(function):
+        raise ModelError(f"{name} is {function!r}; it must be a method {method}(self, {arguments}).")
+    try:
+        signature(function).bind(*arguments.split(", "))
+    except TypeError:
+        raise ModelError(
+            f"{name} is called as {call}, but it is {method}{signature(function)}; write it as {method}(self, {arguments})."
+        ) from None
 
 
 def _listed(given: object, kind: type[Mode], title: str, wanted: str) -> tuple[Mode, ...]:

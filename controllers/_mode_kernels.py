@@ -39,7 +39,9 @@ def drops(e, present, variance, nominal, change, healthy, memory, at, settings, 
         Logarithm of the sample's density if the sensor is healthy.
     memory : array
         What is kept; the mode's block begins at the place ``at``. ``memory[at + ENTERED]`` is the probability that the mode
-        begins with this sample, if it is the sensor's mode at all.
+        begins with this sample, if it is the sensor's mode at all: only to be read. It may write the precision in nominal ones
+        that the sample deserves (``memory[at + TRUST]``), the fault's size (``SIZE``), a factor of the density beside the
+        logarithm that it returns (``FACTOR``), and its own numbers from ``memory[at + OWN]`` on.
     settings : array
         The mode's settings stand from the place ``first`` on.
     """

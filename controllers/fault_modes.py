@@ -7,15 +7,9 @@ To write one you must:
 
        glitches(e, present, variance, nominal, change, healthy, memory, at, settings, first)
 
-   It returns the logarithm of a sample's density if the sensor has failed in this way. ``e`` is the innovation (the sample
-   minus its prediction; 0 if it is missing), ``present`` 1 or 0 (0: what it returns does not count), ``variance`` that of a
-   healthy sensor's innovation, ``nominal`` the sensor's noise in it, ``change`` the sample minus the last one that there was
-   (NaN: there is none), ``healthy`` the logarithm of the density of a healthy sensor's sample. It may write
-   ``memory[at + TRUST]`` (the precision, relative to the nominal one, that the sample deserves), ``memory[at + SIZE]`` (the
-   fault's size), ``memory[at + FACTOR]`` (a factor of the density beside that logarithm) and its own numbers from
-   ``memory[at + OWN]`` on. It reads the mode's settings as ``settings[first]``, ``settings[first + 1]``, ... A fault that
-   begins is not told from one that has been there: ``memory[at + ENTERED]`` is the share of the former. These places and
-   `log_density` can be imported from here; the mathematics comes from `bayesftc.cosim.ops`, as in every step function;
+   It returns the logarithm of a sample's density if the sensor has failed in this way. What the arguments are, and what it may
+   write, say `drops` in ``_mode_kernels.py`` and the table of ``docs/extend.md``. The places in its memory (`TRUST`, `SIZE`,
+   ...) and `log_density` can be imported from here; the mathematics comes from `bayesftc.cosim.ops`, as in every step function;
 3. return from the property ``first`` what it keeps before the first sample (trust, size, own numbers), and from
    ``settings(model, sensor)`` its settings for one sensor.
 

@@ -9,7 +9,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy import integrate, special, stats
 
-from bayesftc import controllers
+from bayesftc import controllers, scenario
 from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision, fault_modes
 from bayesftc.controllers._mode_kernels import drops, scatters, shifts
 from bayesftc.controllers._special import squared_gamma_half_step
@@ -86,6 +86,18 @@ def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
 def jumped(e, nominal, variance):
     """Return the density of an innovation at the onset of an offset of jump 3, or of as much as the innovation itself."""
     return stats.norm.pdf(e, scale=np.sqrt(variance + max(9 * nominal, e * e)))
+
+
+def test_a_missing_sample_tells_nothing_but_that_it_is_missing():
+    """All modes but the drop-out lose samples as often as a healthy sensor: only time passes, whatever a mode would have said."""
+    modes = (Offset(10.0, 5.0), Noisier(10.0, 5.0), Frozen(10.0, 5.0))
+    rows = np.column_stack([[20.3, 23.0, 14.5, 26.0, np.nan, np.nan, np.nan]] * 2)
+    said = [p[0] for p, *_ in learned(SwitchingPrecision(modes, loss=0.3), rows)]
+    before, enter, leave = said[3], 3 * STEP / 10.0, STEP / 5.0
+    assert 0.1 < before < 0.9999
+    for now in said[4:]:
+        before = before * (1 - leave) + (1 - before) * enter
+        assert now == pytest.approx(before, rel=1e-9)
 
 
 @pytest.mark.parametrize("joint", [True, False])
@@ -253,6 +265,25 @@ def test_a_mode_of_ones_own():
     assert probabilities[2][1] < 0.01
 
 
+@pytest.mark.parametrize("mode", controllers.FAULT_MODES, ids=lambda c: c.__name__)
+def test_every_listed_mode_is_tried_and_runs_and_can_be_said(mode, tmp_path):
+    """Beside an offset, in both forms; a scenario file says it by its name."""
+    assert getattr(controllers, mode.__name__) is mode
+    for joint in (True, False):
+        precision = SwitchingPrecision((mode(time_to_fault=60.0), Offset()), joint=joint)
+        assert precision.learner(MODEL).memory.size
+        step = controllers.StateEstimator(MODEL, precision, initial_mean=20.0).online(compiled=False)
+        for y in ([20.3, 19.8], [20.3, np.nan], [25.0, 21.0]):
+            out = step(y=y, u=[100.0])
+            assert np.isfinite(out.fault_probability).all()
+            np.testing.assert_allclose(out.mode_probability.sum(axis=1), 1.0, rtol=1e-9)
+    text = scenario.load_scenario("cruise_control").path.read_text(encoding="utf-8")
+    text = text[: text.index("[controller.precision]")] + '[controller.precision]\nkind = "SwitchingPrecision"\n'
+    file = tmp_path / "car.toml"
+    file.write_text(f'{text}modes = [{{ kind = "{mode.__name__}", time_to_fault = 9 }}]\n', encoding="utf-8")
+    assert scenario.load_scenario(file).controller.precision.modes == (mode(time_to_fault=9.0),)
+
+
 def test_the_page_and_the_module_say_how_a_mode_is_called():
     page = (Path(__file__).resolve().parents[1] / "docs" / "extend.md").read_text(encoding="utf-8")
     arguments = f"({', '.join(argument_names(drops))})"
@@ -277,6 +308,10 @@ def silent(e, present, variance, nominal, change, healthy, memory, at, settings,
     memory[at + SIZE] = e
 
 
+def unknown(e, present, variance, nominal, change, healthy, memory, at, settings, first):
+    return memory[at + SIZE] * e
+
+
 def grasping(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     return healthy + memory[at + OWN]
 
@@ -294,6 +329,12 @@ def grasping(e, present, variance, nominal, change, healthy, memory, at, setting
         ({"evidence": grasping}, "Wrong.evidence reaches beyond .*: its own are 6 numbers"),
         ({"evidence": glitches}, "Wrong.evidence reaches beyond .* and 0 from settings"),
         ({"evidence": glitches, "settings": lambda self, model, i: "no"}, "What Wrong.settings returned is 'no'"),
+        (
+            {"evidence": glitches, "settings": lambda self, model: (1.0,)},
+            r"Wrong.settings is called as settings\(model, sen",
+        ),
+        ({"evidence": glitches, "settings": (1.0,)}, r"Wrong.settings is \(1.0,\); it must be a method"),
+        ({"evidence": unknown}, "Wrong.evidence returned nan for an ordinary sample"),
         ({"evidence": glitches, "first": (0.0,)}, "Wrong.first is .* at least two numbers"),
         ({"evidence": glitches, "first": lambda self: (0.0, 0.0)}, "Wrong.first .* must be a property"),
     ],
@@ -381,9 +422,10 @@ def test_insurance_costs_nothing_on_healthy_sensors():
         (lambda: SwitchingPrecision(loss=(0.1, 0.1, 0.1)).learner(MODEL), "must be a vector of 2"),
         (
             lambda: SwitchingPrecision(modes=(Offset(time_to_fault=0.01),)).learner(MODEL),
-            "not longer than the sample time",
+            "not longer than the sample time of .*; give more seconds",
         ),
-        (lambda: SwitchingPrecision(modes=(Offset(0.03), Frozen(0.03))).learner(MODEL), "too short"),
+        (lambda: SwitchingPrecision(modes=(Offset(0.03), Frozen(0.03))).learner(MODEL), "too short: lengthen time_to_"),
+        (lambda: SwitchingPrecision(modes=(Offset(0.03),)).learner(MODEL), "for the joint form .* or take joint=False"),
         (lambda: Offset(jump=-1.0), "Offset has jump=-1.0"),
         (lambda: Frozen(repeats=1.0), "repeats=1.0"),
         (lambda: Frozen(resolution=(0.1, -1.0)), "resolution=-1.0"),
