@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -120,10 +120,11 @@ def learn_modes(
     """
     start = SwitchingPrecision() if precision is None else precision
     if not isinstance(start, SwitchingPrecision):
-        raise ModelError(f"learn_modes learns the modes of a SwitchingPrecision, not {start!r}.")
+        raise ModelError(f"learn_modes learns the modes of a SwitchingPrecision, not of a {type(start).__name__}.")
+    given = _listed(recordings, model)
     as_number("learn_modes has iterations", iterations, least=1, whole=True)
     StateEstimator(model, start)  # a model or settings that do not fit are named here, not after the first recording
-    runs = [_checked(number, run, model) for number, run in enumerate(recordings)]
+    runs = [_checked(number, run, model) for number, run in enumerate(given)]
     if not runs:
         raise ModelError("learn_modes has no recording to learn from; give at least one RecordedRun.")
     start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes])
@@ -140,6 +141,24 @@ def learn_modes(
     return LearnedModes(
         now, onsets, recoveries, tuple(step * s for s in faulty), step * max(healthy), tuple(likelihood), settled
     )
+
+
+def _listed(recordings: object, model: object) -> list[RecordedRun]:
+    """Return the recordings, or say by its type what was given in place of them or of the model: numbers would fill a page."""
+    if not isinstance(model, LinearModel):
+        raise ModelError(
+            f"learn_modes needs a LinearModel after the recordings, not something of the type {type(model).__name__}."
+        )
+    several = isinstance(recordings, Iterable) and not isinstance(recordings, RecordedRun)
+    runs: list[RecordedRun] = []
+    for run in recordings if several else [recordings]:  # type: ignore[attr-defined]
+        if not several or not isinstance(run, RecordedRun):
+            what = "a recording" if several else "recordings"
+            raise ModelError(
+                f"learn_modes has {what} of the type {type(run).__name__}; give a list of RecordedRun, as [RecordedRun(y, u)]."
+            )
+        runs.append(run)
+    return runs
 
 
 def _checked(number: int, run: RecordedRun, model: LinearModel) -> RecordedRun:

@@ -256,6 +256,17 @@ def test_equal_samples_beyond_the_resolution_are_freezes():
         (lambda: learn_modes([RecordedRun([[1.0]])], still(1.0), FixedPrecision()), "modes of a SwitchingPrecision"),
         (lambda: learn_modes([RecordedRun([[1.0]])], still(1.0), iterations=0), "iterations=0"),
         (lambda: learn_modes([RecordedRun([[1.0]])], None), "needs a LinearModel"),
+        (
+            lambda: learn_modes(RecordedRun([[1.0]]), still(1.0)),
+            "has recordings of the type RecordedRun; give a list of",
+        ),
+        (lambda: learn_modes([[[1.0]]], still(1.0)), "has a recording of the type list; give a list of Rec"),
+        (lambda: learn_modes(3, still(1.0)), "has recordings of the type int; give a list of Rec"),
+        (
+            lambda: learn_modes(still(1.0), [RecordedRun([[1.0]])]),
+            r"LinearModel after the recordings, not .* the type list\.$",
+        ),
+        (lambda: learn_modes([RecordedRun([[1.0]])], SwitchingPrecision(), still(1.0)), r"not of a LinearModel\.$"),
         (lambda: find_resolution("fine"), "The samples is 'fine'"),
     ],
 )
