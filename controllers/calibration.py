@@ -123,8 +123,10 @@ def calibrate(
     chosen = GammaPrecision() if precision is None else precision
     if not isinstance(chosen, RateLearner):
         known = " or ".join(cls.__name__ for cls in LEARNERS if issubclass(cls, RateLearner))
+        told = " and gives a fault probability itself" if getattr(chosen, "why_no_probability", "") is None else ""
         raise ModelError(
-            f"calibrate cannot calibrate {chosen!r}, which has no rate; give it a learner with one: {known}."
+            f"calibrate cannot calibrate {type(chosen).__name__}, which has no rate{told}; "
+            f"give it a learner with one: {known}."
         )
     learner: RateLearner = replace(chosen, calibration=None)  # type: ignore[call-arg]
     if steps < 5_000:

@@ -39,3 +39,9 @@ def test_only_learners_with_a_rate_are_calibrated(tmp_path):
     assert done.exit_code == 9
     for words in (str(other), "cannot calibrate SERFDI", "has no rate", "GammaPrecision"):
         assert words in done.output
+    other.write_text(re.sub(r'kind = "GammaPrecision"[\s\S]*', 'kind = "SwitchingPrecision"\n', text), encoding="utf-8")
+    said = " ".join(RUNNER.invoke(app, ["calibrate", str(other)]).output.split())
+    assert (
+        "cannot calibrate SwitchingPrecision, which has no rate and gives a fault probability itself; give it" in said
+    )
+    assert "modes" not in said
