@@ -270,6 +270,11 @@ def _learner_and_model(
     precision: GammaPrecision | None, model: LinearModel | BayesianController | StateEstimator | None
 ) -> tuple[GammaPrecision, LinearModel | None]:
     learner: object = precision
+    if isinstance(precision, LinearModel | BayesianController | StateEstimator):
+        raise ModelError(
+            f"detectability got a {type(precision).__name__} as its precision; the learner comes first: detectability(precision, "
+            "model), or detectability(model=...)."
+        )
     if isinstance(model, BayesianController | StateEstimator):
         if isinstance(model, BayesianController) and model.belief != "filtered":
             raise ModelError(

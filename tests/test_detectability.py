@@ -197,6 +197,7 @@ def test_what_cannot_be_answered():
     for options, sentence in (
         ({"precision": GammaPrecision(forgetting=None)}, "grows for ever"),
         ({"precision": controllers.FixedPrecision()}, "GammaPrecision alone"),
+        ({"precision": CAR, "model": GammaPrecision()}, "the learner comes first: detectability"),
         ({"model": 3.0}, "needs a LinearModel"),
         ({"model": CAR, "dt": 0.1}, "leave dt out"),
         ({"model": CAR, "sensor": 2}, "at most 1"),
