@@ -247,6 +247,16 @@ def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
     assert "the goal leaks" in check["verdict"]
 
 
+def test_state_and_faults_inferred_together_are_told_apart_from_filterpys(bayesftc_, tmp_path):
+    text = CAR[: CAR.index("[controller.precision]")] + '[controller.precision]\nkind = "SwitchingPrecision"\n'
+    for joint, agrees in (("true", False), ("false", True)):
+        (tmp_path / "car.toml").write_text(f"{text}joint = {joint}\n")
+        done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "8", "--check-kalman", "--json")
+        check = json.loads(done.output)["kalman"]
+        assert check["agrees"] is agrees
+        assert ("infers state and faults together" in check["verdict"]) is not agrees
+
+
 def test_check_kalman_says_before_the_run_what_it_cannot_do(bayesftc_, tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "loop_signals", lambda *_: pytest.fail("the run was made"))
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", "seed = 1\ndecimation = 5"))

@@ -20,6 +20,7 @@ from bayesftc.cosim.roles import LoopSignals, loop_signals
 from bayesftc.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
+    from bayesftc.controllers import BayesianController
     from bayesftc.cosim.block import Floats
     from bayesftc.cosim.diagram import Diagram
     from bayesftc.cosim.result import Result
@@ -205,7 +206,7 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]
         raise type(error)(f"--check-kalman: {error}") from None
     except np.linalg.LinAlgError:  # a belief that diverges has filterpy invert what cannot be inverted
         check = {**dict.fromkeys(DIFFERENCES, float("nan")), "steps": len(result.time)}
-    agrees, verdict = _verdict(check, scenario.controller.belief)
+    agrees, verdict = _verdict(check, scenario.controller)
     if agrees is None:
         for what, signal in (("mean", "x_hat"), ("covariance", "P")):
             if when := _first_not_finite(result[f"controller.{signal}"], result.time):
@@ -216,7 +217,7 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]
     return plain
 
 
-def _verdict(check: Mapping[str, float], belief: str) -> tuple[bool | None, str]:
+def _verdict(check: Mapping[str, float], controller: BayesianController) -> tuple[bool | None, str]:
     """Return whether the belief agrees with filterpy's, None if that cannot be said, and a sentence on it."""
     # Where the absolute difference is zero the relative one is zero too, or zero by zero.
     pairs = (("mean_difference", "mean_absolute"), ("covariance_difference", "covariance_absolute"))
@@ -227,8 +228,13 @@ def _verdict(check: Mapping[str, float], belief: str) -> tuple[bool | None, str]
     if largest <= AGREEMENT:
         return True, "The belief agrees with filterpy to 1e-9."
     sentence = f"The belief does NOT agree with filterpy: the largest relative difference is {largest:.2g}."
-    if belief == "joint":
+    if controller.belief == "joint":
         sentence += ' That is by design of belief = "joint", into which the goal leaks; belief = "filtered" agrees.'
+    elif controller.precision.learner(controller.model).infer is not None:
+        sentence += (
+            f" That is by design of this {type(controller.precision).__name__}, which infers state and faults together: no "
+            "Kalman filter with its R does so; joint = false agrees."
+        )
     return False, sentence
 
 
