@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers._bank_layout import LOAD, WORKS, Layout
+from bayesftc.controllers._bank_layout import LOAD, PUSHES, STEERS, WORKS, Layout
 from bayesftc.controllers._bank_samples import make_conclude, make_summarise, make_weigh
 from bayesftc.controllers._bank_time import make_pass_time
 from bayesftc.controllers._switching_kernels import failed, use_trust
@@ -58,8 +58,9 @@ def make_infer(
             use_trust(memory, sensor, i, present, nominal, R, used, precision, beta)
             fault_probability[i] = failed(memory, i * sensor, width, faults)
         for j in range(p):
-            works[j] = memory[actuators + j * actuator + WORKS]
-            load[j] = memory[actuators + j * actuator + LOAD]
+            own = actuators + j * actuator
+            works[0, j], load[0, j] = memory[own + WORKS], memory[own + LOAD]
+            works[1, j], load[1, j] = memory[own + STEERS], memory[own + PUSHES]
         memory[count] = memory[count] + 1.0
 
     return infer

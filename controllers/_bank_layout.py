@@ -14,8 +14,9 @@ ACTUATOR_SETTINGS = 9
 BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACTUATOR_SETTINGS)
 """Places in the settings of one mode of one actuator."""
 
-WORKS, LOAD, OF_MODES = 0, 1, 2
-"""What is kept of an actuator: how much of the control arrives, what is added to it, then of each mode probability and size."""
+WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)
+"""What is kept of an actuator: how much of the control arrives and what is added to it, on average; the same as the control
+counts on it; then of each mode probability and size."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class Layout:
         N = self.n + 2
         # Nothing is known of actuators where a controller judges sensor by sensor.
         actuator = np.full(self.actuator, np.nan)
-        actuator[[WORKS, LOAD]] = 1.0, 0.0
+        actuator[[WORKS, LOAD, STEERS, PUSHES]] = 1.0, 0.0, 1.0, 0.0
         hypothesis = np.zeros(self.length)
         hypothesis[self.kept :] = sensors
         hypotheses = np.tile(hypothesis, (self.hypotheses + 1, 1))  # the last one is the pool

@@ -11,7 +11,9 @@ from bayesftc.controllers._bank_layout import (
     ACTUATOR_SETTINGS,
     LOAD,
     OF_MODES,
+    PUSHES,
     RELATIVE,
+    STEERS,
     TAKES,
     WORKS,
     Layout,
@@ -149,11 +151,13 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
 def make_summarise(layout: Layout) -> Callable[..., None]:
     """Return the step function that says of each sensor what the per-sensor form says, in the same places, and of each actuator.
 
-    Of an actuator it keeps how the plant is expected to get the control u: ``works u + load``.
+    Of an actuator it keeps how the plant is expected to get the control u, ``works u + load``; and the same such that the
+    expected squared distance from the goal is least: there a hypothesis counts as far as it lets the control through, so that
+    nothing is asked of an actuator that is stuck.
     """
     n, m, p, H, K, L = layout.n, layout.m, layout.p, layout.hypotheses, len(layout.kinds), layout.actuator_modes
     kinds, sensor, modes, width = layout.kinds or (0,), layout.sensor, layout.modes, layout.width
-    none, stride, kept = layout.first, layout.length, layout.kept
+    none, stride, kept, N = layout.first, layout.length, layout.kept, layout.n + 2
     actuators, actuator, of_actuators = layout.actuators, layout.actuator, m * layout.row + 1
 
     def summarise(y, present, memory, settings):
@@ -192,17 +196,27 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 memory[block + TRUST] = trusted / weight
         for j in range(p):
             own = actuators + j * actuator
-            works, load = 1.0 + 0.0 * memory[none], 0.0 * memory[none]
+            healthy = 1.0 + 0.0 * memory[none]
+            works, load = 0.0 * healthy, 0.0 * healthy
+            squared, pushed = 0.0 * healthy, 0.0 * healthy
             for q in range(L):
                 at = none + (1 + m * K + j * L + q) * stride
                 row = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
                 c = memory[at + STATE + n]
-                works = works + memory[at] * (settings[row + TAKES] + settings[row + RELATIVE] * c)
-                load = load + memory[at] * settings[row + ABSOLUTE] * c
+                through = maximum(1.0 + settings[row + TAKES] + settings[row + RELATIVE] * c, 0.0)
+                added = settings[row + ABSOLUTE] * c
+                part = memory[at] * through
+                healthy = healthy - memory[at]
+                works, load = works + part, load + memory[at] * added
+                spread = settings[row + RELATIVE] * settings[row + RELATIVE] * memory[at + STATE + N + n * N + n]
+                squared, pushed = squared + part * through + memory[at] * spread, pushed + part * added
                 memory[own + OF_MODES + 2 * q] = memory[at]
                 memory[own + OF_MODES + 2 * q + 1] = c
-            memory[own + WORKS] = maximum(minimum(works, MOST_EFFECT), LEAST_EFFECT)
-            memory[own + LOAD] = load
+            healthy = maximum(healthy, LEAST)
+            memory[own + WORKS], memory[own + LOAD] = works + healthy, load
+            part = 1.0 / (works + healthy)
+            memory[own + STEERS] = maximum(minimum((squared + healthy) * part, MOST_EFFECT), LEAST_EFFECT)
+            memory[own + PUSHES] = pushed * part
 
     return summarise
 

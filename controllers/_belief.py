@@ -40,15 +40,18 @@ def make_ways(
 
 
 def plan(goal, works, load, GB, sought, GBw):
-    """Leave to the control what is left to do: of each control ``works`` arrives, and ``load`` is there without it."""
+    """Leave to the control what is left to do: of each control ``works`` arrives, and ``load`` is there without it.
+
+    Their first row is what is expected, their second one what the control counts on.
+    """
     for i in range(sought.shape[0]):
         sought[i] = goal[i]
-        for j in range(works.shape[0]):
-            sought[i] = sought[i] - GB[i, j] * load[j]
-            GBw[i, j] = GB[i, j] * works[j]
+        for j in range(works.shape[1]):
+            sought[i] = sought[i] - GB[i, j] * load[1, j]
+            GBw[i, j] = GB[i, j] * works[1, j]
 
 
 def arrive(applied, works, load, effective):
     """Compute what of the control arrives at the plant."""
     for j in range(applied.shape[0]):
-        effective[j] = works[j] * applied[j] + load[j]
+        effective[j] = works[0, j] * applied[j] + load[0, j]

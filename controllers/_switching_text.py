@@ -42,7 +42,8 @@ return most + log(total)
 _WEIGH_MODE = """\
 block{k}, own = at + {block}, row + {settings}
 told{k} = mode{k}(error, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
-told{k} = select(present > 0.5, settings[own + MODE_ARRIVES] + told{k}, settings[own + MODE_MISSING])\
+told{k} = select(present > 0.5, settings[own + MODE_ARRIVES] + told{k}, settings[own + MODE_MISSING])
+factor{k} = select(present > 0.5, memory[block{k} + FACTOR], 1.0)\
 """
 
 _LEARN = """
@@ -104,7 +105,7 @@ def sensor_functions(
     weighing = _WEIGH.format(
         modes=lines(_WEIGH_MODE),
         most=_paired(["told", *of_modes("told{k}")], "maximum({}, {})"),
-        weights=lines("weight{k} = memory[block{k} + WEIGHT] * memory[block{k} + FACTOR] * share_of(told{k}, most)"),
+        weights=lines("weight{k} = memory[block{k} + WEIGHT] * factor{k} * share_of(told{k}, most)"),
         total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
         probabilities=lines("memory[block{k} + WEIGHT] = weight{k} * part + LEAST"),
         trust=_paired(["healthy", *of_modes("weight{k} * memory[block{k} + TRUST]")], "({} + {})"),

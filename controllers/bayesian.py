@@ -17,7 +17,7 @@ from bayesftc.controllers._belief import arrive, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import Learner
+from bayesftc.controllers.precision import Learner, PrecisionLearner
 from bayesftc.cosim.block import Definition, Floats
 from bayesftc.cosim.errors import ModelError
 
@@ -131,13 +131,19 @@ class BayesianController(BayesianBlock):
         self._learner()  # settings that do not fit the model fail here, not in the loop
         self._warn_if_unstable()
 
+    @property
+    def actuator_kinds(self) -> tuple[str, ...]:
+        """Names of the ways in which actuators can fail that the precision learner tells."""
+        return tuple(type(mode).__name__ for mode in self._precision.actuator_modes_of(self.model))
+
+    @property
+    def _precision(self) -> PrecisionLearner:
+        # With belief="joint" what the goal says counts as known of the state, by which no actuator can be judged.
+        who = "A BayesianController with belief='joint'"
+        return self.precision.apart(who) if self.belief == "joint" else self.precision
+
     def _learner(self) -> Learner:
-        precision = self.precision
-        if (
-            self.belief == "joint"
-        ):  # what the goal says counts as known of the state, by which no actuator can be judged
-            precision = precision.apart("A BayesianController with belief='joint'")
-        return precision.learner(self.model)
+        return self._precision.learner(self.model)
 
     @property
     def measurement_matrix(self) -> Floats:
@@ -157,7 +163,7 @@ class BayesianController(BayesianBlock):
             "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
             "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n),
             "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
-            "load": (p,), "effective": (p,), "sought": (g,), "GBw": (g, p),
+            "load": (2, p), "effective": (p,), "sought": (g,), "GBw": (g, p),
         }  # fmt: skip
         joint = self.belief == "joint"
         folding = {
@@ -174,7 +180,7 @@ class BayesianController(BayesianBlock):
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), "works": np.ones(p),
+            "work": np.zeros((learner.work, m, m)), "works": np.ones((2, p)),
             **{name: np.zeros(shape) for name, shape in scratch.items()},
         }  # fmt: skip
         fold = _filter.fold_goal if joint else _filter.keep_belief

@@ -159,11 +159,11 @@ class StateEstimator(Block):
         scratch = {
             "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
             "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n),
-            "load": (p,), "effective": (p,),
+            "load": (2, p), "effective": (p,),
         }  # fmt: skip
         state: dict[str, Any] = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), "works": np.ones(p),
+            "work": np.zeros((learner.work, m, m)), "works": np.ones((2, p)),
             **{name: np.zeros(shape) for name, shape in scratch.items()},
         }  # fmt: skip
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))

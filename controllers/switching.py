@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayesftc.controllers import _switching_kernels as kernels
-from bayesftc.controllers._actuator_settings import actuator_settings, chance, control_scales
+from bayesftc.controllers._actuator_settings import actuator_settings, chance
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags
 from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
-from bayesftc.controllers.actuator_modes import ACTUATOR_MODES, ActuatorMode
+from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
 from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
 from bayesftc.cosim.errors import ModelError
@@ -58,13 +58,13 @@ class SwitchingPrecision(PrecisionLearner):
         every step (a slow one) the share of the steps without a sample.
     joint : bool
         Whether offsets are estimated together with the state. The per-sensor form is faster and tells slow drifts later.
-    actuator_modes : sequence of ActuatorMode, optional
-        The ways in which each actuator or the process can fail, in the joint form; ``()`` for none. By default all of
-        `ACTUATOR_MODES` where that form applies and each control moves a state that has process noise, so that sensors are not
-        blamed for what the model does not know of the plant; else none. With them there are, for each actuator, the outputs
-        ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``, ``actuator_fault_kind``
-        (the most probable mode by its number, 0: healthy) and ``actuator_fault_size`` (of that mode: its c, see there; NaN of a
-        healthy one); and the control makes up for what is lost and added.
+    actuator_modes : sequence of ActuatorMode
+        The ways in which each actuator or the process can fail, see `ACTUATOR_MODES`; in the joint form. Then there are, for each
+        actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``,
+        ``actuator_fault_kind`` (the most probable mode by its number, 0: healthy) and ``actuator_fault_size`` (of that mode: its
+        c, see there; NaN of a healthy one); and the control makes up for what is lost and added: give the controller its limits,
+        ``u_min`` and ``u_max``. By default there is none: an actuator that is slower than the model says looks failed as well,
+        and to make up for that can make the loop unstable.
 
     Raises
     ------
@@ -76,13 +76,12 @@ class SwitchingPrecision(PrecisionLearner):
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Noisier(), DroppedOut())
     loss: float | Sequence[float] = 0.01
     joint: bool = True
-    actuator_modes: Sequence[ActuatorMode] | None = None
+    actuator_modes: Sequence[ActuatorMode] = ()
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
         object.__setattr__(self, "modes", as_fault_modes(self.modes))
-        if self.actuator_modes is not None:
-            object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
+        object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
         loss = self.loss
         each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
         for value in each:
@@ -131,7 +130,7 @@ class SwitchingPrecision(PrecisionLearner):
             ports.append(Port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
             ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
-        settings += [step, *actuator_settings(self.actuator_modes_of(model), model)]
+        settings += [step, *actuator_settings(self.actuator_modes, model)]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
@@ -144,14 +143,11 @@ class SwitchingPrecision(PrecisionLearner):
                 f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; {instead}, or leave "
                 "the actuator modes out."
             )
-        return replace(self, actuator_modes=())
+        return self
 
     def actuator_modes_of(self, model: LinearModel) -> tuple[ActuatorMode, ...]:
-        """Return the actuator modes that are told with a model: those that were given, or by default all where that can be."""
-        if self.actuator_modes is not None:
-            return tuple(self.actuator_modes)
-        told = self._is_joint(model) and bool(self._kinds) and all(control_scales(model))
-        return tuple(mode() for mode in ACTUATOR_MODES) if told else ()
+        """See `PrecisionLearner.actuator_modes_of`."""
+        return tuple(self.actuator_modes)
 
     @property
     def _faults(self) -> tuple[int, ...]:
@@ -168,7 +164,7 @@ class SwitchingPrecision(PrecisionLearner):
 
     def _layout(self, model: LinearModel, width: int, settings: int) -> Layout | None:
         """Return the layout of the joint form's bank, if it is that form."""
-        kinds, actuator_modes = self._kinds, self.actuator_modes_of(model)
+        kinds, actuator_modes = self._kinds, self.actuator_modes
         if not self._is_joint(model) or not (kinds or actuator_modes):
             if actuator_modes:
                 raise ModelError(

@@ -346,8 +346,7 @@ def _actuators(reader: _Reader, brain: Node) -> tuple[ActuatorSignals, ...]:
         if origin is not None and (origin[0].node.name, origin[0].port.name) == (brain.name, "u"):
             faulty = _any([none, *(reader.flags(f"{fault.name}.active") for fault, _ in chain)])
             led.setdefault(origin[1], (_element(port, i), port.unit, faulty))
-    block: Any = brain.block  # it says something of its actuators, so it has a learner and a model
-    kinds = tuple(type(mode).__name__ for mode in block.precision.actuator_modes_of(block.model))
+    kinds = getattr(brain.block, "actuator_kinds", ())
     return tuple(
         ActuatorSignals(*led.get(j, (f"control {j}", None, none)), known, kind[j], size[j], kinds)
         for j, known in enumerate(probability)

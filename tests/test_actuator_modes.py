@@ -31,29 +31,16 @@ def test_all_modes_are_here():
 
 
 CORRELATED = LinearModel([[A]], [[B]], [[1.0], [1.0]], Q, [[1.0, 0.5], [0.5, 1.0]], STEP)
-STILL = LinearModel([[A]], [[0.0]], [[1.0], [1.0]], Q, 1.0, STEP)
-CERTAIN = LinearModel([[A]], [[B]], [[1.0], [1.0]], 0.0, 1.0, STEP)
 
 
-@pytest.mark.parametrize(
-    ("precision", "model", "known"),
-    [
-        (SwitchingPrecision(), MODEL, 3),
-        (SwitchingPrecision(actuator_modes=()), MODEL, 0),
-        (SwitchingPrecision(actuator_modes=[LostEffect()]), MODEL, 1),
-        (SwitchingPrecision(joint=False), MODEL, 0),
-        (SwitchingPrecision([controllers.Frozen()]), MODEL, 0),
-        (SwitchingPrecision(), CORRELATED, 0),
-        (SwitchingPrecision(), STILL, 0),
-        (SwitchingPrecision(), CERTAIN, 0),
-        (controllers.GammaPrecision(), MODEL, 0),
-    ],
-)
-def test_by_default_faults_of_actuators_are_told_where_they_can_be(precision, model, known):
-    assert len(precision.actuator_modes_of(model)) == known
-    ports = {port.name: port.shape for port in StateEstimator(model, precision).outputs}
-    assert ports.get("actuator_mode_probability") == ((1, 1 + known) if known else None)
-    StateEstimator(model, precision, initial_covariance=1.0).online(compiled=False)(y=[0.1, 0.2], u=[0.0])
+@pytest.mark.parametrize("modes", [(), MODES[1:2], MODES])
+def test_there_are_outputs_for_the_modes_that_were_given(modes):
+    """By default none: what a plant does that is slower than its model is no reason to ask for more control."""
+    precision = SwitchingPrecision(actuator_modes=modes) if modes else SwitchingPrecision()
+    assert precision.actuator_modes_of(MODEL) == tuple(modes)
+    ports = {port.name: port.shape for port in StateEstimator(MODEL, precision).outputs}
+    assert ports.get("actuator_mode_probability") == ((1, 1 + len(modes)) if modes else None)
+    assert BayesianController(MODEL, precision=precision).actuator_kinds == tuple(type(mode).__name__ for mode in modes)
 
 
 @pytest.mark.parametrize("kind", ACTUATOR_MODES)
@@ -126,7 +113,7 @@ def test_faults_of_actuators_are_told_from_those_of_sensors_and_made_up_for(kind
         np.testing.assert_allclose(out.actuator_mode_probability.sum(), 1.0, rtol=1e-9)
 
 
-@pytest.mark.parametrize(("share", "times"), [(0.5, 2.0), (1.0, 10.0), (-1.0, 0.5)])
+@pytest.mark.parametrize(("share", "times"), [(0.5, 2.0), (0.95, 10.0), (-1.0, 0.5)])
 def test_a_lost_share_is_made_up_for_by_ten_times_the_control_at_most_and_within_its_limits(share, times):
     lost = LostEffect(AT_ONCE, NEVER, share=share, spread=1e-6, walk=0.0)
     switching = SwitchingPrecision((controllers.Offset(NEVER, NEVER),), loss=1e-9, actuator_modes=(lost,))
@@ -231,7 +218,7 @@ APART = {
 @pytest.mark.parametrize("who", APART)
 def test_who_learns_precisions_apart_from_the_state_refuses_faults_of_actuators(who):
     APART[who](SwitchingPrecision())  # those of sensors it takes
-    with pytest.raises(ModelError, match=f"^{who} learns precisions apart .* belief='filtered'"):
+    with pytest.raises(ModelError, match=f"^{who} learns precisions apart .* leave the actuator modes out"):
         APART[who](SwitchingPrecision(actuator_modes=MODES))
 
 
@@ -300,7 +287,7 @@ class Idle(Lone):
             lambda: SwitchingPrecision(actuator_modes=MODES).learner(
                 LinearModel(np.eye(2), [[0.0], [1.0]], np.eye(2), [1.0, 0.0], 1.0, STEP)
             ),
-            "has none on any state that control 0 moves",
+            "has none on any state that control 0 of the model moves",
         ),
         (
             lambda: SwitchingPrecision(actuator_modes=(LostEffect(),)).learner(

@@ -63,7 +63,7 @@ def test_drifts_of_two_sensors_are_told_apart_as_by_filterpys_interacting_models
         rows.append(x + np.sqrt(NOISE) * rng.normal(size=2) + [0.0, 0.15 * max(0, k - 30)])
         x = A * x + np.sqrt(Q) * rng.normal()
     slope, time_to_fault = 0.1, 2.0
-    precision = SwitchingPrecision((Drifting(time_to_fault, NEVER, slope=slope),), loss=1e-9, actuator_modes=())
+    precision = SwitchingPrecision((Drifting(time_to_fault, NEVER, slope=slope),), loss=1e-9)
     for out, (mean, variance, mu) in zip(
         inferred(precision, rows), imm(np.array(rows), slope, time_to_fault), strict=True
     ):

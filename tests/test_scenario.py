@@ -80,6 +80,7 @@ def test_every_actuator_mode_can_be_said(write, mode):
     text = CAR[: CAR.index("[controller.precision]")] + '[controller.precision]\nkind = "SwitchingPrecision"\n'
     scenario = load_scenario(write(text=f'{text}actuator_modes = [{{ kind = "{mode.__name__}", time_to_fault = 9 }}]'))
     assert scenario.controller.precision.actuator_modes == (mode(time_to_fault=9.0),)
+    assert load_scenario(write(text=f"{text}actuator_modes = []")).controller.precision.actuator_modes == ()
 
 
 def test_nested_tables_become_blocks(write):

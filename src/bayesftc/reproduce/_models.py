@@ -164,11 +164,13 @@ def run(
 
 
 def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
-    """Return the tracking experiment's techniques, and one that cannot blame the actuator for what is not as it believes."""
+    """Return the tracking experiment's techniques, and those that may blame the actuator for what is not as they believe."""
     known = techniques(Tracking())
     if not beyond:
         return {name: known[name] for name in PAPERS}
-    return {**known, f"{SWITCHING}, sensors only": controllers.SwitchingPrecision(actuator_modes=())}
+    modes = [controllers.InputOffset(), controllers.LostEffect(), controllers.StuckActuator()]
+    given = {"input offset": modes[:1], "actuator modes": modes}
+    return known | {f"{SWITCHING}, {name}": controllers.SwitchingPrecision(actuator_modes=of) for name, of in given.items()}
 
 
 @dataclass(frozen=True)

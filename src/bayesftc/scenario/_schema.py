@@ -95,6 +95,8 @@ def convert(value: object, hint: Any, place: Place) -> Any:
             else convert(item, hint, place / i)
             for i, item in enumerate(value)
         )
+    if value == [] and classes and _is_sequence(hint):
+        return ()
     plain = _writable(hint)
     if plain is NoneType and not classes:
         raise place.error("cannot be said in a scenario file; leave it out, or build this loop in a Python script.")
