@@ -251,8 +251,7 @@ def _shade(axis: Axes, signals: LoopSignals) -> None:
 
 
 def _name_faults(axis: Axes, signals: LoopSignals) -> None:
-    """Write each fault's name above its period, in as many rows as they need, or one note where there are too many."""
-    style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
+    """Write each fault's name above its period, or one note where there are too many."""
     faults = [
         (a, b, f"sensor {i}: {_kind(name, '', f'_{i}')}", _colour(i))
         for name, (i, active) in signals.faults.items()
@@ -265,19 +264,27 @@ def _name_faults(axis: Axes, signals: LoopSignals) -> None:
         if active is not None
         for a, b in periods(active)
     ]
-    length = float(signals.time[-1] - signals.time[0]) if len(signals.time) else 0.0
+    named = [(float(signals.time[a]), float(signals.time[b - 1]), text, colour) for a, b, text, colour in faults]
+    _name_spans(axis, signals.time, named, "faults")
+
+
+def _name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str) -> None:
+    """Write names above spans of time, each with its begin, end and colour, in as many rows as they need.
+
+    Where they would need too many, one note says how many of ``what`` are shaded.
+    """
+    style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
+    first, last = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
     rows: list[float] = []  # where the last name of each row ends
     names = []
-    for a, b, text, colour in sorted(faults):
-        middle = 0.5 * float(signals.time[a] + signals.time[b - 1])
-        half = 0.5 * LETTER * length * (len(text) + 2)
-        row = next((i for i, end in enumerate(rows) if end <= middle - half), len(rows))
+    for begin, end, text, colour in sorted(spans):
+        half = 0.5 * LETTER * (last - first) * (len(text) + 2)
+        middle = max(min(0.5 * (begin + end), last - half), min(first + half, 0.5 * (first + last)))
+        row = next((i for i, until in enumerate(rows) if until <= middle - half), len(rows))
         rows[row : row + 1] = [middle + half]
         names.append((middle, 1.02 + 0.1 * row, text, colour))
     if len(rows) > MOST_ROWS:
-        axis.text(
-            signals.time[0], 1.02, f"shaded: {len(faults)} faults, in the colour of their sensor", color="0.3", **style
-        )
+        axis.text(first, 1.02, f"shaded: {len(names)} {what}, in the colour of their sensor", color="0.3", **style)
         return
     for middle, height, text, colour in names:
         axis.text(middle, height, text, ha="center", color=colour, **style)

@@ -76,13 +76,13 @@ def test_faults_of_an_actuator_are_shown_beside_the_sensors(tmp_path):
     table.loc[(table.t >= 45) & (table.t < 52), "b"] += 1.5
     table.to_csv(tmp_path / "tank.csv", index=False)
     text = MODEL[: MODEL.index("[sensors.c]")].replace('"RandomWalk"\nstd = 0.1', '"Integrator"\nstd = 0.05')
-    text += '[inputs.pump]\n[precision]\nkind = "SwitchingPrecision"\n'
+    text += '[inputs.pump]\nunit = "l/s"\n[precision]\nkind = "SwitchingPrecision"\n'
     text += 'actuator_modes = [{ kind = "InputOffset", jump = 50.0 }, { kind = "LostEffect" }]\n'
     (tmp_path / "tank.toml").write_text(text, encoding="utf-8")
     arguments = [str(tmp_path / "tank.csv"), "--model", str(tmp_path / "tank.toml"), "--out", str(tmp_path / "out")]
     done = RUNNER.invoke(app, ["monitor", *arguments])
     assert done.exit_code == 0, done.output
-    assert "actuator pump   InputOffset" in done.output
+    (row,) = (line for line in done.output.splitlines() if "actuator pump   InputOffset" in line)
     report = json.loads((tmp_path / "out" / "faults.json").read_text(encoding="utf-8"))
     assert [(e["sensor"], e["kind"]) for e in report["faults"]] == [("b", "Offset")]
     (blamed,) = report["actuator_faults"]
@@ -90,6 +90,7 @@ def test_faults_of_an_actuator_are_shown_beside_the_sensors(tmp_path):
     assert blamed["start"] == pytest.approx(20.0, abs=2.0)
     assert blamed["end"] == pytest.approx(35.0, abs=2.0)
     assert blamed["size"] == pytest.approx(0.8, abs=0.15)
+    assert row.rstrip().endswith(f"{blamed['size']:.3g} l/s")
     written = pd.read_csv(tmp_path / "out" / "probabilities.csv")
     assert list(written.columns) == ["t", "a", "a_kind", "b", "b_kind", "actuator_pump", "actuator_pump_kind"]
     assert report["actuators"]["pump"] == {

@@ -1,26 +1,31 @@
 """Recordings at their own times, the model file, the likelihood, and what a monitor finds."""
 
 from dataclasses import replace
+from fractions import Fraction
+from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy import linalg, stats
 
-from bayesftc.controllers import Burst, FixedPrecision, LinearModel, Noisier, SwitchingPrecision
+from bayesftc.controllers import Burst, Drifting, FixedPrecision, LinearModel, Noisier, Offset, SwitchingPrecision
 from bayesftc.cosim.errors import BayesFTCError, ModelError, RecordingError
 from bayesftc.monitoring import (
+    ActuatorEvent,
     Alarm,
     ConstantRate,
+    FaultEvent,
     Integrator,
     Matrices,
     RandomWalk,
+    Recording,
     Signal,
     align,
     load_monitor,
     log_likelihood,
     monitor_recording,
 )
-from bayesftc.monitoring._alarms import alarms
+from bayesftc.monitoring._alarms import alarms, sensor_events
 
 DT = 0.05
 
@@ -277,6 +282,52 @@ def test_an_alarm_holds_over_short_gaps():
     assert alarms(p, 0.5, 0) == [(1, 2), (3, 4), (7, 9)]
     assert alarms(p, 0.5, 3) == [(1, 9)]
     assert alarms(0 * p, 0.5, 3) == []
+
+
+def test_an_onset_is_never_after_the_alarm_whose_kind_has_changed():
+    """First an offset, then, from the sixth step on, a drift, whose own onset is the sixth step."""
+    n = 10
+    recording = Recording(5.0, Fraction(1), ("a",), np.zeros((n, 1)), np.zeros((n, 1)), (0.01,), (0.0,), (0,), ("m",))
+    drifts = np.arange(n) >= 6
+    signals = {
+        "fault_probability": (np.arange(n) >= 3)[:, None].astype(float),
+        "mode_probability": np.stack([np.zeros(n), ~drifts, drifts], axis=1)[:, None].astype(float),
+        "fault_size": np.full((n, 1), 2.0),
+        "fault_onset": np.where(drifts, 6.0, 2.0)[:, None],
+    }
+    (event,) = sensor_events(recording, signals, (Offset(), Drifting()), Alarm())
+    assert (event.kind, event.start, event.onset) == ("Drifting", 8.0, 8.0)
+    signals["fault_onset"][:] = 2.0
+    (event,) = sensor_events(recording, signals, (Offset(), Drifting()), Alarm())
+    assert event.onset == 7.0
+
+
+def test_names_of_alarms_say_whose_and_do_not_overlap(tmp_path):
+    found = found_in(tmp_path, drive(2.0))
+    spans = [("left", 0.4, 1.0), ("right", 0.5, 0.9), ("gnss", 1.8, 2.0)]
+    events = tuple(FaultEvent(sensor, begin, end, 1.0, "Offset") for sensor, begin, end in spans)
+    figure = replace(
+        found, events=events, actuator_events=(ActuatorEvent("accel", 0.3, 0.9, 1.0, "InputOffset"),)
+    ).plot()
+    figure.draw_without_rendering()
+    names = figure.axes[0].texts
+    assert {t.get_text() for t in names} == {"left: Offset", "right: Offset", "gnss: Offset", "accel: InputOffset"}
+    boxes = [t.get_window_extent() for t in names]
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert max(box.x1 for box in boxes) <= figure.axes[0].get_window_extent().x1 + 1
+
+
+@pytest.mark.parametrize("noisy", ["covariance", "effect"])
+def test_an_input_whose_faults_cannot_be_told_is_called_by_its_name(noisy, tmp_path):
+    B, Q = ("[[0.05]]", "[[0.0]]") if noisy == "covariance" else ("[[0.0]]", "[[1e-4]]")
+    text = MODEL.replace(
+        'kind = "Integrator"\nstd = 0.05', f'kind = "Matrices"\nA = [[1.0]]\nB = {B}\nprocess_covariance = {Q}'
+    )
+    text = text.replace("error_std = 1.0\nerror_walk = 0.02\n", "")
+    text += '[precision]\nkind = "SwitchingPrecision"\nactuator_modes = [{ kind = "InputOffset" }]\n'
+    _, file = write(tmp_path, drive(1.0), text)
+    with pytest.raises(ModelError, match="the input 'accel' moves"):
+        load_monitor(file)
 
 
 def test_own_modes_and_losses_of_the_file(tmp_path):

@@ -129,13 +129,15 @@ def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> No
 def _faults(found: Monitored) -> Table:
     """Return the table of all alarms."""
     table = output.empty_table("kind", "onset (s)", "alarm (s)", "size")
-    units = dict(zip(found.recording.sensors, found.recording.units, strict=True))
+    recording = found.recording
+    units = dict(zip(recording.sensors, recording.units, strict=True))
+    input_units = dict(zip(recording.inputs, recording.input_units, strict=False))
     for event in found.events:
         onset = output.DASH if event.onset is None else f"{event.onset:.2f}"
         size = _size(event, units[event.sensor])
         table.add_row(event.sensor, event.kind or output.DASH, onset, _span(event), size)
     for blamed in found.actuator_events:
-        size = output.DASH if blamed.size is None else f"{blamed.size:.3g}"
+        size = _size(blamed, "" if blamed.kind == "LostEffect" else input_units.get(blamed.actuator, ""))
         table.add_row(f"actuator {blamed.actuator}", blamed.kind, output.DASH, _span(blamed), size)
     return table
 
@@ -144,7 +146,7 @@ def _span(event: FaultEvent | ActuatorEvent) -> str:
     return f"{event.start:.2f} to {event.end:.2f}"
 
 
-def _size(event: FaultEvent, unit: str) -> str:
+def _size(event: FaultEvent | ActuatorEvent, unit: str) -> str:
     if event.size is None:
         return output.DASH
     return f"x {event.size:.3g}" if event.kind == "Noisier" else f"{event.size:.3g} {unit}".rstrip()

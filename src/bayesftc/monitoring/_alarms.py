@@ -54,7 +54,8 @@ class FaultEvent:
     kind : str or None
         The fault mode that was most probable when it ended, if the learner knows modes.
     onset : float or None
-        When it is taken to have begun, in seconds of the recording.
+        When it is taken to have begun, in seconds of the recording; at the latest when the alarm started, for the kind may
+        have changed meanwhile, and the learner knows the onset of the last one only.
     size : float or None
         Of the fault when it ended: an offset in the sensor's unit; of a noisier sensor its noise in nominal ones.
     """
@@ -131,7 +132,7 @@ def sensor_events(
             sensor,
             *span,
             kind=type(modes[kind - 1]).__name__,
-            onset=float(time[0]) + onset if np.isfinite(onset) else None,
+            onset=min(float(time[0]) + onset, span[0]) if np.isfinite(onset) else None,
             size=size if np.isfinite(size) else None,
         )
 

@@ -74,11 +74,14 @@ class Input(Column):
         Standard deviation of its own unknown error at the beginning; 0 if it has none.
     error_walk : float
         Standard deviation of that error's change in a second.
+    unit : str
+        Of its samples, for tables.
     """
 
     smooth: float = 0.0
     error_std: float = 0.0
     error_walk: float = 0.0
+    unit: str = ""
 
     def __post_init__(self) -> None:
         for name in ("error_std", "error_walk"):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.plotting import BLACK, LINES, MARKERS, SENSOR_COLOURS, _close, _legend, _panels, _thin
+from bayesftc.cosim.plotting import BLACK, LINES, MARKERS, SENSOR_COLOURS, _close, _legend, _name_spans, _panels, _thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 
     from bayesftc.cosim.block import Floats
     from bayesftc.monitoring._run import Monitored
-
-MOST_NAMES = 10
-"""More alarms than this are shaded, but their kinds are not written above."""
 
 
 def plot_monitored(found: Monitored) -> Figure:
@@ -61,12 +58,17 @@ def plot_monitored(found: Monitored) -> Figure:
             axis.axvspan(blamed.start, blamed.end, fc="none", ec="0.8", hatch="///", lw=0, zorder=0)
     for axis in (*axes[:-2], axes[-1]):
         _legend(axis)
-    names = [(e.start, e.kind or "", _colour(found.recording.sensors.index(e.sensor))) for e in found.events]
-    names += [(e.start, f"{e.actuator}: {e.kind}", "0.35") for e in found.actuator_events]
-    if len(names) <= MOST_NAMES:
-        for start, kind, colour in names:
-            style = {"fontsize": 8, "ha": "left", "va": "bottom", "color": colour}
-            axes[0].text(start, 1.01, kind, transform=axes[0].get_xaxis_transform(), **style)
+    names = [
+        (
+            e.start,
+            e.end,
+            f"{e.sensor}: {e.kind}" if e.kind else e.sensor,
+            _colour(found.recording.sensors.index(e.sensor)),
+        )
+        for e in found.events
+    ]
+    names += [(e.start, e.end, f"{e.actuator}: {e.kind}", "0.35") for e in found.actuator_events]
+    _name_spans(axes[0], found.time, names, "alarms")
     _close(axes, found.time)
     return figure
 

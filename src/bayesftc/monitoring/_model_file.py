@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bayesftc.controllers._actuator_settings import check_controls
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.controllers.switching import SwitchingPrecision
@@ -85,6 +86,10 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     with root.named():
         model = monitor.model
         if precision is not None:
+            if monitor.inputs:
+                check_controls(
+                    precision.actuator_modes_of(model), model, [f"the input {name!r}" for name in monitor.inputs]
+                )
             precision.learner(model)
     return monitor
 

@@ -139,7 +139,10 @@ class Monitor:
 
         return (
             {name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit) for name, s in self.sensors.items()},
-            {name: signal(name, i, "input", smooth=i.smooth, resolution=0.0) for name, i in self.inputs.items()},
+            {
+                name: signal(name, i, "input", smooth=i.smooth, resolution=0.0, unit=i.unit)
+                for name, i in self.inputs.items()
+            },
         )
 
     def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:

@@ -114,8 +114,8 @@ class Recording:
         How many samples of each sensor were left out because a later one fell on the same step.
     units : tuple of str
         Of each sensor; empty if not known.
-    inputs : tuple of str
-        Names of the inputs.
+    inputs, input_units : tuple of str
+        Names of the inputs, and the unit of each.
     """
 
     start: float
@@ -128,6 +128,7 @@ class Recording:
     replaced: tuple[int, ...]
     units: tuple[str, ...]
     inputs: tuple[str, ...] = ()
+    input_units: tuple[str, ...] = ()
 
     @property
     def time(self) -> Floats:
@@ -184,8 +185,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     resolution, units = zip(
         *((float(signal.resolution or 0.0), signal.unit) for signal in sensors.values()), strict=True
     )
-    names = tuple(sensors), tuple(inputs)
-    return Recording(start, step, names[0], y, u, tuple(loss), resolution, tuple(replaced), units, names[1])
+    of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
+    return Recording(start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units, *of_inputs)
 
 
 def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tuple[float, float]:

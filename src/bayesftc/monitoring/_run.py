@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from bayesftc.controllers._actuator_settings import check_controls
 from bayesftc.controllers._checks import Matrix
 from bayesftc.controllers._recorded import estimate
 from bayesftc.controllers.estimator import StateEstimator
@@ -152,9 +153,12 @@ def monitor_recording(
         )
     if precision is None:
         precision = default_precision(recording.loss, recording.resolution)
+    actuators = recording.inputs or tuple(f"input {j}" for j in range(model.controls))
+    actuator_modes = precision.actuator_modes_of(model)
+    check_controls(actuator_modes, model, [f"the input {name!r}" for name in actuators])
     estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
     known = precision if isinstance(precision, SwitchingPrecision) else None
-    modes, actuator_modes = known.modes if known else (), precision.actuator_modes_of(model)
+    modes = known.modes if known else ()
     names = ["x_hat", "innovation", "fault_probability"]
     names += ["mode_probability", "fault_size", "fault_onset"] if modes else []
     names += [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if actuator_modes else []
@@ -173,7 +177,6 @@ def monitor_recording(
     )
     if not actuator_modes:
         return found
-    actuators = recording.inputs or tuple(f"input {j}" for j in range(model.controls))
     return replace(
         found,
         actuators=actuators,
