@@ -6,6 +6,7 @@ so that they can be told apart in black and white. Legends stand beside the pane
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,8 @@ MOST_ROWS = 3
 LETTER = 0.0115
 """Width of a letter of those names, as a share of the panel's."""
 WIDTH, PANEL = 8.0, 2.1
+LONGEST = 24
+"""More letters than this a label has not beside a panel."""
 
 
 def plot_signals(result: Result, signals: Iterable[str] | None = None) -> Figure:
@@ -43,7 +46,7 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None) -> Figure
     result : Result
         The run.
     signals : iterable of str, optional
-        Names of signals; by default all scalars and vectors.
+        Names of signals; by default all scalars and vectors that have a number at some time.
 
     Returns
     -------
@@ -56,7 +59,7 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None) -> Figure
         If the result has no signal of one of the names.
     """
     if signals is None:
-        signals = [name for name in result if result[name].ndim < 3]
+        signals = [name for name in result if result[name].ndim < 3 and not np.isnan(result[name]).all()]
     panels: dict[str, list[tuple[str, Floats]]] = {}
     for name in [signals] if isinstance(signals, str) else signals:
         values = result[name]
@@ -69,7 +72,9 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None) -> Figure
         for i, (label, values) in enumerate(lines):
             style = LINES[i // len(colours) % len(LINES)]
             axis.plot(*_thin(result.time, values), style, color=colours[i % len(colours)], lw=1.1, label=label)
-        axis.set_ylabel(key)
+        axis.set_ylabel(_broken(key))
+        if all(np.isnan(values).all() for _, values in lines):
+            axis.text(0.5, 0.5, "no value", transform=axis.transAxes, ha="center", color="0.35")
         _legend(axis)
     _close(axes, result.time)
     return figure
@@ -108,6 +113,16 @@ def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
     if title:
         figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
+
+
+def _broken(label: str) -> str:
+    """Return a label in lines that are no longer than a panel is high, broken after points and underscores."""
+    lines = [""]
+    for part in re.findall(r"[^._]*[._]?", label):
+        if lines[-1] and len(lines[-1]) + len(part) > LONGEST:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
 
 
 def _draw_quantity(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) -> None:
@@ -307,6 +322,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
         axis.grid(True, color="0.9", lw=0.6)
         axis.set_axisbelow(True)
         axis.tick_params(labelsize=8)
+        axis.ticklabel_format(useOffset=False)
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
     return figure, list(axes)

@@ -144,10 +144,27 @@ def test_signals_by_unit():
     assert names(figure.axes[2]) == ["controller.precision[0]", "controller.precision[1]"]
     assert len(result.plot("plant.v").axes) == 1
     assert sum(len(axis.lines) for axis in result.plot().axes) == sum(
-        result[name].size // len(result.time) for name in result if result[name].ndim < 3
+        result[name].size // len(result.time)
+        for name in result
+        if result[name].ndim < 3 and np.isfinite(result[name]).any()
     )
     with pytest.raises(UnknownNameError, match=r"did you mean 'plant\.v'"):
         result.plot(["plant.w"])
+
+
+def test_signals_without_a_number_long_names_and_small_changes():
+    rows = np.array([[1000.0 + 0.001 * k, np.nan, k] for k in range(5)])
+    names_of = {"a.actuator_fault_probability": (2, ()), "a.none": (1, ()), "a.large": (0, ())}
+    result = cosim.Result(rows, names_of, cosim.Diagram(0.1).step)
+    figure = result.plot()
+    figure.draw_without_rendering()
+    assert [axis.get_ylabel() for axis in figure.axes] == ["a.actuator_fault_\nprobability", "a.large"]
+    assert figure.axes[1].yaxis.get_offset_text().get_text() == ""
+    assert figure.axes[1].yaxis.get_ticklabels()[1].get_text().startswith("1000.0")
+    heights = [(axis.yaxis.label.get_window_extent().height, axis.bbox.height) for axis in figure.axes]
+    assert all(label < 1.1 * panel for label, panel in heights)
+    (panel,) = result.plot("a.none").axes
+    assert [t.get_text() for t in panel.texts] == ["no value"]
 
 
 def _integrator():
