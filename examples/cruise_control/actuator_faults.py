@@ -8,7 +8,15 @@ import sys
 import numpy as np
 
 from bayesftc import cosim
-from bayesftc.controllers import FixedPrecision, InputOffset, LostEffect, StuckActuator, SwitchingPrecision
+from bayesftc.controllers import (
+    BayesianController,
+    FixedPrecision,
+    InputOffset,
+    LinearModel,
+    LostEffect,
+    StuckActuator,
+    SwitchingPrecision,
+)
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
 START, STOP, DURATION = 6.0, 14.0, 20.0
@@ -69,7 +77,37 @@ def insurance(runs: int = 20) -> dict[str, float]:
     return price
 
 
+def slow_engine(
+    runs: int = 5, lags: tuple[float, ...] = (0.1, 0.3, 0.5), steps: int = 600
+) -> dict[float, dict[str, float]]:
+    """Print and return the tracking errors where the engine answers with a lag (s) that the controller does not know of."""
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], process_covariance=0.001, sensor_covariance=1.0, dt=0.02)
+    goal = 20.0 + 5.0 * np.sin(0.016 * np.arange(steps + 1))
+    table: dict[float, dict[str, float]] = {}
+    for lag in lags:
+        table[lag] = {}
+        for name, precision in {
+            **LEARNERS,
+            "InputOffset alone": SwitchingPrecision(actuator_modes=[InputOffset()]),
+        }.items():
+            squares = []
+            for seed in range(runs):
+                noise, speed, force = np.random.default_rng(seed), 20.0, 0.0
+                step = BayesianController(model, precision=precision, initial_mean=20.0).online()
+                for k in range(steps):
+                    out = step(y=list(speed + noise.normal(size=2)), goal=goal[k + 1 : k + 2])
+                    squares.append((speed - goal[k]) ** 2)
+                    force += 0.02 / lag * (out.u[0] - force)
+                    speed = 0.999 * speed + 2e-4 * force + 0.001**0.5 * noise.normal()
+            table[lag][name] = float(np.mean(squares) ** 0.5)
+        print(
+            f"Engine slower by {lag:g} s: " + ", ".join(f"{name} {error:.3g} m/s" for name, error in table[lag].items())
+        )
+    return table
+
+
 if __name__ == "__main__":
     chosen = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     main(chosen)
     insurance(3 * chosen)
+    slow_engine()
