@@ -42,7 +42,7 @@ class SwitchingPrecision(PrecisionLearner):
     probable mode by its number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard
     deviation of a noisier sensor in nominal ones; NaN where there is none) and ``fault_onset`` (time in seconds since the first
     sample; NaN of a healthy sensor); and ``log_density``, the logarithm of the density of these samples after those before,
-    whose sum over a recording says how well the settings explain it (a pseudo-likelihood where an offset is larger than expected).
+    whose sum over a recording says how well the settings explain it (a pseudo-likelihood where an offset exceeds its `jump`).
 
     In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
     slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs. It
