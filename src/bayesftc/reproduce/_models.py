@@ -170,7 +170,9 @@ def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
         return {name: known[name] for name in PAPERS}
     modes = [controllers.InputOffset(), controllers.LostEffect(), controllers.StuckActuator()]
     given = {"input offset": modes[:1], "actuator modes": modes}
-    return known | {f"{SWITCHING}, {name}": controllers.SwitchingPrecision(actuator_modes=of) for name, of in given.items()}
+    return known | {
+        f"{SWITCHING}, {name}": controllers.SwitchingPrecision(actuator_modes=of) for name, of in given.items()
+    }
 
 
 @dataclass(frozen=True)
