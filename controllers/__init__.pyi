@@ -42,6 +42,7 @@ from .precision import (
     Learner as Learner,
     PrecisionLearner as PrecisionLearner,
 )
+from .process_modes import NoisierProcess as NoisierProcess
 from .registry import CONTROLLERS as CONTROLLERS, LAWS as LAWS, LEARNERS as LEARNERS
 from .residuals import (
     beta_residual as beta_residual,

@@ -148,6 +148,14 @@ def blend_healthy(memory, at, part, first, width, modes):
         memory[weight] = maximum((1.0 - part) * memory[weight], LEAST)
 
 
+def inflate(memory, at, n, more, Q):
+    """Add so much of the process noise to what a hypothesis does not know of the state."""
+    P = at + STATE + n + 2
+    for a in range(n):
+        for b in range(n):
+            memory[P + a * (n + 2) + b] = memory[P + a * (n + 2) + b] + more * Q[a, b]
+
+
 def expect(memory, at, n, offset, reads, sensor, C, direction):
     """Compute the covariance of z with what a sensor reads of it (at ``direction``); return the variance of that and its mean.
 

@@ -14,6 +14,10 @@ ACTUATOR_SETTINGS = 9
 BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACTUATOR_SETTINGS)
 """Places in the settings of one mode of one actuator."""
 
+PROCESS_SETTINGS = 3
+STARTS, STOPS, MORE = range(PROCESS_SETTINGS)
+"""Places in the settings of one mode of the process: probabilities that it begins and ends, the variance that it adds."""
+
 WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)
 """What is kept of an actuator: how much of the control arrives and what is added to it, on average; the same as the control
 counts on it; then of each mode probability and size."""
@@ -24,8 +28,9 @@ class Layout:
     """The numbers of a bank.
 
     The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
-    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator), the pool, and
-    scratch space. The settings are those of the per-sensor form, then those of each mode of each actuator.
+    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator; each of the
+    process), the pool, and scratch space. The settings are those of the per-sensor form, then those of each mode of each actuator
+    and of the process.
 
     Attributes
     ----------
@@ -42,6 +47,8 @@ class Layout:
         For each mode whether it is a fault (1 or 0).
     actuator_modes : int
         How many modes each actuator has.
+    process_modes : int
+        How many modes the process has.
     width, width_of_settings : int
         Widths of the blocks of the sensors' modes.
     """
@@ -55,6 +62,7 @@ class Layout:
     other: tuple[int, ...]
     faults: tuple[int, ...]
     actuator_modes: int
+    process_modes: int
     width: int
     width_of_settings: int
 
@@ -81,6 +89,11 @@ class Layout:
     @property
     def hypotheses(self) -> int:
         """How many hypotheses there are."""
+        return self.process + self.process_modes
+
+    @property
+    def process(self) -> int:
+        """Which hypothesis is the first one of a mode of the process; those from here on have no offset."""
         return 1 + self.m * len(self.kinds) + self.p * self.actuator_modes
 
     @property

@@ -56,7 +56,7 @@ def make_weigh(
     weigh_alone, weigh_other : function
         Weighing of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
-    n, m, H, K = layout.n, layout.m, layout.hypotheses, len(layout.kinds)
+    n, m, H, K, process = layout.n, layout.m, layout.hypotheses, len(layout.kinds), layout.process
     kinds, sensor, row_length = layout.kinds or (0,), layout.sensor, layout.row
     width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
     told, scratch = layout.grow + H, layout.couples + 2 * (n + 2)
@@ -79,7 +79,7 @@ def make_weigh(
                     )
                     correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
                 else:
-                    offset = 1 if h > 0 else 0
+                    offset = 1 if h > 0 and h < process else 0
                     spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
@@ -219,6 +219,15 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
             memory[own + PUSHES] = pushed * part
 
     return summarise
+
+
+def report_process(memory, at, stride, modes, first, outputs):
+    """Write the probabilities of the process' modes, healthy first; those of its modes stand at ``at``, ``at + stride``, ..."""
+    healthy = 1.0 + 0.0 * memory[at]
+    for k in range(modes):
+        outputs[first + 1 + k] = memory[at + k * stride]
+        healthy = healthy - memory[at + k * stride]
+    outputs[first] = maximum(healthy, 0.0)
 
 
 def report_actuators(memory, at, modes, actuators, first, outputs):

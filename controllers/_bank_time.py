@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers._bank_kernels import OFFSET_AGE, blend, blend_healthy, blend_sensor, move
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, blend, blend_healthy, blend_sensor, inflate, move
 from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
@@ -14,7 +14,11 @@ from bayesftc.controllers._bank_layout import (
     FOLLOWS,
     LOAD,
     MEAN,
+    MORE,
+    PROCESS_SETTINGS,
     RELATIVE,
+    STARTS,
+    STOPS,
     TAKES,
     VARIANCE,
     WALK,
@@ -60,7 +64,8 @@ def make_pass_time(
     couples = layout.couples
     pushed, shift, scratch = couples + n + 2, couples + n + 2, couples + 2 * (n + 2)
     actuators, of_actuators = layout.actuators, m * layout.row + 1
-    first_actuator = 1 + m * K
+    first_actuator, process, G = 1 + m * K, layout.process, layout.process_modes
+    of_process = of_actuators + p * L * ACTUATOR_SETTINGS
 
     def witnessed(memory, sensors, i):
         """Return the probability that a sensor other than ``i`` is healthy."""
@@ -106,6 +111,8 @@ def make_pass_time(
             for q in range(L):
                 begin = settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
                 memory[grow + first_actuator + j * L + q] = memory[none] * begin
+        for q in range(G):
+            memory[grow + process + q] = memory[none] * settings[of_process + q * PROCESS_SETTINGS + STARTS]
 
         # The prediction counts on what is believed of the actuators; a hypothesis departs from it by what it believes of them.
         for a in range(n):
@@ -158,6 +165,15 @@ def make_pass_time(
                     memory[shift + a] = memory[shift + a] - B[a, j] * settings[own + TAKES] * applied[j]
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 collect(memory, at, settings[own + END], -1)
+        for q in range(G):
+            at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
+            for i in range(m):
+                pass_other(memory, at + kept + i * sensor, settings, i * row_length)
+            move(
+                memory, at, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
+            )  # fmt: skip
+            inflate(memory, at, n, settings[own + MORE], Q)
+            collect(memory, at, settings[own + STOPS], -1)
 
         # What has begun, and what goes on alone after the end of another: an offset that was known sensor by sensor.
         stays, left = memory[none], memory[pool]
@@ -185,6 +201,13 @@ def make_pass_time(
                 stays = stays - came
                 c = settings[own + MEAN] + settings[own + FOLLOWS] * applied[j]
                 receive(memory, at, came, none, -1, 0.0, c, 0.0, settings[own + VARIANCE], 0.0, 0.0)
+        for q in range(G):
+            at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
+            came = memory[grow + process + q]
+            stays = stays - came
+            part = came / (memory[at] + came)
+            receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            inflate(memory, at, n, part * settings[own + MORE], Q)
         stays, left = maximum(stays, LEAST), maximum(left, LEAST)
         part = left / (stays + left)
         memory[none] = stays + left

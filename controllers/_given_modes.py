@@ -13,10 +13,11 @@ from bayesftc.controllers._checks import as_numbers
 from bayesftc.controllers._mode_kernels import AGE, ENTERED, FACTOR, TRUST, WEIGHT, drops
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import FaultMode
+from bayesftc.controllers.process_modes import NoisierProcess
 from bayesftc.cosim.block import Floats, argument_names
 from bayesftc.cosim.errors import KernelError, ModelError
 
-Mode = TypeVar("Mode", FaultMode, ActuatorMode)
+Mode = TypeVar("Mode", FaultMode, ActuatorMode, NoisierProcess)
 
 ARGUMENTS = argument_names(drops)
 """What the step function of every fault mode is called with, in this order."""
@@ -169,6 +170,18 @@ def _check_call(mode: Mode, method: str, arguments: str) -> None:
         raise ModelError(
             f"{name} is called as {call}, but it is {method}{signature(function)}; write it as {method}(self, {arguments})."
         ) from None
+
+
+def as_process_modes(given: object) -> tuple[NoisierProcess, ...]:
+    """Return the process modes that were given.
+
+    Raises
+    ------
+    ModelError
+        If there is something else among them.
+    """
+    wanted = "a list of process modes such as [NoisierProcess()], or none"
+    return _listed(given, NoisierProcess, "SwitchingPrecision has process_modes", wanted)
 
 
 def _listed(given: object, kind: type[Mode], title: str, wanted: str) -> tuple[Mode, ...]:

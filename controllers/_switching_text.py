@@ -8,7 +8,7 @@ from typing import Any
 
 from bayesftc.controllers import _mode_kernels as mode_kernels, _switching_kernels as kernels
 from bayesftc.controllers._bank_layout import Layout
-from bayesftc.controllers._bank_samples import report_actuators
+from bayesftc.controllers._bank_samples import report_actuators, report_process
 from bayesftc.controllers.precision import keep_nominal, report_nothing
 from bayesftc.cosim import ops
 from bayesftc.cosim._written import function_from_text
@@ -67,6 +67,10 @@ report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.sh
 
 _REPORT_ACTUATORS = """
 report_actuators(memory, ACTUATORS, ACTUATOR_MODES, P, first + nominal.shape[0] * (MODES + 4) + 1, outputs)
+"""
+
+_REPORT_PROCESS = """
+report_process(memory, PROCESS, STRIDE, PROCESS_MODES, first + PROCESS_OUTPUTS, outputs)
 """
 
 _OF_TIME = ("memory", "at", "settings", "row")
@@ -144,6 +148,16 @@ def learner_functions(
             "ACTUATORS": layout.actuators,
             "P": layout.p,
             "ACTUATOR_MODES": layout.actuator_modes,
+        }
+    if layout is not None and layout.process_modes:
+        report += _REPORT_PROCESS
+        sensors = layout.m * (modes + 4) + 1
+        names |= {
+            "report_process": report_process,
+            "PROCESS": layout.first + layout.process * layout.length,
+            "STRIDE": layout.length,
+            "PROCESS_MODES": layout.process_modes,
+            "PROCESS_OUTPUTS": sensors + layout.p * (layout.actuator_modes + 4) * (layout.actuator_modes > 0),
         }
     return learn, _function("report_switching", argument_names(report_nothing), report, names)
 

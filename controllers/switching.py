@@ -14,12 +14,13 @@ from bayesftc.controllers._actuator_settings import actuator_settings, chance
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags
-from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, first_of, settings_of
+from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, as_process_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
 from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
+from bayesftc.controllers.process_modes import NoisierProcess
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
@@ -65,6 +66,10 @@ class SwitchingPrecision(PrecisionLearner):
         c, see there; NaN of a healthy one); and the control makes up for what is lost and added: give the controller its limits,
         ``u_min`` and ``u_max``. By default there is none: an actuator that is slower than the model says looks failed as well,
         and to make up for that can make the loop unstable.
+    process_modes : sequence of NoisierProcess
+        Times in which the plant is moved by more than its process noise, such as kicks: without them what all sensors see alike
+        is taken for faults of all of them. A part of the joint form, which then has the output ``process_mode_probability`` (1 +
+        modes, healthy first).
 
     Raises
     ------
@@ -77,11 +82,13 @@ class SwitchingPrecision(PrecisionLearner):
     loss: float | Sequence[float] = 0.01
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
+    process_modes: Sequence[NoisierProcess] = ()
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
         object.__setattr__(self, "modes", as_fault_modes(self.modes))
         object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
+        object.__setattr__(self, "process_modes", as_process_modes(self.process_modes))
         loss = self.loss
         each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
         for value in each:
@@ -129,8 +136,11 @@ class SwitchingPrecision(PrecisionLearner):
         if layout.actuator_modes:
             ports.append(Port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
             ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
+        if layout.process_modes:
+            ports.append(Port("process_mode_probability", (1 + layout.process_modes,)))
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
         settings += [step, *actuator_settings(self.actuator_modes, model)]
+        settings += [value for mode in self.process_modes for value in mode.settings(step)]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
@@ -175,6 +185,7 @@ class SwitchingPrecision(PrecisionLearner):
         step = float(model.step)
         begins = model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in kinds)
         begins += model.controls * sum(chance(mode, "time_to_fault", step) for mode in actuator_modes)
+        begins += sum(mode.settings(step)[0] for mode in self.process_modes)
         if begins >= 1:
             raise ModelError(
                 f"The offsets of {model.sensors} sensors and the actuators' faults begin with a probability of {begins:.3g} "
@@ -188,7 +199,8 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, kinds=kinds, slow=slow, alone=spans[0], other=spans[1],
-            faults=self._faults, actuator_modes=len(actuator_modes), width=width, width_of_settings=settings,
+            faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(self.process_modes),
+            width=width, width_of_settings=settings,
         )  # fmt: skip
 
     def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

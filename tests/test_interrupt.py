@@ -101,7 +101,15 @@ def usual():
     before = signal.signal(signal.SIGINT, signal.default_int_handler), sys.unraisablehook
     yield
     signal.signal(signal.SIGINT, before[0])
-    assert sys.unraisablehook is before[1]
+    sys.unraisablehook = before[1]
+
+
+def test_without_one_all_is_as_before(usual):
+    before = sys.unraisablehook
+    with heard():
+        assert sys.unraisablehook is not before
+    assert sys.unraisablehook is before
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def stopped(work):

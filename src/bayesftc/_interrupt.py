@@ -47,8 +47,8 @@ class _Interrupts:
             raise Interrupted
 
     def ignored(self, lost: Any) -> None:
-        """Answer an exception that Python ignores (`sys.unraisablehook`)."""
-        if not issubclass(lost.exc_type, Interrupted):
+        """Answer an exception that Python ignores (`sys.unraisablehook`); after a Ctrl-C it comes of that."""
+        if not self.asked:
             self._ignored(lost)
 
     def _watch(self) -> None:
@@ -109,5 +109,8 @@ def heard() -> Iterator[None]:
         if interrupts.asked:
             raise Interrupted
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN if interrupts.asked else signal.default_int_handler)
-        sys.unraisablehook = before
+        if interrupts.asked:  # the program ends, and what was half made is put away until then
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        else:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            sys.unraisablehook = before

@@ -31,8 +31,8 @@ def table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]],
 
 
 def _broken(name: str) -> str:
-    """Return a long class name on several lines, a word on each: columns are narrow."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "\n", name) if len(name) > LONGEST else name
+    """Return a long class name on several lines, a word on each, and what follows it: columns are narrow."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=,) ", "\n", name) if len(name) > LONGEST else name
 
 
 def sentence_list(names: Sequence[str]) -> str:

@@ -1,0 +1,43 @@
+"""Process modes: times in which the plant is moved by more than its process noise, as by a kick or on a rough road.
+
+A learner that does not know of them takes what all sensors see alike for faults of all of them. `SwitchingPrecision` decides
+between these modes and those of sensors and actuators: the precision of the transition model switches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayesftc.controllers._checks import check_number
+
+
+@dataclass(frozen=True)
+class NoisierProcess:
+    """The process noise is larger: by default for a single sample and by far, which is a kick or a wrong start.
+
+    Parameters
+    ----------
+    time_to_fault : float
+        Mean time in seconds until it begins.
+    time_to_recovery : float
+        Mean time in seconds for which it lasts beyond its first sample.
+    scale : float
+        Standard deviation of the process noise meanwhile, in nominal ones.
+    """
+
+    time_to_fault: float = 300.0
+    time_to_recovery: float = 0.0
+    scale: float = 100.0
+
+    def __post_init__(self) -> None:
+        check_number(self, "time_to_fault", above=0)
+        check_number(self, "time_to_recovery", least=0)
+        check_number(self, "scale", above=1)
+
+    def settings(self, step: float) -> tuple[float, float, float]:
+        """Return the probabilities per sample with which it begins and ends, and how much variance it adds, in nominal ones."""
+        begins, ends = step / (step + self.time_to_fault), step / (step + self.time_to_recovery)
+        return begins, ends, self.scale**2 - 1.0
+
+
+__all__ = ["NoisierProcess"]

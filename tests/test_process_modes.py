@@ -1,0 +1,112 @@
+"""Process modes: one hypothesis is a Kalman filter of its own (filterpy); a kick is no fault of the sensors."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from bayesftc.controllers import (
+    BayesianController,
+    FixedPrecision,
+    LinearModel,
+    NoisierProcess,
+    Offset,
+    StateEstimator,
+    SwitchingPrecision,
+)
+from bayesftc.cosim.errors import ModelError
+
+STEP = 0.02
+MODEL = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, STEP)
+NEVER, AT_ONCE = 1e15, 1e-15
+
+
+def test_a_noisier_process_is_filtered_as_filterpy_does():
+    A, B = np.array([[1.0, STEP], [0.0, 0.98]]), np.array([[0.0], [STEP]])
+    C, Q, R = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([[0.02, 0.01], [0.01, 0.05]]), [1.0, 4.0, 0.5]
+    model = LinearModel(A, B, C, Q, np.diag(R), STEP)
+    precision = SwitchingPrecision(
+        [Offset(NEVER, NEVER)], loss=1e-9, process_modes=[NoisierProcess(AT_ONCE, NEVER, scale=7.0)]
+    )
+    step = StateEstimator(model, precision, initial_covariance=0.3).online(compiled=False)
+    one = KalmanFilter(2, 3, 1)
+    one.x, one.P = np.zeros((2, 1)), 0.3 * np.eye(2) + 48.0 * Q  # it begins with the first sample
+    one.F, one.B, one.H, one.Q, one.R = A, B, C, 49.0 * Q, np.diag(R)
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        y, u = rng.normal(size=3), rng.normal()
+        one.update(y[:, None])
+        out = step(y=list(y), u=[u])
+        np.testing.assert_allclose(out.x_hat, one.x[:, 0], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(out.P, one.P, rtol=1e-8)
+        assert out.process_mode_probability[1] == pytest.approx(1.0)
+        one.predict(u=np.array([[u]]))
+
+
+def drive(precision, kick=0.0, bias=0.0, seed=0, compiled=False):
+    """Run the car in plain Python: it is kicked at 4 s, and the first sensor is wrong from 6 to 8 s."""
+    rng, x = np.random.default_rng(seed), 20.0
+    step = BayesianController(MODEL, precision=precision, initial_mean=20.0).online(compiled=compiled)
+    for k in range(500):
+        x += kick * (k == 200)
+        y = x + rng.normal(size=2)
+        y[0] += bias * (300 <= k < 400)
+        out = step(y=list(y), goal=[20.0])
+        yield out, x - 20.0
+        x = 0.999 * x + 2e-4 * out.u[0] + 0.001**0.5 * rng.normal()
+
+
+def error(precision, **events):
+    _, missed = zip(*drive(precision, **events), strict=True)
+    return np.sqrt(np.mean(np.square(missed[230:])))
+
+
+def test_a_kick_is_no_fault_of_the_sensors():
+    kicked = SwitchingPrecision(process_modes=[NoisierProcess()])
+    outs, _ = zip(*drive(kicked, kick=5.0), strict=True)
+    assert np.max([out.process_mode_probability[1] for out in outs[200:210]]) > 0.5
+    assert np.mean([out.fault_probability.max() > 0.5 for out in outs]) < 0.02
+    assert error(kicked, kick=5.0) < 0.25 < 2.0 < error(SwitchingPrecision(), kick=5.0)
+    assert error(kicked) < 1.02 * error(FixedPrecision())
+
+
+def test_a_fault_of_a_sensor_is_no_kick():
+    outs, _ = zip(*drive(SwitchingPrecision(process_modes=[NoisierProcess()]), kick=5.0, bias=5.0), strict=True)
+    during = outs[310:400]
+    assert np.mean([out.fault_kind[0] == 2 and out.fault_probability[1] < 0.5 for out in during]) > 0.95
+    assert np.max([out.process_mode_probability[1] for out in during]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("precision", "ports"),
+    [
+        (SwitchingPrecision(), []),
+        (SwitchingPrecision(process_modes=[NoisierProcess()]), [2]),
+        (SwitchingPrecision(process_modes=[NoisierProcess(), NoisierProcess(60.0, 5.0, 5.0)]), [3]),
+        (SwitchingPrecision(joint=False, process_modes=[NoisierProcess()]), []),
+    ],
+)
+def test_they_are_a_part_of_the_joint_form(precision, ports):
+    block = BayesianController(MODEL, precision=precision)
+    assert [port.size for port in block.outputs if port.name == "process_mode_probability"] == ports
+
+
+def test_both_engines_give_the_same_bits():
+    precision = SwitchingPrecision(process_modes=[NoisierProcess(), NoisierProcess(60.0, 5.0, 5.0)])
+    runs = [drive(precision, kick=5.0, compiled=compiled) for compiled in (False, True)]
+    for (one, _), (other, _), _ in zip(*runs, range(220), strict=False):
+        for name in ("u", "x_hat", "P", "process_mode_probability", "fault_probability"):
+            np.testing.assert_array_equal(one[name], other[name])
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: NoisierProcess(scale=1.0), "NoisierProcess has scale"),
+        (lambda: NoisierProcess(time_to_recovery=-1.0), "NoisierProcess has time_to_recovery"),
+        (lambda: SwitchingPrecision(process_modes=3), "give a list of process modes"),
+        (lambda: SwitchingPrecision(process_modes=[NoisierProcess]), r"give a mode made of it: NoisierProcess\(\)"),
+    ],
+)
+def test_bad_settings(make, words):
+    with pytest.raises(ModelError, match=words):
+        make()
