@@ -90,6 +90,7 @@ def test_they_are_a_part_of_the_joint_form(precision, ports):
     assert [port.size for port in block.outputs if port.name == "process_mode_probability"] == ports
 
 
+@pytest.mark.slow  # compiles a layout of its own
 def test_both_engines_give_the_same_bits():
     precision = SwitchingPrecision(process_modes=[NoisierProcess(), NoisierProcess(60.0, 5.0, 5.0)])
     runs = [drive(precision, kick=5.0, compiled=compiled) for compiled in (False, True)]

@@ -78,7 +78,7 @@ def insurance(runs: int = 20) -> dict[str, float]:
 
 
 def slow_engine(
-    runs: int = 5, lags: tuple[float, ...] = (0.1, 0.3, 0.5), steps: int = 600
+    runs: int = 5, lags: tuple[float, ...] = (0.1, 0.3, 0.5), steps: int = 600, compiled: bool = True
 ) -> dict[float, dict[str, float]]:
     """Print and return the tracking errors where the engine answers with a lag (s) that the controller does not know of."""
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], process_covariance=0.001, sensor_covariance=1.0, dt=0.02)
@@ -93,7 +93,7 @@ def slow_engine(
             squares = []
             for seed in range(runs):
                 noise, speed, force = np.random.default_rng(seed), 20.0, 0.0
-                step = BayesianController(model, precision=precision, initial_mean=20.0).online()
+                step = BayesianController(model, precision=precision, initial_mean=20.0).online(compiled=compiled)
                 for k in range(steps):
                     out = step(y=list(speed + noise.normal(size=2)), goal=goal[k + 1 : k + 2])
                     squares.append((speed - goal[k]) ** 2)
