@@ -13,7 +13,7 @@ from bayesftc.controllers._checks import check_number
 
 @dataclass(frozen=True)
 class NoisierProcess:
-    """The process noise is larger: by default for a single sample and by far, which is a kick or a wrong start.
+    """The process noise is larger: by default for a single sample and by far, which is a kick.
 
     Parameters
     ----------
