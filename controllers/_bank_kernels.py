@@ -122,6 +122,16 @@ def blend(memory, at, part, other, n, offset, c, b, cc, cb, bb):
         memory[z + a] = memory[z + a] + part * (memory[y + a] - memory[z + a])
 
 
+def blend_between(memory, at, part, other, n):
+    """Merge as well how the other's offset and its slope vary together with the state."""
+    N = n + 2
+    P, R = at + STATE + N, other + STATE + N
+    for a in range(n):
+        for b in range(n, N):
+            memory[P + a * N + b] = memory[P + a * N + b] + part * memory[R + a * N + b]
+            memory[P + b * N + a] = memory[P + a * N + b]
+
+
 def blend_sensor(memory, at, part, other, scale, first, width, spans):
     """Merge what another hypothesis keeps of a sensor, its probabilities times ``scale``, into what this one keeps.
 

@@ -29,8 +29,11 @@ class Layout:
 
     The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
     of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator; each of the
-    process), the pool, and scratch space. The settings are those of the per-sensor form, then those of each mode of each actuator
-    and of the process.
+    process, and that one of those has just ended), the pool, and scratch space. The settings are those of the per-sensor form,
+    then those of each mode of each actuator and of the process.
+
+    A kind of offset that begins with a jump stands twice among the kinds: the latter is one that has begun with this sample.
+    Merged at once with what is left of earlier ones, which nothing has contradicted so far, it would hardly be one that jumps.
 
     Attributes
     ----------
@@ -38,6 +41,8 @@ class Layout:
         Numbers of states, sensors and actuators.
     kinds : tuple of int
         Which of the sensors' modes are offsets.
+    becomes : tuple of int
+        For each of these, which one it is after its first sample: itself, or the earlier one of the same mode.
     slow : tuple of int
         For each of these, whether other sensors must bear witness (1 or 0).
     alone, other : tuple of int
@@ -57,6 +62,7 @@ class Layout:
     m: int
     p: int
     kinds: tuple[int, ...]
+    becomes: tuple[int, ...]
     slow: tuple[int, ...]
     alone: tuple[int, ...]
     other: tuple[int, ...]
@@ -88,8 +94,8 @@ class Layout:
 
     @property
     def hypotheses(self) -> int:
-        """How many hypotheses there are."""
-        return self.process + self.process_modes
+        """How many hypotheses there are: the last one, that a mode of the process has just ended, if it has any."""
+        return self.process + self.process_modes + (self.process_modes > 0)
 
     @property
     def process(self) -> int:

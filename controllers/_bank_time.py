@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers._bank_kernels import OFFSET_AGE, blend, blend_healthy, blend_sensor, inflate, move
+from bayesftc.controllers._bank_kernels import (
+    OFFSET_AGE,
+    STATE,
+    blend,
+    blend_between,
+    blend_healthy,
+    blend_sensor,
+    inflate,
+    move,
+)
 from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
@@ -41,6 +50,10 @@ from bayesftc.cosim.ops import maximum, minimum
 EXPIRES = 0.02
 """Probability per sample with which a drift ends that no other sensor bears witness to: it may as well be the state's motion."""
 
+DOUBTED = 0.02
+"""Probability per sample with which it is settled whether a mode of the process that has ended had ever begun: the few samples of
+a kick need not tell, while those after it do as long as the hypothesis is one of its own."""
+
 
 @cache
 def make_pass_time(
@@ -56,7 +69,9 @@ def make_pass_time(
         Time passing for a sensor's modes where no sensor has an offset, and for the other sensors where one has.
     """
     n, m, p, K, L = layout.n, layout.m, layout.p, len(layout.kinds), layout.actuator_modes
-    kinds, slow = layout.kinds or (0,), layout.slow or (0,)
+    kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
+    fresh = tuple(int(becomes[q] != q) for q in range(len(kinds)))
+    begins_here = tuple(int(fresh[q] or becomes.count(q) == 1) for q in range(len(kinds)))
     alone, other, modes = layout.alone, layout.other, layout.modes
     sensor, row_length, actuator = layout.sensor, layout.row, layout.actuator
     width, width_of_settings = layout.width, layout.width_of_settings
@@ -65,6 +80,7 @@ def make_pass_time(
     pushed, shift, scratch = couples + n + 2, couples + n + 2, couples + 2 * (n + 2)
     actuators, of_actuators = layout.actuators, m * layout.row + 1
     first_actuator, process, G = 1 + m * K, layout.process, layout.process_modes
+    H = layout.hypotheses
     of_process = of_actuators + p * L * ACTUATOR_SETTINGS
 
     def witnessed(memory, sensors, i):
@@ -104,7 +120,9 @@ def make_pass_time(
         for i in range(m):
             seen = witnessed(memory, none + kept, i)
             for q in range(K):
-                begin = settings[i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + BEGINS]
+                begin = (
+                    begins_here[q] * settings[i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + BEGINS]
+                )
                 healthy = memory[none + kept + i * sensor + HEALTHY]
                 memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (seen if slow[q] else 1.0)
         for j in range(p):
@@ -144,9 +162,20 @@ def make_pass_time(
                     A, Q, start, covariance, largest, couples, shift, scratch,
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                collect(
-                    memory, at, minimum(settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i
-                )
+                if fresh[q]:
+                    z, P = at + STATE + n, at + STATE + n + 2 + n * (n + 2) + n
+                    target, came = none + (1 + i * K + becomes[q]) * stride, memory[at]
+                    memory[at] = LEAST + 0.0 * came
+                    part = came / (memory[target] + came)
+                    receive(
+                        memory, target, came, at, i, memory[at + OFFSET_AGE], memory[z], memory[z + 1],
+                        memory[P], memory[P + 1], memory[P + n + 3],
+                    )  # fmt: skip
+                    blend_between(memory, target, part, at, n)
+                else:
+                    collect(
+                        memory, at, minimum(settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i
+                    )
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
@@ -165,15 +194,22 @@ def make_pass_time(
                     memory[shift + a] = memory[shift + a] - B[a, j] * settings[own + TAKES] * applied[j]
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 collect(memory, at, settings[own + END], -1)
-        for q in range(G):
-            at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
+        for q in range(H - process):
+            at = none + (process + q) * stride
             for i in range(m):
                 pass_other(memory, at + kept + i * sensor, settings, i * row_length)
             move(
                 memory, at, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
             )  # fmt: skip
-            inflate(memory, at, n, settings[own + MORE], Q)
-            collect(memory, at, settings[own + STOPS], -1)
+        if G > 0:
+            after = none + (process + G) * stride
+            collect(memory, after, DOUBTED, -1)
+            for q in range(G):
+                at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
+                inflate(memory, at, n, settings[own + MORE], Q)
+                ended = memory[at] * settings[own + STOPS]
+                memory[at] = maximum(memory[at] - ended, LEAST)
+                receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
         # What has begun, and what goes on alone after the end of another: an offset that was known sensor by sensor.
         stays, left = memory[none], memory[pool]
@@ -183,9 +219,12 @@ def make_pass_time(
                 own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
                 jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
                 slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
-                came = memory[grow + 1 + i * K + q]
-                stays = stays - came
-                receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
+                if begins_here[q]:
+                    came = memory[grow + 1 + i * K + q]
+                    stays = stays - came
+                    receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
+                if fresh[q]:
+                    continue
                 block = pool + kept + i * sensor + FIRST + kinds[q] * width
                 came = left * memory[block + WEIGHT]
                 left = left - came
@@ -216,7 +255,8 @@ def make_pass_time(
             of_pool = pool + kept + j * sensor
             rest = 1.0 + 0.0 * left
             for q in range(K):
-                rest = rest - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
+                if not fresh[q]:
+                    rest = rest - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
             scale = 1.0 / maximum(rest, 1e-3)
             blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
 

@@ -18,16 +18,17 @@ class NoisierProcess:
     Parameters
     ----------
     time_to_fault : float
-        Mean time in seconds until it begins.
+        Mean time in seconds until it begins; by default a hundred times that of a sensor's fault: the last sensor that works
+        cannot tell its own offset from a kick.
     time_to_recovery : float
         Mean time in seconds for which it lasts beyond its first sample.
     scale : float
         Standard deviation of the process noise meanwhile, in nominal ones.
     """
 
-    time_to_fault: float = 300.0
+    time_to_fault: float = 30000.0
     time_to_recovery: float = 0.0
-    scale: float = 100.0
+    scale: float = 300.0
 
     def __post_init__(self) -> None:
         check_number(self, "time_to_fault", above=0)

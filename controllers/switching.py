@@ -67,9 +67,9 @@ class SwitchingPrecision(PrecisionLearner):
         ``u_min`` and ``u_max``. By default there is none: an actuator that is slower than the model says looks failed as well,
         and to make up for that can make the loop unstable.
     process_modes : sequence of NoisierProcess
-        Times in which the plant is moved by more than its process noise, such as kicks: without them what all sensors see alike
-        is taken for faults of all of them. A part of the joint form, which then has the output ``process_mode_probability`` (1 +
-        modes, healthy first).
+        Times in which the plant is moved by more than its process noise: by default kicks, and longer ones in which the model
+        says less than it should. Without any, what all sensors see alike is taken for faults of all of them. A part of the joint
+        form, which then has the output ``process_mode_probability`` (2 + modes: healthy first, last that one has just ended).
 
     Raises
     ------
@@ -82,7 +82,10 @@ class SwitchingPrecision(PrecisionLearner):
     loss: float | Sequence[float] = 0.01
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
-    process_modes: Sequence[NoisierProcess] = ()
+    process_modes: Sequence[NoisierProcess] = (
+        NoisierProcess(),
+        NoisierProcess(time_to_recovery=10.0, scale=3.0),
+    )
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
@@ -137,7 +140,7 @@ class SwitchingPrecision(PrecisionLearner):
             ports.append(Port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
             ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
         if layout.process_modes:
-            ports.append(Port("process_mode_probability", (1 + layout.process_modes,)))
+            ports.append(Port("process_mode_probability", (2 + layout.process_modes,)))
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
         settings += [step, *actuator_settings(self.actuator_modes, model)]
         settings += [value for mode in self.process_modes for value in mode.settings(step)]
@@ -192,15 +195,18 @@ class SwitchingPrecision(PrecisionLearner):
                 f"together in each sample of {step:g} s; their times to a fault are too short for the joint form of "
                 "SwitchingPrecision: lengthen time_to_fault, or take joint=False."
             )
+        jumping = tuple(q for q, k in enumerate(kinds) if getattr(self.modes[k], "jump", 0.0) > 0)
+        becomes = (*range(len(kinds)), *jumping)
+        kinds += tuple(kinds[q] for q in jumping)
         slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
         spans = [
             tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes))
             for of in self._parts(model.sensors)
         ]
         return Layout(
-            n=model.states, m=model.sensors, p=model.controls, kinds=kinds, slow=slow, alone=spans[0], other=spans[1],
-            faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(self.process_modes),
-            width=width, width_of_settings=settings,
+            n=model.states, m=model.sensors, p=model.controls, kinds=kinds, becomes=becomes, slow=slow, alone=spans[0],
+            other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes),
+            process_modes=len(self.process_modes), width=width, width_of_settings=settings,
         )  # fmt: skip
 
     def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -105,7 +105,7 @@ def test_a_missing_sample_tells_nothing_but_that_it_is_missing():
 def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     """At the first sample: each sensor's densities, weighted; in the joint form the second sensor's after the first one's."""
     mode, P, e = Offset(time_to_fault=1.0, jump=3.0, walk=0.0), 0.5, np.array([4.0, -1.0])
-    precision = SwitchingPrecision(modes=(mode,), joint=joint, loss=0.1)
+    precision = SwitchingPrecision(modes=(mode,), joint=joint, loss=0.1, process_modes=())
     estimator = controllers.StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=P)
     out = estimator.online(compiled=False)(y=20.0 + e)
     R, enter = np.array([1.0, 4.0]), STEP / mode.time_to_fault
