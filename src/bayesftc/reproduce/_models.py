@@ -164,14 +164,15 @@ def run(
 
 
 def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
-    """Return the tracking experiment's techniques, and those that may blame the actuator for what is not as they believe."""
+    """Return the tracking experiment's techniques, and those that may blame sensors only, or actuators as well."""
     known = techniques(Tracking())
     if not beyond:
         return {name: known[name] for name in PAPERS}
     modes = [controllers.InputOffset(), controllers.LostEffect(), controllers.StuckActuator()]
     given = {"input offset": modes[:1], "actuator modes": modes}
     return known | {
-        f"{SWITCHING}, {name}": controllers.SwitchingPrecision(actuator_modes=of) for name, of in given.items()
+        f"{SWITCHING}, sensors only": controllers.SwitchingPrecision(process_modes=()),
+        **{f"{SWITCHING}, {name}": controllers.SwitchingPrecision(actuator_modes=of) for name, of in given.items()},
     }
 
 

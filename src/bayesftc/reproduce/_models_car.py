@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
-from math import atan, inf, sin
+from math import atan, exp, inf, sin
 from typing import Any
 
 import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.ops import absolute, maximum, minimum
+from bayesftc.cosim.ops import absolute, maximum, minimum, select
 from bayesftc.cosim.ports import Port
 from bayesftc.reproduce._car import model
 from bayesftc.reproduce.settings import Car, Models
@@ -26,15 +26,20 @@ def _look(speed, v):
     v[0] = speed[0]
 
 
-def _move(force, disturbance, speed, h, mass, drag, quadratic, pull, limit):
-    v = speed[0]
-    pushed = maximum(minimum(force[0], limit[0]), -limit[0]) - quadratic[0] * v * absolute(v) - pull[0]
+def _move(force, disturbance, speed, engine, sent, h, mass, drag, quadratic, pull, limit, follows):
+    last = sent.shape[0] - 1
+    sent[last] = force[0]
+    v, told = speed[0], maximum(minimum(sent[0], limit[0]), -limit[0])
+    for k in range(last):
+        sent[k] = sent[k + 1]
+    engine[0] = select(follows[0] >= 1.0, told, engine[0] + follows[0] * (told - engine[0]))
+    pushed = engine[0] - quadratic[0] * v * absolute(v) - pull[0]
     speed[0] = (1.0 - drag[0] / mass[0] * h[0]) * v + h[0] / mass[0] * pushed + disturbance[0]
 
 
 @dataclass(frozen=True)
 class TrueCar(Block):
-    """``v <- (1 - b/m h) v + h/m (force - c v |v| - m g sin(slope)) + disturbance``, with the force within its limit.
+    """``v <- (1 - b/m h) v + h/m (force - c v |v| - m g sin(slope)) + disturbance``; the force is limited, late and lags behind.
 
     With the defaults for all that stands below `drag` it is the FMU ``CruiseControl``, bit for bit.
 
@@ -52,6 +57,10 @@ class TrueCar(Block):
         Of the road, rise over run.
     force_limit : float
         N, to both sides.
+    lag : float
+        Time constant in s with which the force follows what is asked for.
+    delay : int
+        Samples by which it comes late.
     """
 
     start_speed: float
@@ -60,6 +69,8 @@ class TrueCar(Block):
     quadratic_drag: float = 0.0
     slope: float = 0.0
     force_limit: float = inf
+    lag: float = 0.0
+    delay: int = 0
 
     checks_finite = True
 
@@ -85,8 +96,10 @@ class TrueCar(Block):
             "quadratic": self.quadratic_drag,
             "pull": self.mass * GRAVITY * sin(atan(self.slope)),
             "limit": self.force_limit,
+            "follows": 1.0 - exp(-float(step) / self.lag) if self.lag else 1.0,
         }
-        return Definition(_look, _move, state={"speed": self.start_speed}, parameters=parameters)
+        state: dict[str, Any] = {"speed": self.start_speed, "engine": 0.0, "sent": np.zeros(self.delay + 1)}
+        return Definition(_look, _move, state=state, parameters=parameters)
 
 
 @dataclass(frozen=True)
@@ -149,6 +162,14 @@ def conditions(settings: Models, car: Car) -> dict[str, Condition]:
             f"the sensors' sd grows to {s.ageing:g} times the believed one",
             f"noise grows to x {s.ageing:g}",
             ageing=s.ageing,
+        ),
+        "lag": Condition(
+            f"the force follows what is asked for with a time constant of {s.lag:g} s",
+            f"lag of {s.lag:g} s",
+            {"lag": s.lag},
+        ),
+        "late": Condition(
+            f"the force comes {s.delay:g} s late", f"delay of {s.delay:g} s", {"delay": round(s.delay / car.step)}
         ),
         UNKNOWN_LIMIT: Condition(
             f"the actuator gives no more than {s.force_limit:g} N to either side", "force limit, untold", limit

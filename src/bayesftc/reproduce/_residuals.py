@@ -124,14 +124,14 @@ def posteriors(settings: Detection) -> dict[str, Residual]:
 def switching(settings: Detection, joint: bool) -> controllers.SwitchingPrecision:
     """Return the learner of fault modes, told how often the experiment's three kinds of faults come and go, but not how large.
 
-    In the joint form a drift may be a slow or a fast one.
+    That includes that nothing else happens, such as a kick. In the joint form a drift may be a slow or a fast one.
     """
     modes = [controllers.Frozen, controllers.Offset, controllers.Drifting]
     between, lasts = settings.mean_time_to_fault, settings.mean_time_to_recovery
     told = [kind(3.0 * between, lasts) for kind in modes]
     if joint:
         told[2:] = [kind(6.0 * between, lasts) for kind in (controllers.Drifting, controllers.Ramping)]
-    return controllers.SwitchingPrecision(told, joint=joint)
+    return controllers.SwitchingPrecision(told, joint=joint, process_modes=())
 
 
 def _has_beta(learner: controllers.PrecisionLearner, car: Car) -> bool:

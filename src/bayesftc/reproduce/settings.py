@@ -386,6 +386,8 @@ class Models(Repeated):
     force_limit: float = chosen(
         400.0, "N, to both sides: four fifths of what the reference asks for at its peak, 493 N"
     )
+    lag: float = chosen(0.5, "s: time constant of the engine, which the model does not have, that of a turbocharger")
+    delay: float = chosen(0.2, "s: dead time of the engine, ten samples")
     unmodelled_force: float = chosen(
         160.0,
         "N: of the disturbance that is estimated, standard deviation at the start: 40 % of the mass times the reference's "
@@ -409,8 +411,18 @@ class Models(Repeated):
         super().__post_init__()
         check_size("healthy_factor", self.healthy_factor, 1, "times the runs with a failed sensor")
         check_size("threshold_runs", self.threshold_runs, 1, "or there is no threshold")
-        for name in ("heavier", "lighter", "noisier", "quieter", "force_limit", "unmodelled_force", "unmodelled_time"):
+        for name in (
+            "heavier",
+            "lighter",
+            "noisier",
+            "quieter",
+            "force_limit",
+            "unmodelled_force",
+            "unmodelled_time",
+            "lag",
+        ):
             check_number(self, name, above=0)
+        check_number(self, "delay", least=0)
         check_number(self, "ageing", above=1)
         check_number(self, "alarms_per_hour", above=0)
 
