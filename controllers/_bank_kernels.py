@@ -158,11 +158,11 @@ def blend_healthy(memory, at, part, first, width, modes):
         memory[weight] = maximum((1.0 - part) * memory[weight], LEAST)
 
 
-def inflate(memory, at, n, more, Q):
-    """Add so much of the process noise to what a hypothesis does not know of the state."""
+def inflate(memory, at, n, plant, more, Q):
+    """Add so much of the process noise to what a hypothesis does not know of the first states, those of the plant."""
     P = at + STATE + n + 2
-    for a in range(n):
-        for b in range(n):
+    for a in range(plant):
+        for b in range(plant):
             memory[P + a * (n + 2) + b] = memory[P + a * (n + 2) + b] + more * Q[a, b]
 
 

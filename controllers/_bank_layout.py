@@ -39,6 +39,8 @@ class Layout:
     ----------
     n, m, p : int
         Numbers of states, sensors and actuators.
+    plant : int
+        How many states are the plant's, which is what modes of the process move; the others are estimated disturbances.
     kinds : tuple of int
         Which of the sensors' modes are offsets.
     becomes : tuple of int
@@ -61,6 +63,7 @@ class Layout:
     n: int
     m: int
     p: int
+    plant: int
     kinds: tuple[int, ...]
     becomes: tuple[int, ...]
     slow: tuple[int, ...]

@@ -68,7 +68,7 @@ def make_pass_time(
     pass_alone, pass_other : function
         Time passing for a sensor's modes where no sensor has an offset, and for the other sensors where one has.
     """
-    n, m, p, K, L = layout.n, layout.m, layout.p, len(layout.kinds), layout.actuator_modes
+    n, plant, m, p, K, L = layout.n, layout.plant, layout.m, layout.p, len(layout.kinds), layout.actuator_modes
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
     fresh = tuple(int(becomes[q] != q) for q in range(len(kinds)))
     begins_here = tuple(int(fresh[q] or becomes.count(q) == 1) for q in range(len(kinds)))
@@ -206,7 +206,7 @@ def make_pass_time(
             collect(memory, after, DOUBTED, -1)
             for q in range(G):
                 at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
-                inflate(memory, at, n, settings[own + MORE], Q)
+                inflate(memory, at, n, plant, settings[own + MORE], Q)
                 ended = memory[at] * settings[own + STOPS]
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -246,7 +246,7 @@ def make_pass_time(
             stays = stays - came
             part = came / (memory[at] + came)
             receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            inflate(memory, at, n, part * settings[own + MORE], Q)
+            inflate(memory, at, n, plant, part * settings[own + MORE], Q)
         stays, left = maximum(stays, LEAST), maximum(left, LEAST)
         part = left / (stays + left)
         memory[none] = stays + left

@@ -204,8 +204,8 @@ class SwitchingPrecision(PrecisionLearner):
             for of in self._parts(model.sensors)
         ]
         return Layout(
-            n=model.states, m=model.sensors, p=model.controls, kinds=kinds, becomes=becomes, slow=slow, alone=spans[0],
-            other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes),
+            n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
+            becomes=becomes, slow=slow, alone=spans[0], other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes),
             process_modes=len(self.process_modes), width=width, width_of_settings=settings,
         )  # fmt: skip
 

@@ -67,6 +67,8 @@ def test_every_condition_differs_in_what_it_says(bench):
         "mass down": {"mass": 60.0},
         "drag": {"quadratic_drag": 0.4},
         "hill": {"slope": 0.05},
+        "lag": {"lag": 0.5},
+        "late": {"delay": 10},
         "sat.": {"force_limit": 400.0},
         "sat. told": {"force_limit": 400.0},
     }

@@ -74,6 +74,10 @@ def legend(axis: Axes, lines: Sequence[str], title: str = "", group: Sequence[st
     axis.legend(handles, labels, frameon=False, fontsize=9, **beside)
 
 
+MOST = 999.0
+"""What is above is written as being so: such numbers only say that all was lost."""
+
+
 def heat_map(
     axis: Axes, values: Floats, rows: Sequence[str], columns: Sequence[str], form: str = "{:.2f}", **options: Any
 ) -> Any:
@@ -94,6 +98,7 @@ def heat_map(
             red, green, blue, _ = image.cmap(image.norm(value))
             dark = 0.3 * red + 0.59 * green + 0.11 * blue < 0.5
             colour = "white" if dark else "black"
-            text = axis.text(j, i, form.format(value), ha="center", va="center", fontsize=8.5, color=colour)
+            words = form.format(value) if value < MOST else f"> {MOST:g}"
+            text = axis.text(j, i, words, ha="center", va="center", fontsize=8.5, color=colour)
             text.set_in_layout(False)  # it stays in its cell; asking each for its size takes as long as drawing it
     return image

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.reproduce._drawing import MOST
 from bayesftc.reproduce._models import FIXED
 from bayesftc.reproduce._models_car import RIGHT, UNKNOWN_LIMIT
 from bayesftc.reproduce._tables import interval_widths, sentence_list, table
@@ -13,7 +14,7 @@ from bayesftc.reproduce._tracking_bench import HEALTHY
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-COLUMNS = 5
+COLUMNS = 4
 """Techniques beside each other: class names are long."""
 
 Cells = Mapping[str, Mapping[str, Any]]
@@ -131,7 +132,7 @@ def _worst(cell: Mapping[str, Any], cases: list[str]) -> str:
 
 
 def _digits(x: float) -> str:
-    return f"{x:.2f}" if x < 9.995 else f"{x:.1f}" if x < 99.95 else f"{x:.0f}"
+    return f"{x:.2f}" if x < 9.995 else f"{x:.1f}" if x < 99.95 else f"{x:.0f}" if x < MOST else f"> {MOST:g}"
 
 
 def _above(worse: Mapping[str, list[str]], bar: float) -> str:
