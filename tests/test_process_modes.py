@@ -64,14 +64,15 @@ def error(precision, **events):
     return np.sqrt(np.mean(np.square(missed[230:])))
 
 
-@pytest.mark.parametrize("kick", [2.0, 5.0, 20.0])
-def test_a_kick_is_no_fault_of_the_sensors(kick):
-    """A small one is told by the samples after it, a large one is within reach."""
-    outs, _ = zip(*drive(SwitchingPrecision(), kick=kick), strict=True)
+@pytest.mark.parametrize(("kick", "scale"), [(2.0, 50.0), (7.0, 50.0), (20.0, 300.0)])
+def test_a_kick_is_no_fault_of_the_sensors(kick, scale):
+    """A small one is told by the samples after it, one of four times the standard deviation that is expected at once."""
+    precision = SwitchingPrecision(process_modes=[NoisierProcess(scale=scale)])
+    outs, _ = zip(*drive(precision, kick=kick), strict=True)
     moved = [out.process_mode_probability[1:].sum() for out in outs]
     assert max(moved[200:220]) > 0.5 > 0.1 > max(moved[:200])
     assert np.mean([out.fault_probability.max() > 0.5 for out in outs]) < 0.02
-    assert error(SwitchingPrecision(), kick=kick) < 0.25 < 0.5 < error(SwitchingPrecision(process_modes=()), kick=kick)
+    assert error(precision, kick=kick) < 0.25 < 0.5 < error(SwitchingPrecision(process_modes=()), kick=kick)
 
 
 def test_no_price_for_the_insurance():
