@@ -26,8 +26,8 @@ def control_scales(model: LinearModel) -> list[float]:
     return [value**-0.5 if value > 0 else 0.0 for value in information]
 
 
-def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Sequence[str]) -> None:
-    """Refuse modes of controls that cannot be told.
+def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Sequence[str]) -> list[float]:
+    """Refuse modes of controls that cannot be told; return the scale of each control, if there are modes.
 
     Parameters
     ----------
@@ -43,7 +43,10 @@ def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Seq
     ModelError
         If a control moves no state, or none with process noise and a mode expects sizes in its units.
     """
-    for name, effect, scale in zip(names, model.matrix("B").T, control_scales(model), strict=True) if modes else ():
+    if not modes:
+        return []
+    scales = control_scales(model)
+    for name, effect, scale in zip(names, model.matrix("B").T, scales, strict=True):
         if not effect.any():
             raise ModelError(
                 f"SwitchingPrecision has actuator_modes, but {name} moves no state (its column of B is zero); leave it out, or "
@@ -55,6 +58,7 @@ def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Seq
                     f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any state "
                     f"that {name} moves; give it a process_covariance there."
                 )
+    return scales
 
 
 def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list[float]:
@@ -65,9 +69,8 @@ def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list
     ModelError
         As of `check_controls`, or if a mode expects no numbers.
     """
-    check_controls(modes, model, [f"control {j} of the model" for j in range(model.controls)])
     settings: list[float] = []
-    for scale in control_scales(model) if modes else ():
+    for scale in check_controls(modes, model, [f"control {j} of the model" for j in range(model.controls)]):
         for mode in modes:
             mean, variance, walk = expected_of(mode, scale)
             rates = [chance(mode, name, float(model.step)) for name in ("time_to_fault", "time_to_recovery")]
