@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Literal
@@ -19,7 +20,7 @@ VARIANCE_CAP = 1e20
 
 
 @dataclass(frozen=True, eq=False)
-class BayesianBlock(Block):
+class BayesianBlock(Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
     The settings ``model, precision, goal_on, goal_covariance, control_covariance, control_mean, belief, u_min, u_max, u_rate,
@@ -142,9 +143,9 @@ class BayesianBlock(Block):
         }
         return (*(Port(name, shape) for name, shape in shapes.items()), Port("fault_probability", (m,)))
 
+    @abstractmethod
     def _learner(self) -> Learner:
         """Return the precision learner for the model."""
-        raise NotImplementedError
 
     def _prior_precision(self) -> Floats:
         p = self.model.controls
