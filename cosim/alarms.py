@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.metrics import NAN, periods, without_nan
-from bayesftc.cosim.roles import Flags
+from bayesftc.cosim.signals import Flags
 
 HOUR = 3600.0
 LEVEL = 0.95

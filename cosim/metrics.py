@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.roles import ALARM, ActuatorSignals, Flags, InputSignals, LoopSignals, SensorSignals
+from bayesftc.cosim.signals import ALARM, ActuatorSignals, Flags, InputSignals, LoopSignals, SensorSignals
 
 NAN = float("nan")
 

@@ -15,7 +15,7 @@ import numpy as np
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import periods
 from bayesftc.cosim.result import labels
-from bayesftc.cosim.roles import ALARM, Flags, InputSignals, LoopSignals, QuantitySignals, SensorSignals
+from bayesftc.cosim.signals import ALARM, Flags, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bayesftc.cosim.result import Result
-    from bayesftc.cosim.roles import LoopSignals
+    from bayesftc.cosim.signals import LoopSignals
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"

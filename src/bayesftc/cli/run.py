@@ -16,7 +16,8 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.metrics import figures, without_nan
-from bayesftc.cosim.roles import LoopSignals, loop_signals
+from bayesftc.cosim.roles import loop_signals
+from bayesftc.cosim.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
