@@ -14,6 +14,7 @@ import numpy as np
 
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import periods
+from bayesftc.cosim.panels import finish, legend, make_panels, name_spans, thin
 from bayesftc.cosim.result import labels
 from bayesftc.cosim.signals import ALARM, Flags, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 
@@ -27,13 +28,6 @@ BLACK, BLUE = "#000000", "#0072B2"
 SENSOR_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "^", "s", "D", "v")
-MOST_POINTS = 20_000
-"""A line with more points than this is thinned: no print shows more."""
-MOST_ROWS = 3
-"""Faults whose names would need more rows than this are shaded, but not named one by one."""
-LETTER = 0.0115
-"""Width of a letter of those names, as a share of the panel's."""
-WIDTH, PANEL = 8.0, 2.1
 LONGEST = 24
 """More letters than this a label has not beside a panel."""
 
@@ -66,17 +60,17 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None) -> Figure
         columns = values.reshape(len(values), -1).T
         for label, column in zip(labels(name, values.shape[1:]), columns, strict=True):
             panels.setdefault(result.units.get(name) or name, []).append((label, column))
-    figure, axes = _panels(max(len(panels), 1))
+    figure, axes = make_panels(max(len(panels), 1))
     colours = (BLACK, BLUE, *SENSOR_COLOURS)
     for axis, (key, lines) in zip(axes, panels.items(), strict=False):
         for i, (label, values) in enumerate(lines):
             style = LINES[i // len(colours) % len(LINES)]
-            axis.plot(*_thin(result.time, values), style, color=colours[i % len(colours)], lw=1.1, label=label)
+            axis.plot(*thin(result.time, values), style, color=colours[i % len(colours)], lw=1.1, label=label)
         axis.set_ylabel(_broken(key))
         if all(np.isnan(values).all() for _, values in lines):
             axis.text(0.5, 0.5, "no value", transform=axis.transAxes, ha="center", color="0.35")
-        _legend(axis)
-    _close(axes, result.time)
+        legend(axis)
+    finish(axes, result.time)
     return figure
 
 
@@ -97,7 +91,7 @@ def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
     title : str, optional
         Stands above.
     """
-    figure, axes = _panels(len(signals.quantities) + len(signals.inputs) + 2)
+    figure, axes = make_panels(len(signals.quantities) + len(signals.inputs) + 2)
     for axis, quantity in zip(axes, signals.quantities, strict=False):
         _draw_quantity(axis, signals, quantity)
     for axis, each in zip(axes[len(signals.quantities) :], signals.inputs, strict=False):
@@ -107,9 +101,9 @@ def plot_run(signals: LoopSignals, title: str | None = None) -> Figure:
     _draw_detection(axes[-1], signals)
     for axis in axes:
         _shade(axis, signals)
-        _legend(axis)
+        legend(axis)
     _name_faults(axes[0], signals)
-    _close(axes, signals.time)
+    finish(axes, signals.time)
     if title:
         figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
@@ -138,7 +132,7 @@ def _draw_quantity(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) 
                 "alpha": 0.35,
                 "zorder": 1,
             }
-            axis.plot(*_thin(time, samples), color=_colour(i), label=f"sensor {i}", **style)
+            axis.plot(*thin(time, samples), color=_colour(i), label=f"sensor {i}", **style)
     lines: list[tuple[str, Floats | None, dict[str, Any]]] = [
         # Broad and light below the others: under a good controller the belief lies on the reference and would hide it.
         ("reference", quantity.reference, {"color": "0.72", "ls": "-", "lw": 4.0, "zorder": 3}),
@@ -147,7 +141,7 @@ def _draw_quantity(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) 
     ]
     for label, values, look in lines:
         if values is not None:
-            axis.plot(*_thin(time, values), label=label, **look)
+            axis.plot(*thin(time, values), label=label, **look)
     axis.set_ylabel(f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name)
 
 
@@ -158,7 +152,7 @@ def _draw_input(axis: Axes, time: Floats, signals: InputSignals) -> None:
     ]
     for label, values, look in lines:
         if values is not None:
-            axis.plot(*_thin(time, values), label=label, **look)
+            axis.plot(*thin(time, values), label=label, **look)
     axis.set_ylabel(f"{signals.name} ({signals.unit})" if signals.unit else signals.name)
 
 
@@ -171,7 +165,7 @@ def _draw_deviation(axis: Axes, signals: LoopSignals, unit: str | None) -> None:
             expected = np.where(sensor.precision > 0, 1.0 / np.sqrt(sensor.precision), np.nan)
         expected = _given(sensor, expected)
         drawn.append(expected)
-        axis.plot(*_thin(signals.time, expected), **_line(sensor))
+        axis.plot(*thin(signals.time, expected), **_line(sensor))
         missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
         _mark(axis, signals, sensor, "ignored", "|", (sensor.precision == 0) & ~missing)
         _mark(axis, signals, sensor, "missing", "x", missing)
@@ -190,7 +184,7 @@ def _mark(axis: Axes, signals: LoopSignals, sensor: SensorSignals, what: str, ma
             "color": _colour(sensor.index),
             "transform": axis.get_xaxis_transform(),
         }
-        axis.plot(*_thin(signals.time[where], top), label=f"sensor {sensor.index} {what}", **style)
+        axis.plot(*thin(signals.time[where], top), label=f"sensor {sensor.index} {what}", **style)
 
 
 def _logarithmic(axis: Axes, drawn: list[Floats]) -> None:
@@ -212,11 +206,11 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
     if known or signals.actuators:
         for sensor in known:
             assert sensor.probability is not None
-            axis.plot(*_thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
+            axis.plot(*thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
         for j, actuator in enumerate(signals.actuators):
             # As those of an input, whose faults are hatched: no colour, for these are the sensors'.
             style: dict[str, Any] = {"color": BLACK, "ls": LINES[j % len(LINES)], "lw": 1.3, "zorder": 3}
-            axis.plot(*_thin(signals.time, actuator.probability), label=f"actuator {actuator.name}", **style)
+            axis.plot(*thin(signals.time, actuator.probability), label=f"actuator {actuator.name}", **style)
         axis.axhline(ALARM, color="0.4", lw=0.8, zorder=0, label=f"alarm from {ALARM:g}")
         axis.set_ylim(-0.04, 1.04)
         axis.set_ylabel("fault probability")
@@ -224,7 +218,7 @@ def _draw_detection(axis: Axes, signals: LoopSignals) -> None:
     rated = [s for s in signals.sensors if s.beta is not None and not np.isnan(s.beta).all()]
     for sensor in rated:
         assert sensor.beta is not None
-        axis.plot(*_thin(signals.time, _given(sensor, sensor.beta)), **_line(sensor))
+        axis.plot(*thin(signals.time, _given(sensor, sensor.beta)), **_line(sensor))
     for sensor in signals.sensors:
         if sensor.alarm is not None:
             _mark(axis, signals, sensor, "detected", "|", sensor.alarm)
@@ -280,67 +274,13 @@ def _name_faults(axis: Axes, signals: LoopSignals) -> None:
         for a, b in periods(active)
     ]
     named = [(float(signals.time[a]), float(signals.time[b - 1]), text, colour) for a, b, text, colour in faults]
-    _name_spans(axis, signals.time, named, "faults")
-
-
-def _name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str) -> None:
-    """Write names above spans of time, each with its begin, end and colour, in as many rows as they need.
-
-    Where they would need too many, one note says how many of ``what`` are shaded.
-    """
-    style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
-    first, last = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
-    rows: list[float] = []  # where the last name of each row ends
-    names = []
-    for begin, end, text, colour in sorted(spans):
-        half = 0.5 * LETTER * (last - first) * (len(text) + 2)
-        middle = max(min(0.5 * (begin + end), last - half), min(first + half, 0.5 * (first + last)))
-        row = next((i for i, until in enumerate(rows) if until <= middle - half), len(rows))
-        rows[row : row + 1] = [middle + half]
-        names.append((middle, 1.02 + 0.1 * row, text, colour))
-    if len(rows) > MOST_ROWS:
-        axis.text(first, 1.02, f"shaded: {len(names)} {what}, in the colour of their sensor", color="0.3", **style)
-        return
-    for middle, height, text, colour in names:
-        axis.text(middle, height, text, ha="center", color=colour, **style)
+    name_spans(axis, signals.time, named, "faults")
 
 
 def _kind(name: str, of: str, number: str) -> str:
     """Return the kind of fault in a default name such as ``freeze_1``; a name that was given stays as it is."""
     kind = name.removeprefix(of).removesuffix(number)
     return name if kind == name else kind.replace("_", " ")
-
-
-def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH, 0.6 + PANEL * count), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    for axis in axes:
-        axis.grid(True, color="0.9", lw=0.6)
-        axis.set_axisbelow(True)
-        axis.tick_params(labelsize=8)
-        axis.ticklabel_format(useOffset=False)
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
-    return figure, list(axes)
-
-
-def _legend(axis: Axes) -> None:
-    if axis.get_legend_handles_labels()[0]:
-        legend = axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8, borderaxespad=0)
-        for handle in legend.legend_handles:
-            if handle is not None:
-                handle.set_alpha(1.0)
-
-
-def _close(axes: list[Axes], time: Floats) -> None:
-    axes[-1].set_xlabel("time (s)")
-    if len(time) > 1:
-        axes[-1].set_xlim(float(time[0]), float(time[-1]))
-    axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]
 
 
 def _given(sensor: SensorSignals, values: Floats) -> Floats:
@@ -355,11 +295,6 @@ def _line(sensor: SensorSignals) -> dict[str, Any]:
 
 def _colour(sensor: int) -> str:
     return SENSOR_COLOURS[sensor % len(SENSOR_COLOURS)]
-
-
-def _thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
-    stride = -(-len(time) // MOST_POINTS)
-    return time[::stride], values[::stride]
 
 
 __all__ = ["plot_run", "plot_signals"]
