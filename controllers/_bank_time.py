@@ -80,7 +80,7 @@ def make_pass_time(
     pushed, shift, scratch = couples + n + 2, couples + n + 2, couples + 2 * (n + 2)
     actuators, of_actuators = layout.actuators, m * layout.row + 1
     first_actuator, process, G = 1 + m * K, layout.process, layout.process_modes
-    H = layout.hypotheses
+    H, N = layout.hypotheses, n + 2
     of_process = of_actuators + p * L * ACTUATOR_SETTINGS
 
     def witnessed(memory, sensors, i):
@@ -114,6 +114,17 @@ def make_pass_time(
         for j in range(m):
             if j != i:
                 blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0, FIRST, width, other)
+
+    def become(memory, at, source, i):
+        """Merge all of a hypothesis into another one with an offset of the same sensor."""
+        c, cc, came = source + STATE + n, source + STATE + N + n * N + n, memory[source]
+        part = came / (memory[at] + came)
+        receive(
+            memory, at, came, source, i, memory[source + OFFSET_AGE], memory[c], memory[c + 1],
+            memory[cc], memory[cc + 1], memory[cc + N + 1],
+        )  # fmt: skip
+        blend_between(memory, at, part, source, n)
+        memory[source] = LEAST + 0.0 * came
 
     def pass_time(e, A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
         # What begins, by the probabilities before time passes.
@@ -163,15 +174,7 @@ def make_pass_time(
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 if fresh[q]:
-                    z, P = at + STATE + n, at + STATE + n + 2 + n * (n + 2) + n
-                    target, came = none + (1 + i * K + becomes[q]) * stride, memory[at]
-                    memory[at] = LEAST + 0.0 * came
-                    part = came / (memory[target] + came)
-                    receive(
-                        memory, target, came, at, i, memory[at + OFFSET_AGE], memory[z], memory[z + 1],
-                        memory[P], memory[P + 1], memory[P + n + 3],
-                    )  # fmt: skip
-                    blend_between(memory, target, part, at, n)
+                    become(memory, none + (1 + i * K + becomes[q]) * stride, at, i)
                 else:
                     collect(
                         memory, at, minimum(settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i
@@ -206,10 +209,10 @@ def make_pass_time(
             collect(memory, after, DOUBTED, -1)
             for q in range(G):
                 at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
-                inflate(memory, at, n, plant, settings[own + MORE], Q)
                 ended = memory[at] * settings[own + STOPS]
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                inflate(memory, at, n, plant, settings[own + MORE], Q)
 
         # What has begun, and what goes on alone after the end of another: an offset that was known sensor by sensor.
         stays, left = memory[none], memory[pool]
