@@ -331,13 +331,13 @@ def test_an_input_whose_faults_cannot_be_told_is_called_by_its_name(noisy, tmp_p
 
 
 def test_own_modes_and_losses_of_the_file(tmp_path):
-    _, file = write(
-        tmp_path,
-        drive(1.0),
-        MODEL + '[precision]\nkind = "SwitchingPrecision"\nloss = 0.2\nmodes = [{kind = "Offset"}, {kind = "Burst"}]\n',
+    precision = (
+        'kind = "SwitchingPrecision"\nloss = 0.2\nmodes = [{kind = "Offset"}, {kind = "Burst"}]\nprocess_modes = []\n'
     )
+    _, file = write(tmp_path, drive(1.0), f"{MODEL}[precision]\n{precision}")
     monitor = load_monitor(file)
     assert monitor.precision.loss == 0.2
+    assert monitor.precision.process_modes == ()
     assert not monitor.own_loss
     found = monitor.run(monitor.read([tmp_path / "data.csv"]), compiled=False)
     assert found.kinds == ("healthy", "Offset", "Burst")
@@ -381,6 +381,13 @@ def test_own_modes_and_losses_of_the_file(tmp_path):
         (
             ("dt = 0.05", 'dt = 0.05\nprecision = {kind = "SwitchingPrecision", modes = {kind = "Burst"}}'),
             r"'precision.modes' is .* must be a list of tables such as \[{ kind = \"Burst\" }\]",
+        ),
+        (
+            (
+                "dt = 0.05",
+                'dt = 0.05\nprecision = {kind = "SwitchingPrecision", process_modes = [{kind = "NoiserProcess"}]}',
+            ),
+            r"'precision.process_modes\[0\].kind' is 'NoiserProcess'.* did you mean 'NoisierProcess'",
         ),
         ((MODEL, "dt = 1.0\n[model]\nkind = 'RandomWalk'\nstd = 1.0\n[sensors]\n"), "names no sensor"),
     ],

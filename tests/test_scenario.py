@@ -83,6 +83,17 @@ def test_every_actuator_mode_can_be_said(write, mode):
     assert load_scenario(write(text=f"{text}actuator_modes = []")).controller.precision.actuator_modes == ()
 
 
+@pytest.mark.parametrize(
+    "table", ['{ kind = "NoisierProcess", scale = 9 }', '{ kind = "noisier_process", scale = 9 }', "{ scale = 9 }"]
+)
+def test_process_modes_can_be_said_and_left_out(write, table):
+    text = CAR[: CAR.index("[controller.precision]")] + '[controller.precision]\nkind = "SwitchingPrecision"\n'
+    scenario = load_scenario(write(text=f"{text}process_modes = [{table}, {{ time_to_recovery = 2.5 }}]"))
+    of_process = scenario.controller.precision.process_modes
+    assert of_process == (controllers.NoisierProcess(scale=9.0), controllers.NoisierProcess(time_to_recovery=2.5))
+    assert load_scenario(write(text=f"{text}process_modes = []")).controller.precision.process_modes == ()
+
+
 def test_nested_tables_become_blocks(write):
     fault = """kind = "random_faults"
 kinds = [{ kind = "freeze" }, { kind = "drift", slope = 2 }]
@@ -458,8 +469,20 @@ def test_every_law_can_be_said(write, law):
             '{ kind = "ExplicitDetection", groups = [0, 1] }',
             "controller.precision.groups' is [0, 1]; it must be a list of lists of whole numbers.",
         ),
+        (
+            '{ kind = "GammaPrecision" }',
+            '{ kind = "SwitchingPrecision", process_modes = [{ kind = "Noisier" }] }',
+            "controller.precision.process_modes[0].kind' is 'Noisier', which is no kind that can stand here; did you mean "
+            "'NoisierProcess'?",
+        ),
+        (
+            '{ kind = "GammaPrecision" }',
+            '{ kind = "SwitchingPrecision", process_modes = { scale = 9 } }',
+            "controller.precision.process_modes' is {'scale': 9}; it must be a list of tables with the settings of "
+            "NoisierProcess.",
+        ),
     ],
-    ids=["law", "learner", "list", "groups"],
+    ids=["law", "learner", "list", "groups", "process mode", "one process mode"],
 )
 def test_what_has_a_kind_is_a_table(write, old, new, words):
     assert old in ACTIVE

@@ -108,7 +108,9 @@ def convert(value: object, hint: Any, place: Place) -> Any:
 
 
 def _instance(classes: Sequence[type[Any]], table: Mapping[str, Any], place: Place) -> Any:
-    return build(classes[0], table, place) if len(classes) == 1 else build_one_of(classes, table, place)
+    # Of a single class ``kind`` says nothing new, and may be said all the same.
+    said = len(classes) > 1 or "kind" in table
+    return build_one_of(classes, table, place) if said else build(classes[0], table, place)
 
 
 @cache
