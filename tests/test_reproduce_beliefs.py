@@ -7,11 +7,12 @@ from io import StringIO
 import numpy as np
 import pytest
 from rich.console import Console
-from sklearn.metrics import roc_auc_score
+from sklearn.metrics import brier_score_loss, roc_auc_score
 
 from bayesftc import controllers, reproduce
 from bayesftc.cosim.errors import ModelError
-from bayesftc.reproduce import _beliefs, _beliefs_tables, _tracking_bench
+from bayesftc.reproduce import _beliefs, _beliefs_streams, _beliefs_tables, _tracking_bench
+from bayesftc.reproduce._car import model
 from bayesftc.reproduce._ensemble import Ensemble, seeds
 from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._streams import Faults, Streams
@@ -20,7 +21,12 @@ from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
 
 FORM = f"{SWITCHING}, per sensor"
 SMALL = Beliefs(
-    runs=2, faults=(("injection", 5.0),), coarse_faults=(("injection", 5.0),), streams=2, sizes=((5.0, 2.0),)
+    runs=2,
+    faults=(("injection", 5.0),),
+    coarse_faults=(("injection", 5.0),),
+    streams=2,
+    sizes=((5.0, 2.0),),
+    training_streams=1,
 )
 SHORT = Tracking(duration=1.0, fault_start=0.2, fault_stop=0.8)
 STREAMS = Detection(steps=5_000)
@@ -40,6 +46,7 @@ def small(jobs):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_beliefs, "FORMS", {FORM: False})
         patch.setattr(_beliefs, "switching", lambda settings, joint: FEW)
+        patch.setattr(_beliefs, "default", lambda joint: FEW)
         patch.setattr(_tracking_bench, "repeat", interpreted)
         patch.setattr(Ensemble, "prepare", lambda self, loops: None)
         return reproduce.beliefs(seed=3, jobs=jobs, settings=SMALL, tracking=SHORT, detection=STREAMS)
@@ -67,6 +74,10 @@ def test_a_row_changes_the_settings_that_it_names_and_no_others():
     added, stuck = controllers.InputOffset(15_000.0, 100.0), controllers.StuckActuator(15_000.0, 100.0)
     assert rows["times x 5"].actuator_modes == (added, stuck)
     assert rows["sizes x 5"].actuator_modes == (controllers.InputOffset(jump=25.0), controllers.StuckActuator())
+    kick, rough = rows["times x 5"].process_modes
+    assert kick == controllers.NoisierProcess(150_000.0, 0.0)
+    assert rough == controllers.NoisierProcess(150_000.0, 50.0, scale=3.0)
+    assert rows["sizes x 5"].process_modes == given.process_modes
     assert not any(
         row.joint for row in _beliefs.wrong(controllers.SwitchingPrecision(joint=False), Car(), 2.0).values()
     )
@@ -85,11 +96,11 @@ def test_errors_are_those_of_the_runs(report):
     cell, own = Scenario("injection", "sine", 5.0), seeds(3, "injection/sine", 2)
     bench = Bench(SHORT, Car(), Ensemble(3))
     for car, row, learner, table in (
-        (Car(), "sizes / 5", _beliefs.learners(SMALL, Car(), FORM)["sizes / 5"], report["errors"]),
+        (Car(), "sizes / 5", _beliefs.wrong(FEW, Car(), 5.0)["sizes / 5"], report["errors"]),
         (
             Car(resolution=0.1),
             "resolution x 5",
-            _beliefs.coarse_learners(SMALL, Car(), FORM)["resolution x 5"],
+            replace(FEW, modes=[controllers.Frozen(resolution=0.5), controllers.Offset()]),
             report["coarse"]["errors"],
         ),
     ):
@@ -111,15 +122,44 @@ def test_the_area_is_that_of_scikit_learn(report):
     learner = _beliefs.wrong(FEW, Car(), 5.0)["to fault x 5"]
     source = Streams(STREAMS, Car())
     streams = source.run(
-        source.loop(Faults(5.0, 2.0), learner), seeds(3, "beliefs/injection 5, drift 2", 2), [_beliefs.PROBABILITY]
+        source.loop(Faults(5.0, 2.0), learner),
+        seeds(3, "beliefs/injection 5, drift 2", 2),
+        [_beliefs_streams.PROBABILITY],
     )
     areas = [
-        roc_auc_score(s.faulty[200:].ravel(), s.result["controller.fault_probability"][200:].ravel()) for s in streams
+        roc_auc_score(s.faulty[200:].ravel(), s.result[_beliefs_streams.PROBABILITY][200:].ravel()) for s in streams
     ]
     entry = report["detection"][FORM]["to fault x 5"]["injection 5, drift 2"]
     assert entry["auc"]["mean"] == pytest.approx(np.mean(areas), rel=1e-12)
     assert entry["ece"]["ci"][0] < entry["ece"]["mean"] < entry["ece"]["ci"][1]
     assert 0.0 < entry["ece"]["mean"] < 0.2
+
+
+def test_what_is_learned_comes_from_other_streams_and_is_judged_on_the_same(report):
+    """Recorded once more by hand, and learned from again; the judged streams are those of the row that knows the times."""
+    source, size, faults = Streams(STREAMS, Car()), "injection 5, drift 2", Faults(5.0, 2.0)
+    signals, own = ["fault_1.y", "controller.u"], seeds(3, f"beliefs/training/{size}", 1)
+    assert not set(own) & set(seeds(3, f"beliefs/{size}", 2))
+    (stream,) = source.run(source.loop(faults, FEW), own, signals)
+    y, u = (stream.result[name] for name in signals)
+    run = controllers.RecordedRun(y, u, initial_mean=20.0, initial_covariance=1.0)
+    again = controllers.learn_modes([run], model(Car()), FEW)
+    part = report["learned"][FORM]
+    fit = part["fits"][size]
+    assert fit["log_likelihood"] == list(again.log_likelihood)
+    assert fit["iterations"] == len(again.log_likelihood)
+    assert fit["settled"] == again.settled
+    for told, mode, onsets in zip(fit["modes"], again.precision.modes, again.onsets, strict=True):
+        assert told["mode"] == type(mode).__name__
+        assert told["onsets"] == onsets > 10
+        assert told["time_to_fault"] == mode.time_to_fault < 30.0  # 300 s at first; in truth 8.4 s
+    assert part["scores"]["told the times"] == report["detection"][FORM]["unchanged"]
+    loop, name = source.loop(faults, again.precision), _beliefs_streams.PROBABILITY
+    streams = source.run(loop, seeds(3, f"beliefs/{size}", 2), [name])
+    scores = [brier_score_loss(s.faulty[200:].ravel(), s.result[name][200:].ravel()) for s in streams]
+    assert part["scores"]["learned"][size]["brier"]["mean"] == pytest.approx(np.mean(scores), rel=1e-12)
+    assert next(iter(report["detection"][FORM])) == "unchanged"
+    assert not {"defaults", "learned"} & set(report["detection"][FORM])
 
 
 def test_the_worst_is_the_largest_of_all(report):
@@ -144,6 +184,8 @@ def test_what_is_printed(report):
     text = console.file.getvalue()
     for row in (*report["errors"][FORM], *report["coarse"]["errors"][FORM]):
         assert f"\n {row} " in text  # on one line
+    for row in (*report["detection"][FORM], *report["learned"][FORM]["scores"]):
+        assert f"\n {row} " in text
     words = " ".join(text.split())
     worst = report["worst"][FORM]
     assert f"in no cell has a row more than {worst['over_unchanged']:.3f} times the error of the first" in words
@@ -154,6 +196,7 @@ def test_wrong_settings_are_a_sentence():
         (lambda: Beliefs(factor=1.0), "factor=1.0"),
         (lambda: Beliefs(resolution=0.0), "resolution=0.0"),
         (lambda: Beliefs(streams=1), "streams is 1"),
+        (lambda: Beliefs(training_streams=0), "training_streams is 0"),
         (lambda: reproduce.beliefs(settings=Tracking()), "this experiment takes Beliefs"),
     ):
         with pytest.raises(ModelError, match=words):

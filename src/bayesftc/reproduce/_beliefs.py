@@ -3,27 +3,24 @@
 Nobody knows how often sensors will fail, for how long and by how much. So each row multiplies or divides some of the settings by
 a factor, and is compared with the row in which they are as they were: by the tracking error with faults of all kinds and sizes,
 and by the fault probabilities on the detection experiment's streams. A further part has coarse sensors, whose resolution is
-known rightly or wrongly.
+known rightly or wrongly; another has settings that are learned from streams in which nobody has marked the faults.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import product
 from typing import Any
 
 import numpy as np
 
-from bayesftc import controllers, cosim
-from bayesftc.cosim.probabilities import reliability
+from bayesftc import controllers
+from bayesftc.reproduce._beliefs_streams import DEFAULTS, LEARNED, TOLD, Learners, Scores, account, learn, score
 from bayesftc.reproduce._car import model
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import SWITCHING, switching
-from bayesftc.reproduce._roc import auc as area
-from bayesftc.reproduce._statistics import interval, rms_ratio
-from bayesftc.reproduce._streams import Faults, Streams
+from bayesftc.reproduce._statistics import rms_ratio
+from bayesftc.reproduce._streams import Streams
 from bayesftc.reproduce._tracking_bench import ORACLE, Bench, Errors, Scenario
 from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
 
@@ -31,7 +28,6 @@ FORMS = {SWITCHING: True, f"{SWITCHING}, per sensor": False}
 """By name whether it is the joint form."""
 UNCHANGED = "unchanged"
 """The row whose settings are as they were."""
-PROBABILITY = "controller.fault_probability"
 SETTINGS = {
     "to fault": ("time_to_fault",),
     "recovery": ("time_to_recovery",),
@@ -42,8 +38,6 @@ SETTINGS = {
 COARSE_SETTINGS = {"resolution": ("resolution",)}
 """The same where sensors are coarse."""
 
-Learners = Mapping[str, controllers.SwitchingPrecision]
-"""By the name of the row."""
 Table = dict[str, dict[str, Any]]
 """By row and cell."""
 
@@ -92,6 +86,7 @@ def run(
     at_coarse, oracle_at_coarse = _tracked(
         coarse, settings.reference, settings.coarse_faults, {f: coarse_learners(settings, car, f) for f in FORMS}
     )
+    scores, learned = _detected(Streams(detection, car), ensemble, settings)
     return {
         "settings": {
             "seed": seed,
@@ -104,7 +99,8 @@ def run(
         "errors": errors,
         "coarse": {"oracle": oracle_at_coarse, "errors": at_coarse},
         "worst": {form: _worst([errors[form], at_coarse[form]]) for form in FORMS},
-        "detection": _detected(Streams(detection, car), ensemble, settings),
+        "detection": scores,
+        "learned": learned,
         "paper": {},
     }
 
@@ -113,6 +109,8 @@ def wrong(
     learner: controllers.SwitchingPrecision, car: Car, factor: float, of: Mapping[str, Sequence[str]] = SETTINGS
 ) -> dict[str, controllers.SwitchingPrecision]:
     """Return a learner as it is, and for each row with settings of all its modes multiplied and divided by a factor.
+
+    All its modes are those of sensors, of actuators and of the process.
 
     Parameters
     ----------
@@ -131,7 +129,12 @@ def wrong(
         def changed(modes: Sequence[Any]) -> list[Any]:
             return [replace(m, **{n: by * getattr(m, n) for n in names if hasattr(m, n)}) for m in modes]
 
-        return replace(learner, modes=changed(learner.modes), actuator_modes=changed(actuators))
+        return replace(
+            learner,
+            modes=changed(learner.modes),
+            actuator_modes=changed(actuators),
+            process_modes=changed(learner.process_modes),
+        )
 
     rows = {UNCHANGED: learner}
     for name, settings in of.items():
@@ -139,18 +142,21 @@ def wrong(
     return rows
 
 
+def default(joint: bool) -> controllers.SwitchingPrecision:
+    """Return a form with its default settings."""
+    return controllers.SwitchingPrecision(joint=joint)
+
+
 def learners(settings: Beliefs, car: Car, form: str) -> Learners:
     """Return the rows of a form, about its default settings."""
-    return wrong(controllers.SwitchingPrecision(joint=FORMS[form]), car, settings.factor)
+    return wrong(default(FORMS[form]), car, settings.factor)
 
 
 def coarse_learners(settings: Beliefs, car: Car, form: str) -> Learners:
     """Return the rows of a form that knows the resolution of coarse sensors, rightly or wrongly."""
-    default = controllers.SwitchingPrecision(joint=FORMS[form])
-    told = [
-        replace(m, resolution=settings.resolution) if isinstance(m, controllers.Frozen) else m for m in default.modes
-    ]
-    return wrong(replace(default, modes=told), car, settings.factor, COARSE_SETTINGS)
+    start = default(FORMS[form])
+    told = [replace(m, resolution=settings.resolution) if isinstance(m, controllers.Frozen) else m for m in start.modes]
+    return wrong(replace(start, modes=told), car, settings.factor, COARSE_SETTINGS)
 
 
 def _tracked(
@@ -191,39 +197,21 @@ def _worst(tables: Iterable[Table]) -> dict[str, Any]:
     return max(entries, key=lambda entry: float(entry["over_unchanged"]))
 
 
-def _detected(source: Streams, ensemble: Ensemble, settings: Beliefs) -> dict[str, Table]:
-    """Return for each form, row and size of the faults AUC and calibration error; the unchanged row knows the true times."""
-    rows = {
-        form: wrong(switching(source.settings, joint), source.car, settings.factor) for form, joint in FORMS.items()
-    }
-    sizes = {_sizes(*size): Faults(*size) for size in settings.sizes}
-    cells = [(form, row, size) for form in FORMS for row, size in product(rows[form], sizes)]
-    own = {size: ensemble.seeds(f"beliefs/{size}", settings.streams) for size in sizes}
-    every, _ = ensemble.each(
-        "Streams",
-        [source.loop(sizes[size], rows[form][row]) for form, row, size in cells],
-        [own[size] for *_, size in cells],
-        1,
-        partial(_judged, source),
-    )
-    table: dict[str, Table] = {form: {row: {} for row in rows[form]} for form in FORMS}
-    for (form, row, size), streams in zip(cells, every, strict=True):
-        areas, errors = np.array([judged for few in streams for judged in few]).T
-        table[form][row][size] = {
-            name: {"mean": float(v.mean()), "ci": interval(v)} for name, v in (("auc", areas), ("ece", errors))
-        }
-    return table
+def _detected(
+    source: Streams, ensemble: Ensemble, settings: Beliefs
+) -> tuple[dict[str, Scores], dict[str, dict[str, Any]]]:
+    """Return for each form the scores of all rows on streams, and what it learns from other streams, with the scores of that.
 
-
-def _sizes(injection: float, drift: float) -> str:
-    return f"injection {injection:g}, drift {drift:g}"
-
-
-def _judged(source: Streams, loop: cosim.Diagram, seeds: Sequence[int]) -> list[tuple[float, float]]:
-    """Return AUC and expected calibration error of the fault probabilities of each stream."""
-    found, rows = [], slice(source.settings.skipped, None)
-    for stream in source.run(loop, seeds, [PROBABILITY]):
-        probability, faulty = stream.result[PROBABILITY][rows], stream.faulty[rows]
-        error = reliability(probability, faulty, bins=source.settings.bins).calibration_error
-        found.append((area(faulty, probability), error))
-    return found
+    The unchanged row knows the true times, so it is what both parts are compared with.
+    """
+    learned = learn(source, ensemble, settings, {form: default(joint) for form, joint in FORMS.items()})
+    forms: dict[str, dict[str, Learners]] = {}
+    for form, joint in FORMS.items():
+        alike = wrong(switching(source.settings, joint), source.car, settings.factor) | {DEFAULTS: default(joint)}
+        forms[form] = {row: dict.fromkeys(learned[form], learner) for row, learner in alike.items()}
+        forms[form][LEARNED] = {size: modes.precision for size, modes in learned[form].items()}
+    scores, found = score(source, ensemble, settings, forms), {}
+    for form, rows in scores.items():
+        own = {row: rows.pop(row) for row in (DEFAULTS, LEARNED)} | {TOLD: rows[UNCHANGED]}
+        found[form] = {"scores": own, "fits": {size: account(modes) for size, modes in learned[form].items()}}
+    return scores, found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import product
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce._beliefs import SETTINGS
@@ -14,10 +14,11 @@ if TYPE_CHECKING:
 
 SHORT = {"injection": "inj."}
 """What heads columns that are narrow."""
+RANKED = "AUC and expected calibration error (ECE)"
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield for each form the errors over the oracle's, with fine and coarse sensors, the worst of them, and the detection."""
+    """Yield for each form the errors over the oracle's, fine and coarse, the worst of them, the detection, what is learned."""
     settings = report["settings"]
     factor = settings["factor"]
     meant = "; ".join(f"{name}: {', '.join(of)}" for name, of in SETTINGS.items())
@@ -34,8 +35,15 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             [(row, c, of) for cells in (rows, coarse) for row in cells for c, of in cells[row].items()]
         )
         yield _worst(form, report["worst"][form])
+    judged = f"mean over {settings['streams']} streams"
     for form, rows in report["detection"].items():
-        yield from _streams(form, settings["streams"], rows)
+        title = f"{form}, streams of the detection experiment, whose mean times the first row knows: {RANKED}, {judged}"
+        yield from _streams(title, {"AUC": "auc", "ECE": "ece"}, rows)
+    for form, learned in report["learned"].items():
+        source = f"learned from {settings['training_streams']} other streams without labels"
+        title = f"{form}, {source}: {RANKED}, and Brier score, {judged}"
+        yield from _streams(title, {"AUC": "auc", "ECE": "ece", "Brier": "brier"}, learned["scores"])
+        yield _fits(form, learned["fits"])
 
 
 def _errors(title: str, rows: Mapping[str, Any]) -> RenderableType:
@@ -52,12 +60,11 @@ def _worst(form: str, worst: Mapping[str, Any]) -> str:
     )
 
 
-def _streams(form: str, streams: int, rows: Mapping[str, Any]) -> Iterator[RenderableType]:
-    measures = {"AUC": "auc", "ECE": "ece"}
+def _streams(title: str, measures: Mapping[str, str], rows: Mapping[str, Any]) -> Iterator[RenderableType]:
+    """Yield the means of measures, by what heads their columns, for each row and size of the faults, and their intervals."""
     heads = product(next(iter(rows.values())), measures)
     yield table(
-        f"{form}, streams of the detection experiment, whose mean times the first row knows: AUC and expected calibration error "
-        f"(ECE), mean over {streams} streams",
+        title,
         ["\n".join([name, *size.split(", ")]) for size, name in heads],
         {
             row: [f"{of[m]['mean']:.3f}" for of in cells.values() for m in measures.values()]
@@ -72,3 +79,15 @@ def _streams(form: str, streams: int, rows: Mapping[str, Any]) -> Iterator[Rende
         + sentence_list([f"+-{half:.3f} ({name})" for name, half in widest.items()])
         + " at most."
     )
+
+
+def _fits(form: str, fits: Mapping[str, Any]) -> RenderableType:
+    """Return a table of how each learning went; what it found is in the JSON file."""
+    rows = {}
+    for size, fit in fits.items():
+        found = fit["log_likelihood"]
+        fall = max((before - after for before, after in pairwise(found)), default=0.0)
+        steps = [str(len(found)), "yes" if fit["settled"] else "no", f"{found[0]:.0f}"]
+        rows[size] = [*steps, f"{found[-1] - found[0]:.0f}", f"{max(fall, 0.0):.0f}"]
+    heads = ["itera-\ntions", "settled", "log-likelihood\nat first (nats)", "rises by", "falls in an\niteration by"]
+    return table(f"{form}: learning", heads, rows, corner="faults")
