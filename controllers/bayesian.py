@@ -134,7 +134,7 @@ class BayesianController(BayesianBlock):
     @property
     def actuator_kinds(self) -> tuple[str, ...]:
         """Names of the ways in which actuators can fail that the precision learner tells."""
-        return tuple(type(mode).__name__ for mode in self._precision.actuator_modes_of(self.model))
+        return tuple(type(mode).__name__ for mode in self._precision.actuator_modes)
 
     @property
     def _precision(self) -> PrecisionLearner:

@@ -18,14 +18,14 @@ To write a precision learner you must:
 7. if it detects faults itself, name one of its ports ``detected``, of one number for each sensor (1: detected): ``bayesftc
    run`` takes it for the alarm where there is no probability;
 8. if it infers something together with the state (``infer`` of the `Learner`), return from ``apart(who, instead)`` the learner
-   without that, for controllers that learn apart from the state; and if it tells faults of actuators, return from
-   ``actuator_modes_of(model)`` which, for they become signals and a table of a run;
+   without that, for controllers that learn apart from the state; and if it tells faults of actuators, say by the field or
+   property ``actuator_modes`` which, for they become signals and a table of a run;
 9. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -115,8 +115,9 @@ class PrecisionLearner:
         """
         return self
 
-    def actuator_modes_of(self, model: LinearModel) -> tuple[ActuatorMode, ...]:
-        """Return the ways in which actuators can fail that it tells with a model."""
+    @property
+    def actuator_modes(self) -> Sequence[ActuatorMode]:
+        """The ways in which actuators can fail that it tells; none, unless a learner says so."""
         return ()
 
     @property

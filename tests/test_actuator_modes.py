@@ -37,7 +37,7 @@ CORRELATED = LinearModel([[A]], [[B]], [[1.0], [1.0]], Q, [[1.0, 0.5], [0.5, 1.0
 def test_there_are_outputs_for_the_modes_that_were_given(modes):
     """By default none: what a plant does that is slower than its model is no reason to ask for more control."""
     precision = SwitchingPrecision(actuator_modes=modes) if modes else SwitchingPrecision()
-    assert precision.actuator_modes_of(MODEL) == tuple(modes)
+    assert precision.actuator_modes == tuple(modes)
     ports = {port.name: port.shape for port in StateEstimator(MODEL, precision).outputs}
     assert ports.get("actuator_mode_probability") == ((1, 1 + len(modes)) if modes else None)
     assert BayesianController(MODEL, precision=precision).actuator_kinds == tuple(type(mode).__name__ for mode in modes)

@@ -87,9 +87,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
         model = monitor.model
         if precision is not None:
             if monitor.inputs:
-                check_controls(
-                    precision.actuator_modes_of(model), model, [f"the input {name!r}" for name in monitor.inputs]
-                )
+                check_controls(precision.actuator_modes, model, [f"the input {name!r}" for name in monitor.inputs])
             precision.learner(model)
     return monitor
 

@@ -154,7 +154,7 @@ def monitor_recording(
     if precision is None:
         precision = default_precision(recording.loss, recording.resolution)
     actuators = recording.inputs or tuple(f"input {j}" for j in range(model.controls))
-    actuator_modes = precision.actuator_modes_of(model)
+    actuator_modes = precision.actuator_modes
     check_controls(actuator_modes, model, [f"the input {name!r}" for name in actuators])
     estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
     known = precision if isinstance(precision, SwitchingPrecision) else None
