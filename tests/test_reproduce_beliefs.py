@@ -1,6 +1,7 @@
 """Wrong settings of fault modes, small: which settings a row changes, and its numbers by other ways of computing them."""
 
 import json
+from copy import deepcopy
 from dataclasses import replace
 from io import StringIO
 
@@ -178,14 +179,19 @@ def test_the_report_is_the_same_for_any_number_of_jobs_and_says_why(report):
 
 
 def test_what_is_printed(report):
-    console = Console(file=StringIO(), width=80)
-    for part in _beliefs_tables.show(report):
+    console, wide = Console(file=StringIO(), width=80), deepcopy(report)
+    learned = wide["learned"][FORM]
+    for of in (*wide["detection"][FORM].values(), *learned["scores"].values(), learned["fits"]):
+        of["injection 3, drift 5"] = of["injection 5, drift 2"]  # as many columns as with the usual settings
+    for part in _beliefs_tables.show(wide):
         console.print(part)
     text = console.file.getvalue()
     for row in (*report["errors"][FORM], *report["coarse"]["errors"][FORM]):
         assert f"\n {row} " in text  # on one line
-    for row in (*report["detection"][FORM], *report["learned"][FORM]["scores"]):
+    for row in (*report["detection"][FORM], *learned["scores"], "inj. 5, drift 2"):
         assert f"\n {row} " in text
+    scores = [of[m]["mean"] for of in learned["scores"]["learned"].values() for m in ("auc", "ece", "brier")]
+    assert "learned " + " ".join(f"{mean:.3f}" for mean in scores) in " ".join(text.split())
     words = " ".join(text.split())
     worst = report["worst"][FORM]
     assert f"in no cell has a row more than {worst['over_unchanged']:.3f} times the error of the first" in words
@@ -206,7 +212,7 @@ def test_wrong_settings_are_a_sentence():
 @pytest.mark.slow
 def test_five_times_wrong_is_safe():
     """What ``docs/precision.md`` says, on other noise: all but sizes in the per-sensor form, where a drift may be lost."""
-    report = reproduce.beliefs(seed=1, jobs=2, runs=200)
+    report = reproduce.beliefs(seed=1, jobs=2, settings=Beliefs(runs=200, training_streams=1))
     for form in (SWITCHING, FORM):
         for row, cells in (report["errors"][form] | report["coarse"]["errors"][form]).items():
             for cell, entry in cells.items():
@@ -216,3 +222,7 @@ def test_five_times_wrong_is_safe():
         for row, cells in streams.items():
             for size, entry in cells.items():
                 assert entry["auc"]["mean"] > streams["unchanged"][size]["auc"]["mean"] - 0.02, (form, row, size)
+        for size, learned in report["learned"][form]["scores"]["learned"].items():
+            defaults = report["learned"][form]["scores"]["defaults"][size]
+            assert learned["brier"]["mean"] < defaults["brier"]["mean"], (form, size)
+            assert learned["auc"]["mean"] > defaults["auc"]["mean"], (form, size)

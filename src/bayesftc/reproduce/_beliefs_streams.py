@@ -102,13 +102,13 @@ def learn(
         1,
         partial(_recorded, source),
     )
-    fits = [
-        partial(controllers.learn_modes, [run for few in runs for run in few], model(source.car), starts[form])
-        for (form, _), runs in zip(cells, every, strict=True)
-    ]
     learned: dict[str, dict[str, controllers.LearnedModes]] = {form: {} for form in starts}
-    for (form, size), modes in zip(cells, ensemble.run(fits, "Learning"), strict=True):
-        learned[form][size] = modes
+    # One after the other: learning steps through the samples in Python, which threads make no faster.
+    for done, ((form, size), runs) in enumerate(zip(cells, every, strict=True)):
+        if ensemble.progress:
+            ensemble.progress("Learning", done, len(cells))
+        recordings = [run for few in runs for run in few]
+        learned[form][size] = controllers.learn_modes(recordings, model(source.car), starts[form])
     return learned
 
 

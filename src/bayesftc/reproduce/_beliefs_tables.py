@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 SHORT = {"injection": "inj."}
 """What heads columns that are narrow."""
-RANKED = "AUC and expected calibration error (ECE)"
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
@@ -37,17 +36,18 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         yield _worst(form, report["worst"][form])
     judged = f"mean over {settings['streams']} streams"
     for form, rows in report["detection"].items():
-        title = f"{form}, streams of the detection experiment, whose mean times the first row knows: {RANKED}, {judged}"
+        known = "whose mean times the first row knows: AUC and expected calibration error (ECE)"
+        title = f"{form}, streams of the detection experiment, {known}, {judged}"
         yield from _streams(title, {"AUC": "auc", "ECE": "ece"}, rows)
     for form, learned in report["learned"].items():
-        source = f"learned from {settings['training_streams']} other streams without labels"
-        title = f"{form}, {source}: {RANKED}, and Brier score, {judged}"
+        source = f"learned from other streams ({settings['training_streams']}) without labels"
+        title = f"{form}, {source}: AUC, expected calibration error (ECE) and Brier score, {judged}"
         yield from _streams(title, {"AUC": "auc", "ECE": "ece", "Brier": "brier"}, learned["scores"])
         yield _fits(form, learned["fits"])
 
 
 def _errors(title: str, rows: Mapping[str, Any]) -> RenderableType:
-    heads = ["\n".join(SHORT.get(word, word) for word in cell.split()) for cell in next(iter(rows.values()))]
+    heads = ["\n".join(_short(cell).split()) for cell in next(iter(rows.values()))]
     shown = {row: [f"{of['ratio']:.3f}" for of in cells.values()] for row, cells in rows.items()}
     return table(title, heads, shown, corner="settings")
 
@@ -65,7 +65,7 @@ def _streams(title: str, measures: Mapping[str, str], rows: Mapping[str, Any]) -
     heads = product(next(iter(rows.values())), measures)
     yield table(
         title,
-        ["\n".join([name, *size.split(", ")]) for size, name in heads],
+        ["\n".join([name, *_short(size).split(", ")]) for size, name in heads],
         {
             row: [f"{of[m]['mean']:.3f}" for of in cells.values() for m in measures.values()]
             for row, cells in rows.items()
@@ -88,6 +88,10 @@ def _fits(form: str, fits: Mapping[str, Any]) -> RenderableType:
         found = fit["log_likelihood"]
         fall = max((before - after for before, after in pairwise(found)), default=0.0)
         steps = [str(len(found)), "yes" if fit["settled"] else "no", f"{found[0]:.0f}"]
-        rows[size] = [*steps, f"{found[-1] - found[0]:.0f}", f"{max(fall, 0.0):.0f}"]
+        rows[_short(size)] = [*steps, f"{found[-1] - found[0]:.0f}", f"{max(fall, 0.0):.0f}"]
     heads = ["itera-\ntions", "settled", "log-likelihood\nat first (nats)", "rises by", "falls in an\niteration by"]
     return table(f"{form}: learning", heads, rows, corner="faults")
+
+
+def _short(name: str) -> str:
+    return " ".join(SHORT.get(word, word) for word in name.split())
