@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from bayesftc.controllers._filter import measure
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+    from bayesftc.controllers.precision import Learner
 
 
 def learn_later(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
@@ -37,6 +44,20 @@ def make_ways(
         )  # fmt: skip
 
     return learn_later, update_together
+
+
+def belief_state(model: LinearModel, learner: Learner, mean: object, covariance: object) -> dict[str, Any]:
+    """Return the state that coming to a belief, `arrive` and the prediction need, with the belief before the first sample."""
+    n, p, m = model.states, model.controls, model.sensors
+    scratch = {
+        "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
+        "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "load": (2, p), "effective": (p,),
+    }  # fmt: skip
+    return {
+        "mean": mean, "covariance": covariance, "applied": np.zeros(p), "memory": learner.memory,
+        "work": np.zeros((learner.work, m, m)), "works": np.ones((2, p)),
+        **{name: np.zeros(shape) for name, shape in scratch.items()},
+    }  # fmt: skip
 
 
 def plan(goal, works, load, GB, sought, GBw):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, BayesianBlock
-from bayesftc.controllers._belief import arrive, make_ways, plan
+from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.model import LinearModel
@@ -153,17 +153,15 @@ class BayesianController(BayesianBlock):
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
         model, learner, G = self.model, self._learner(), self.goal_matrix
-        n, p, m, g = model.states, model.controls, model.sensors, len(G)
+        n, p, g = model.states, model.controls, len(G)
         B, prior = model.matrix("B"), self._prior_precision()
         parameters = self._shared_parameters(step) | {
             "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "goal_shift": G @ B @ self.control_mean,
             "prior_precision": prior, "prior_pull": prior @ np.asarray(self.control_mean),
         }  # fmt: skip
         scratch = {
-            "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
-            "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n), "wanted": (g,), "GA": (g, n),
-            "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
-            "load": (2, p), "effective": (p,), "sought": (g,), "GBw": (g, p),
+            "wanted": (g,), "GA": (g, n), "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
+            "sought": (g,), "GBw": (g, p),
         }  # fmt: skip
         joint = self.belief == "joint"
         folding = {
@@ -178,11 +176,8 @@ class BayesianController(BayesianBlock):
             "h": (n,),
         }
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
-        state = {
-            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), "works": np.ones((2, p)),
-            **{name: np.zeros(shape) for name, shape in scratch.items()},
-        }  # fmt: skip
+        state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
+        state |= {name: np.zeros(shape) for name, shape in scratch.items()}
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
         ways = make_ways(learner.step, None if joint else learner.infer)

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
-from typing import Any
 
 import numpy as np
 
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP
-from bayesftc.controllers._belief import arrive, make_ways
+from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers._filter import innovate, predict
 from bayesftc.controllers._linalg import apply
@@ -154,18 +153,7 @@ class StateEstimator(Block):
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
         model, learner = self.model, self.precision.learner(self.model)
-        n, p, m = model.states, model.controls, model.sensors
         Q, nominal = model.matrix("process_covariance"), model.matrix("sensor_covariance")
-        scratch = {
-            "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m), "chol": (m, m),
-            "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n),
-            "load": (2, p), "effective": (p,),
-        }  # fmt: skip
-        state: dict[str, Any] = {
-            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), "works": np.ones((2, p)),
-            **{name: np.zeros(shape) for name, shape in scratch.items()},
-        }  # fmt: skip
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
         parameters = {
             **{name: model.matrix(name) for name in "ABC"},
@@ -173,4 +161,5 @@ class StateEstimator(Block):
         }
         first = sum(port.size for port in self._own_outputs)
         estimate = _make_estimate(*make_ways(learner.step, learner.infer), learner.report, first)
+        state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
         return Definition(estimate, look_ahead, state=state, parameters=parameters)
