@@ -158,10 +158,6 @@ class SwitchingPrecision(PrecisionLearner):
             )
         return self
 
-    def actuator_modes_of(self, model: LinearModel) -> tuple[ActuatorMode, ...]:
-        """See `PrecisionLearner.actuator_modes_of`."""
-        return tuple(self.actuator_modes)
-
     @property
     def _faults(self) -> tuple[int, ...]:
         return tuple(int(mode.is_fault) for mode in self.modes)

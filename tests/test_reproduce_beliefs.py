@@ -59,7 +59,7 @@ def report():
 
 
 def test_a_row_changes_the_settings_that_it_names_and_no_others():
-    rows = _beliefs.wrong(controllers.SwitchingPrecision(), Car(), 5.0)
+    rows = _beliefs.wrong(controllers.SwitchingPrecision(), 5.0)
     assert list(rows)[:3] == ["unchanged", "to fault x 5", "to fault / 5"]
     assert rows["unchanged"] == controllers.SwitchingPrecision()
     frozen, offset, _, ramping, noisier, _ = rows["times / 5"].modes
@@ -71,7 +71,7 @@ def test_a_row_changes_the_settings_that_it_names_and_no_others():
     assert ramping == controllers.Ramping(slope=1.5)
     assert rows["recovery x 5"].modes[3] == controllers.Ramping(time_to_recovery=100.0)
     given = controllers.SwitchingPrecision(actuator_modes=(controllers.InputOffset(), controllers.StuckActuator()))
-    rows = _beliefs.wrong(given, Car(), 5.0)
+    rows = _beliefs.wrong(given, 5.0)
     added, stuck = controllers.InputOffset(15_000.0, 100.0), controllers.StuckActuator(15_000.0, 100.0)
     assert rows["times x 5"].actuator_modes == (added, stuck)
     assert rows["sizes x 5"].actuator_modes == (controllers.InputOffset(jump=25.0), controllers.StuckActuator())
@@ -79,13 +79,11 @@ def test_a_row_changes_the_settings_that_it_names_and_no_others():
     assert kick == controllers.NoisierProcess(150_000.0, 0.0)
     assert rough == controllers.NoisierProcess(150_000.0, 50.0, scale=3.0)
     assert rows["sizes x 5"].process_modes == given.process_modes
-    assert not any(
-        row.joint for row in _beliefs.wrong(controllers.SwitchingPrecision(joint=False), Car(), 2.0).values()
-    )
+    assert not any(row.joint for row in _beliefs.wrong(controllers.SwitchingPrecision(joint=False), 2.0).values())
 
 
 def test_coarse_sensors_are_told_their_resolution_rightly_or_wrongly():
-    rows = _beliefs.coarse_learners(Beliefs(), Car(), SWITCHING)
+    rows = _beliefs.coarse_learners(Beliefs(), SWITCHING)
     assert {name: row.modes[0].resolution for name, row in rows.items()} == pytest.approx(
         {"unchanged": 0.1, "resolution x 5": 0.5, "resolution / 5": 0.02}
     )
@@ -97,7 +95,7 @@ def test_errors_are_those_of_the_runs(report):
     cell, own = Scenario("injection", "sine", 5.0), seeds(3, "injection/sine", 2)
     bench = Bench(SHORT, Car(), Ensemble(3))
     for car, row, learner, table in (
-        (Car(), "sizes / 5", _beliefs.wrong(FEW, Car(), 5.0)["sizes / 5"], report["errors"]),
+        (Car(), "sizes / 5", _beliefs.wrong(FEW, 5.0)["sizes / 5"], report["errors"]),
         (
             Car(resolution=0.1),
             "resolution x 5",
@@ -120,7 +118,7 @@ def test_errors_are_those_of_the_runs(report):
 
 
 def test_the_area_is_that_of_scikit_learn(report):
-    learner = _beliefs.wrong(FEW, Car(), 5.0)["to fault x 5"]
+    learner = _beliefs.wrong(FEW, 5.0)["to fault x 5"]
     source = Streams(STREAMS, Car())
     streams = source.run(
         source.loop(Faults(5.0, 2.0), learner),

@@ -16,7 +16,6 @@ import numpy as np
 
 from bayesftc import controllers
 from bayesftc.reproduce._beliefs_streams import DEFAULTS, LEARNED, TOLD, Learners, Scores, account, learn, score
-from bayesftc.reproduce._car import model
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import SWITCHING, switching
 from bayesftc.reproduce._statistics import rms_ratio
@@ -82,9 +81,9 @@ def run(
     ensemble = Ensemble(seed, jobs, progress)
     fine = Bench(tracking, car, ensemble)
     coarse = replace(fine, car=replace(car, resolution=settings.resolution))
-    errors, oracle = _tracked(fine, settings.reference, settings.faults, {f: learners(settings, car, f) for f in FORMS})
+    errors, oracle = _tracked(fine, settings.reference, settings.faults, {f: learners(settings, f) for f in FORMS})
     at_coarse, oracle_at_coarse = _tracked(
-        coarse, settings.reference, settings.coarse_faults, {f: coarse_learners(settings, car, f) for f in FORMS}
+        coarse, settings.reference, settings.coarse_faults, {f: coarse_learners(settings, f) for f in FORMS}
     )
     scores, learned = _detected(Streams(detection, car), ensemble, settings)
     return {
@@ -106,7 +105,7 @@ def run(
 
 
 def wrong(
-    learner: controllers.SwitchingPrecision, car: Car, factor: float, of: Mapping[str, Sequence[str]] = SETTINGS
+    learner: controllers.SwitchingPrecision, factor: float, of: Mapping[str, Sequence[str]] = SETTINGS
 ) -> dict[str, controllers.SwitchingPrecision]:
     """Return a learner as it is, and for each row with settings of all its modes multiplied and divided by a factor.
 
@@ -116,14 +115,11 @@ def wrong(
     ----------
     learner : SwitchingPrecision
         Whose settings they are.
-    car : Car
-        Whose actuator may fail.
     factor : float
         By how much they are wrong.
     of : mapping
         The settings of each row; modes without one stay as they are.
     """
-    actuators = learner.actuator_modes_of(model(car))
 
     def times(names: Sequence[str], by: float) -> controllers.SwitchingPrecision:
         def changed(modes: Sequence[Any]) -> list[Any]:
@@ -132,7 +128,7 @@ def wrong(
         return replace(
             learner,
             modes=changed(learner.modes),
-            actuator_modes=changed(actuators),
+            actuator_modes=changed(learner.actuator_modes),
             process_modes=changed(learner.process_modes),
         )
 
@@ -147,16 +143,16 @@ def default(joint: bool) -> controllers.SwitchingPrecision:
     return controllers.SwitchingPrecision(joint=joint)
 
 
-def learners(settings: Beliefs, car: Car, form: str) -> Learners:
+def learners(settings: Beliefs, form: str) -> Learners:
     """Return the rows of a form, about its default settings."""
-    return wrong(default(FORMS[form]), car, settings.factor)
+    return wrong(default(FORMS[form]), settings.factor)
 
 
-def coarse_learners(settings: Beliefs, car: Car, form: str) -> Learners:
+def coarse_learners(settings: Beliefs, form: str) -> Learners:
     """Return the rows of a form that knows the resolution of coarse sensors, rightly or wrongly."""
     start = default(FORMS[form])
     told = [replace(m, resolution=settings.resolution) if isinstance(m, controllers.Frozen) else m for m in start.modes]
-    return wrong(replace(start, modes=told), car, settings.factor, COARSE_SETTINGS)
+    return wrong(replace(start, modes=told), settings.factor, COARSE_SETTINGS)
 
 
 def _tracked(
@@ -207,7 +203,7 @@ def _detected(
     learned = learn(source, ensemble, settings, {form: default(joint) for form, joint in FORMS.items()})
     forms: dict[str, dict[str, Learners]] = {}
     for form, joint in FORMS.items():
-        alike = wrong(switching(source.settings, joint), source.car, settings.factor) | {DEFAULTS: default(joint)}
+        alike = wrong(switching(source.settings, joint), settings.factor) | {DEFAULTS: default(joint)}
         forms[form] = {row: dict.fromkeys(learned[form], learner) for row, learner in alike.items()}
         forms[form][LEARNED] = {size: modes.precision for size, modes in learned[form].items()}
     scores, found = score(source, ensemble, settings, forms), {}
