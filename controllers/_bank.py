@@ -8,9 +8,10 @@ sensors, L modes of p actuators and G of the process there are 1 + m (K + J) + p
 many sensors fail at once.
 
 At each sample every hypothesis moves; then offsets begin and end. What has ended is merged first (the pool) and goes on from
-there: to no offset, or to the offset that a further sensor has meanwhile. Beliefs that arrive at the same hypothesis are merged
-by moments, as in an interacting-multiple-model filter (Blom and Bar-Shalom 1988). Then each hypothesis is conditioned on the
-sensors one after the other, and gets the probability of what they said.
+there: to no offset, or to the offset that a further sensor has meanwhile. Two go on later: an offset that jumps joins earlier
+ones after its first sample, and that a mode of the process has ended remains a hypothesis for a while (the one more). Beliefs
+that arrive at the same hypothesis are merged by moments, as in an interacting-multiple-model filter (Blom and Bar-Shalom 1988).
+Then each hypothesis is conditioned on the sensors one after the other, and gets the probability of what they said.
 """
 
 from __future__ import annotations

@@ -32,8 +32,8 @@ class Layout:
     process, and that one of those has just ended), the pool, and scratch space. The settings are those of the per-sensor form,
     then those of each mode of each actuator and of the process.
 
-    A kind of offset that begins with a jump stands twice among the kinds: the latter is one that has begun with this sample.
-    Merged at once with what is left of earlier ones, which nothing has contradicted so far, it would hardly be one that jumps.
+    An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
+    nothing has contradicted so far, it would hardly be one that jumps.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Layout:
     plant : int
         How many states are the plant's, which is what modes of the process move; the others are estimated disturbances.
     kinds : tuple of int
-        Which of the sensors' modes are offsets.
+        Which of the sensors' modes are offsets, those that begin with a jump once more at the end: their first sample.
     becomes : tuple of int
         For each of these, which one it is after its first sample: itself, or the earlier one of the same mode.
     slow : tuple of int
@@ -74,6 +74,16 @@ class Layout:
     process_modes: int
     width: int
     width_of_settings: int
+
+    @property
+    def fresh(self) -> tuple[bool, ...]:
+        """For each kind of offset whether it is one's first sample."""
+        return tuple(self.becomes[q] != q for q in range(len(self.kinds)))
+
+    @property
+    def begins_here(self) -> tuple[bool, ...]:
+        """For each kind of offset whether it begins as this one, and not as its first sample."""
+        return tuple(self.fresh[q] or self.becomes.count(q) == 1 for q in range(len(self.kinds)))
 
     @property
     def modes(self) -> int:

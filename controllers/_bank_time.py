@@ -50,9 +50,9 @@ from bayesftc.cosim.ops import maximum, minimum
 EXPIRES = 0.02
 """Probability per sample with which a drift ends that no other sensor bears witness to: it may as well be the state's motion."""
 
-DOUBTED = 0.02
-"""Probability per sample with which it is settled whether a mode of the process that has ended had ever begun: the few samples of
-a kick need not tell, while those after it do as long as the hypothesis is one of its own."""
+SETTLES = 0.02
+"""Probability per sample with which a mode of the process that has ended is taken for over: until then that it was there is a
+hypothesis of its own, for often only the samples after a kick tell of it."""
 
 
 @cache
@@ -70,14 +70,13 @@ def make_pass_time(
     """
     n, plant, m, p, K, L = layout.n, layout.plant, layout.m, layout.p, len(layout.kinds), layout.actuator_modes
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
-    fresh = tuple(int(becomes[q] != q) for q in range(len(kinds)))
-    begins_here = tuple(int(fresh[q] or becomes.count(q) == 1) for q in range(len(kinds)))
+    fresh, begins_here = layout.fresh, layout.begins_here
     alone, other, modes = layout.alone, layout.other, layout.modes
     sensor, row_length, actuator = layout.sensor, layout.row, layout.actuator
     width, width_of_settings = layout.width, layout.width_of_settings
     none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
     couples = layout.couples
-    pushed, shift, scratch = couples + n + 2, couples + n + 2, couples + 2 * (n + 2)
+    shift, scratch = couples + n + 2, couples + 2 * (n + 2)
     actuators, of_actuators = layout.actuators, m * layout.row + 1
     first_actuator, process, G = 1 + m * K, layout.process, layout.process_modes
     H, N = layout.hypotheses, n + 2
@@ -150,7 +149,7 @@ def make_pass_time(
             for j in range(p):
                 works, load = memory[actuators + j * actuator + WORKS], memory[actuators + j * actuator + LOAD]
                 total = total + B[a, j] * (applied[j] - (works * applied[j] + load))
-            memory[pushed + a] = total
+            memory[shift + a] = total
         memory[pool] = 0.0 * memory[none]
         for i in range(m):
             pass_alone(memory, none + kept + i * sensor, settings, i * row_length)
@@ -173,12 +172,11 @@ def make_pass_time(
                     A, Q, start, covariance, largest, couples, shift, scratch,
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
+                collect(
+                    memory, at, minimum(settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i
+                )
                 if fresh[q]:
                     become(memory, none + (1 + i * K + becomes[q]) * stride, at, i)
-                else:
-                    collect(
-                        memory, at, minimum(settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i
-                    )
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
@@ -206,7 +204,7 @@ def make_pass_time(
             )  # fmt: skip
         if G > 0:
             after = none + (process + G) * stride
-            collect(memory, after, DOUBTED, -1)
+            collect(memory, after, SETTLES, -1)
             for q in range(G):
                 at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
                 ended = memory[at] * settings[own + STOPS]

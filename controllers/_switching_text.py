@@ -131,7 +131,7 @@ def learner_functions(
     faults : tuple of int
         For each mode whether it is a fault (1 or 0).
     layout : Layout or None
-        Of the joint form's bank, where there is one: it has actuators to report on.
+        Of the joint form's bank, where there is one: it has actuators and the process to report on.
     """
     modes = len(evidence)
     pass_time, weigh = sensor_functions(evidence, chosen, width, settings)

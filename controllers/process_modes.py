@@ -13,7 +13,7 @@ from bayesftc.controllers._checks import check_number
 
 @dataclass(frozen=True)
 class NoisierProcess:
-    """The process noise is larger: by default for a single sample and by far, which is a kick.
+    """The process noise of the plant's states is larger: by default for a single sample and by far, which is a kick.
 
     Parameters
     ----------
@@ -34,12 +34,21 @@ class NoisierProcess:
     def __post_init__(self) -> None:
         check_number(self, "time_to_fault", above=0)
         check_number(self, "time_to_recovery", least=0)
-        check_number(self, "scale", above=1)
+        check_number(self, "scale", above=1, most=1e6)
 
     def settings(self, step: float) -> tuple[float, float, float]:
-        """Return the probabilities per sample with which it begins and ends, and how much variance it adds, in nominal ones."""
+        """Return the probabilities per sample with which it begins and ends, and how much variance it adds, in nominal ones.
+
+        The time that it lasts counts from its first sample on and may be 0: so a mean time T has the probability
+        step / (step + T).
+        """
         begins, ends = step / (step + self.time_to_fault), step / (step + self.time_to_recovery)
         return begins, ends, self.scale**2 - 1.0
 
 
-__all__ = ["NoisierProcess"]
+PROCESS_MODES: tuple[NoisierProcess, ...] = (NoisierProcess(), NoisierProcess(time_to_recovery=10.0, scale=3.0))
+"""What the plant does by default: kicks; and longer times in which the model says less than it should, with a scale that makes up
+for a mass or a drag that is not as believed, and beyond which a plant that answers late was followed too closely."""
+
+
+__all__ = ["PROCESS_MODES", "NoisierProcess"]

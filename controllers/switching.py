@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +20,7 @@ from bayesftc.controllers._switching_text import learner_functions, sensor_funct
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
 from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
-from bayesftc.controllers.process_modes import NoisierProcess
+from bayesftc.controllers.process_modes import PROCESS_MODES, NoisierProcess
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
@@ -46,7 +46,8 @@ class SwitchingPrecision(PrecisionLearner):
     whose sum over a recording says how well the settings explain it (a pseudo-likelihood where an offset exceeds its `jump`).
 
     In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
-    slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs. It
+    slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs.
+    Further hypotheses are that the plant is moved by more than its process noise, or that an actuator has failed. The joint form
     is for controllers with a linear model; with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated,
     sensors are judged one by one by their innovation from the common prediction (the per-sensor form).
 
@@ -69,7 +70,8 @@ class SwitchingPrecision(PrecisionLearner):
     process_modes : sequence of NoisierProcess
         Times in which the plant is moved by more than its process noise: by default kicks, and longer ones in which the model
         says less than it should. Without any, what all sensors see alike is taken for faults of all of them. A part of the joint
-        form, which then has the output ``process_mode_probability`` (2 + modes: healthy first, last that one has just ended).
+        form, which then has the output ``process_mode_probability`` (2 + modes: healthy first; last that one has ended, as far as
+        that is not settled). Without the joint form, an `Offset` or process noise the default ones are left out.
 
     Raises
     ------
@@ -82,10 +84,7 @@ class SwitchingPrecision(PrecisionLearner):
     loss: float | Sequence[float] = 0.01
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
-    process_modes: Sequence[NoisierProcess] = (
-        NoisierProcess(),
-        NoisierProcess(time_to_recovery=10.0, scale=3.0),
-    )
+    process_modes: Sequence[NoisierProcess] = PROCESS_MODES
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
@@ -129,7 +128,8 @@ class SwitchingPrecision(PrecisionLearner):
                 memory += block + [0.0] * (width - len(block))
         evidence = tuple(type(mode).evidence for mode in self.modes)
         single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
-        layout = self._layout(model, width, settings_width)
+        process_modes = self._acting(model)
+        layout = self._layout(model, width, settings_width, process_modes)
         learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout)
         ports = [Port("mode_probability", (m, 1 + len(self.modes)))]
         ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
@@ -143,7 +143,7 @@ class SwitchingPrecision(PrecisionLearner):
             ports.append(Port("process_mode_probability", (2 + layout.process_modes,)))
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
         settings += [step, *actuator_settings(self.actuator_modes, model)]
-        settings += [value for mode in self.process_modes for value in mode.settings(step)]
+        settings += [value for mode in process_modes for value in mode.settings(step)]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
@@ -156,7 +156,12 @@ class SwitchingPrecision(PrecisionLearner):
                 f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; {instead}, or leave "
                 "the actuator modes out."
             )
-        return self
+        if self.process_modes not in ((), PROCESS_MODES):
+            raise ModelError(
+                f"{who} learns precisions apart from the state, so that modes of the process cannot be told; {instead}, or leave "
+                "the process modes out."
+            )
+        return replace(self, process_modes=())
 
     @property
     def _faults(self) -> tuple[int, ...]:
@@ -171,7 +176,23 @@ class SwitchingPrecision(PrecisionLearner):
         nominal = model.matrix("sensor_covariance")
         return self.joint and not np.any(nominal != np.diag(np.diag(nominal)))
 
-    def _layout(self, model: LinearModel, width: int, settings: int) -> Layout | None:
+    def _acting(self, model: LinearModel) -> tuple[NoisierProcess, ...]:
+        """Return the process modes that can act; those that were given must."""
+        plant = model.states - model.disturbances
+        joint = self._is_joint(model) and (self._kinds or self.actuator_modes)
+        if joint and np.any(model.matrix("process_covariance")[:plant, :plant]):
+            return tuple(self.process_modes)
+        if self.process_modes and self.process_modes != PROCESS_MODES:
+            raise ModelError(
+                "SwitchingPrecision has process_modes, which are told from sensors' faults in the joint form only, and scale the "
+                "process noise of the plant: leave joint=True, give sensors of independent noise, an Offset among the modes and "
+                "a process covariance, or leave the process modes out."
+            )
+        return ()
+
+    def _layout(
+        self, model: LinearModel, width: int, settings: int, process_modes: Sequence[NoisierProcess]
+    ) -> Layout | None:
         """Return the layout of the joint form's bank, if it is that form."""
         kinds, actuator_modes = self._kinds, self.actuator_modes
         if not self._is_joint(model) or not (kinds or actuator_modes):
@@ -184,11 +205,11 @@ class SwitchingPrecision(PrecisionLearner):
         step = float(model.step)
         begins = model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in kinds)
         begins += model.controls * sum(chance(mode, "time_to_fault", step) for mode in actuator_modes)
-        begins += sum(mode.settings(step)[0] for mode in self.process_modes)
+        begins += sum(mode.settings(step)[0] for mode in process_modes)
         if begins >= 1:
             raise ModelError(
-                f"The offsets of {model.sensors} sensors and the actuators' faults begin with a probability of {begins:.3g} "
-                f"together in each sample of {step:g} s; their times to a fault are too short for the joint form of "
+                f"The offsets of {model.sensors} sensors, the actuators' faults and process modes begin with a probability of "
+                f"{begins:.3g} together in each sample of {step:g} s; their times to a fault are too short for the joint form of "
                 "SwitchingPrecision: lengthen time_to_fault, or take joint=False."
             )
         jumping = tuple(q for q, k in enumerate(kinds) if getattr(self.modes[k], "jump", 0.0) > 0)
@@ -202,7 +223,7 @@ class SwitchingPrecision(PrecisionLearner):
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
             becomes=becomes, slow=slow, alone=spans[0], other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes),
-            process_modes=len(self.process_modes), width=width, width_of_settings=settings,
+            process_modes=len(process_modes), width=width, width_of_settings=settings,
         )  # fmt: skip
 
     def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -20,7 +20,6 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.signals import (
-    ALARM,
     ActuatorSignals,
     Flags,
     InputSignals,
@@ -181,12 +180,4 @@ def _quantities(
     return tuple(found)
 
 
-__all__ = [
-    "ALARM",
-    "ActuatorSignals",
-    "InputSignals",
-    "LoopSignals",
-    "QuantitySignals",
-    "SensorSignals",
-    "loop_signals",
-]
+__all__ = ["loop_signals"]

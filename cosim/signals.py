@@ -178,4 +178,4 @@ class LoopSignals:
         return any_of([*(s.faulty for s in self.sensors), *(i.faulty for i in self.inputs)])
 
 
-__all__ = ["ActuatorSignals", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals"]
+__all__ = ["ALARM", "ActuatorSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals"]

@@ -129,6 +129,39 @@ def test_a_hypothesis_is_filtered_as_filterpy_does():
     np.testing.assert_allclose(other[2 + N : scratch].reshape(N, N), whole, rtol=1e-10, atol=1e-12)
 
 
+def test_an_offset_that_jumps_is_estimated_as_by_filterpy_from_its_first_sample_on():
+    """It begins at once and for good: not merged with offsets that had been there before, and together with the state."""
+    a, q, noise = 0.999, 0.05, np.diag([1.0, 2.0])
+    precision = SwitchingPrecision([Offset(10 * STEP, NEVER, jump=50.0, walk=0.1)], loss=1e-9, process_modes=())
+    step = controllers.StateEstimator(
+        LinearModel([[a]], [[0.1]], [[1.0], [1.0]], q, noise, STEP),
+        precision,
+        initial_mean=20.0,
+        initial_covariance=0.5,
+    ).online(compiled=False)
+    one = KalmanFilter(2, 2, 1)
+    one.x, one.P = np.array([[20.0], [0.0]]), np.diag([0.5, 50.0**2])
+    one.F, one.B, one.H = np.diag([a, 1.0]), np.array([[0.1], [0.0]]), np.array([[1.0, 1.0], [1.0, 0.0]])
+    one.Q, one.R = np.diag([q, 0.1**2]), noise
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        y, u = 20.0 + rng.normal(size=2) + [40.0, 0.0], rng.normal()
+        one.update(y[:, None])
+        out = step(y=list(y), u=[u])
+        one.predict(u=np.array([[u]]))
+        assert out.x_hat[0] == pytest.approx(float(one.x_post[0, 0]), abs=0.01)
+
+
+@pytest.mark.parametrize("modes", [(Offset(),), (Offset(300.0, 2 * STEP),), SwitchingPrecision().modes])
+def test_a_single_wrong_sample_of_one_sensor_is_not_blamed_on_the_other(modes):
+    rng, rows = np.random.default_rng(1), []
+    for k in range(60):
+        rows.append(20.0 + rng.normal(size=2) + [15.0 * (k == 30), 0.0])
+    outs = inferred(SwitchingPrecision(modes, process_modes=()), rows, m=2, noise=(1.0,))
+    assert max(out.fault_probability[1] for out in outs) < 0.05
+    assert outs[40].fault_probability[0] < 0.5
+
+
 def faulty(m, faults, steps=500, seed=0):
     """Return samples of m sensors of a wandering speed, with faults {sensor: (kind, first step)}, and the speed."""
     rng, x, rows, speeds = np.random.default_rng(seed), 20.0, [], []

@@ -20,26 +20,55 @@ MODEL = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, STEP)
 NEVER, AT_ONCE = 1e15, 1e-15
 
 
-def test_a_noisier_process_is_filtered_as_filterpy_does():
-    A, B = np.array([[1.0, STEP], [0.0, 0.98]]), np.array([[0.0], [STEP]])
-    C, Q, R = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([[0.02, 0.01], [0.01, 0.05]]), [1.0, 4.0, 0.5]
-    model = LinearModel(A, B, C, Q, np.diag(R), STEP)
-    precision = SwitchingPrecision(
-        [Offset(NEVER, NEVER)], loss=1e-9, process_modes=[NoisierProcess(AT_ONCE, NEVER, scale=7.0)]
-    )
+def filtered(model, mode, steps, noise, left=1.0):
+    """Compare with filterpy's filter, in which ``noise`` is added to the process noise from the first sample on.
+
+    From the second one on only what is ``left`` of it.
+    """
+    n, m = model.states, model.sensors
+    A, B, C, Q = (model.matrix(name) for name in ("A", "B", "C", "process_covariance"))
+    precision = SwitchingPrecision([Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode])
     step = StateEstimator(model, precision, initial_covariance=0.3).online(compiled=False)
-    one = KalmanFilter(2, 3, 1)
-    one.x, one.P = np.zeros((2, 1)), 0.3 * np.eye(2) + 48.0 * Q  # it begins with the first sample
-    one.F, one.B, one.H, one.Q, one.R = A, B, C, 49.0 * Q, np.diag(R)
+    one = KalmanFilter(n, m, 1)
+    one.x, one.P = np.zeros((n, 1)), 0.3 * np.eye(n) + noise  # it begins with the first sample
+    one.F, one.B, one.H, one.Q, one.R = A, B, C, Q + left * noise, model.matrix("sensor_covariance")
     rng = np.random.default_rng(3)
-    for _ in range(40):
-        y, u = rng.normal(size=3), rng.normal()
+    for _ in range(steps):
+        y, u = rng.normal(size=m), rng.normal()
         one.update(y[:, None])
         out = step(y=list(y), u=[u])
-        np.testing.assert_allclose(out.x_hat, one.x[:, 0], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(out.P, one.P, rtol=1e-8)
-        assert out.process_mode_probability[1] == pytest.approx(1.0)
+        np.testing.assert_allclose(out.x_hat, one.x[:, 0], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(out.P, one.P, rtol=1e-6)
         one.predict(u=np.array([[u]]))
+    return out
+
+
+TWO = LinearModel(
+    [[1.0, STEP], [0.0, 0.98]], [[0.0], [STEP]], [[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[0.02, 0.01], [0.01, 0.05]],
+    np.diag([1.0, 4.0, 0.5]), STEP,
+)  # fmt: skip
+
+
+def test_a_noisier_process_is_filtered_as_filterpy_does():
+    out = filtered(TWO, NoisierProcess(AT_ONCE, NEVER, scale=7.0), 40, 48.0 * TWO.matrix("process_covariance"))
+    assert out.process_mode_probability[1] == pytest.approx(1.0)
+
+
+def test_a_kick_is_one_sample_of_noise():
+    out = filtered(TWO, NoisierProcess(AT_ONCE, 0.0, scale=7.0), 2, 48.0 * TWO.matrix("process_covariance"), left=0.0)
+    assert out.process_mode_probability[2] == pytest.approx(1.0)  # it has ended
+
+
+def test_the_plant_is_kicked_and_not_the_force_that_is_estimated():
+    model = MODEL.with_disturbance(4.0)
+    filtered(model, NoisierProcess(AT_ONCE, NEVER, scale=7.0), 40, np.diag([48.0 * 0.001, 0.0]))
+
+
+def test_a_plant_without_noise_has_no_modes():
+    still = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.0, 1.0, STEP)
+    assert "process_mode_probability" not in {port.name for port in SwitchingPrecision().learner(still).ports}
+    with pytest.raises(ModelError, match="scale the process noise of the plant"):
+        SwitchingPrecision(process_modes=[NoisierProcess()]).learner(still)
 
 
 def drive(precision, kick=0.0, bias=0.0, hill=0.0, share=1.0, wave=0.0, seed=0, compiled=False):
@@ -114,7 +143,20 @@ def test_they_are_a_part_of_the_joint_form(precision, ports):
     ("make", "words"),
     [
         (lambda: NoisierProcess(scale=1.0), "NoisierProcess has scale"),
+        (lambda: NoisierProcess(scale=1e200), "NoisierProcess has scale"),
         (lambda: NoisierProcess(time_to_recovery=-1.0), "NoisierProcess has time_to_recovery"),
+        (
+            lambda: SwitchingPrecision(joint=False, process_modes=[NoisierProcess()]).learner(MODEL),
+            "process_modes, which are told .* in the joint form only",
+        ),
+        (
+            lambda: SwitchingPrecision(process_modes=[NoisierProcess(1e-3), NoisierProcess(1e-3)]).learner(MODEL),
+            "actuators' faults and process modes begin",
+        ),
+        (
+            lambda: SwitchingPrecision(process_modes=[NoisierProcess()]).apart("X"),
+            "^X learns .* leave the process modes out",
+        ),
         (lambda: SwitchingPrecision(process_modes=3), "give a list of process modes"),
         (lambda: SwitchingPrecision(process_modes=[NoisierProcess]), r"give a mode made of it: NoisierProcess\(\)"),
     ],

@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.roles import ALARM
+from bayesftc.cosim.signals import ALARM
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._arm_loop import FAULTY, HEALTHY, Case, closed_loop, explicit, learning, switching
 from bayesftc.reproduce._ensemble import Ensemble, Progress

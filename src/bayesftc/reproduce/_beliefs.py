@@ -129,7 +129,7 @@ def wrong(
             learner,
             modes=changed(learner.modes),
             actuator_modes=changed(learner.actuator_modes),
-            process_modes=changed(learner.process_modes),
+            process_modes=changed(learner.process_modes) if learner.joint else learner.process_modes,
         )
 
     rows = {UNCHANGED: learner}

@@ -20,7 +20,7 @@ from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.alarms import Alarms, alarm_threshold, judge_alarms
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.roles import ALARM
+from bayesftc.cosim.signals import ALARM
 from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
 from bayesftc.reproduce._models_car import RIGHT, Condition, believed, conditions, disturbed, loop
 from bayesftc.reproduce._residuals import SWITCHING
