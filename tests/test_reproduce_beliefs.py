@@ -181,6 +181,8 @@ def test_what_is_printed(report):
     learned = wide["learned"][FORM]
     for of in (*wide["detection"][FORM].values(), *learned["scores"].values(), learned["fits"]):
         of["injection 3, drift 5"] = of["injection 5, drift 2"]  # as many columns as with the usual settings
+    for cells in wide["errors"][FORM].values():
+        cells |= {f"{fault} {size:g}": cells["injection 5"] for fault, size in Beliefs().faults}
     for part in _beliefs_tables.show(wide):
         console.print(part)
     text = console.file.getvalue()

@@ -12,7 +12,7 @@ from bayesftc.reproduce._tables import interval_widths, sentence_list, table
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-SHORT = {"injection": "inj."}
+SHORT = {"injection": "inj.", "healthy": "no fault"}
 """What heads columns that are narrow."""
 
 
