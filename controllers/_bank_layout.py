@@ -29,7 +29,7 @@ class Layout:
 
     The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
     of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator; each of the
-    process, and that one of those has just ended), the pool, and scratch space. The settings are those of the per-sensor form,
+    process, and that one of those has ended), the pool, and scratch space. The settings are those of the per-sensor form,
     then those of each mode of each actuator and of the process.
 
     An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
@@ -107,7 +107,7 @@ class Layout:
 
     @property
     def hypotheses(self) -> int:
-        """How many hypotheses there are: the last one, that a mode of the process has just ended, if it has any."""
+        """How many hypotheses there are: the last one, that a mode of the process has ended, if it has any."""
         return self.process + self.process_modes + (self.process_modes > 0)
 
     @property

@@ -222,7 +222,7 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
 
 
 def report_process(memory, at, stride, modes, first, outputs):
-    """Write the probabilities of the process' modes, healthy first, last that one has just ended; they stand from ``at`` on."""
+    """Write the probabilities of the process' modes, healthy first, last that one has ended; they stand from ``at`` on."""
     healthy = 1.0 + 0.0 * memory[at]
     for k in range(modes + 1):
         outputs[first + 1 + k] = memory[at + k * stride]

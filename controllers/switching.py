@@ -176,11 +176,14 @@ class SwitchingPrecision(PrecisionLearner):
         nominal = model.matrix("sensor_covariance")
         return self.joint and not np.any(nominal != np.diag(np.diag(nominal)))
 
+    def _has_bank(self, model: LinearModel) -> bool:
+        """Return whether there is anything for the joint form to tell."""
+        return self._is_joint(model) and bool(self._kinds or self.actuator_modes)
+
     def _acting(self, model: LinearModel) -> tuple[NoisierProcess, ...]:
         """Return the process modes that can act; those that were given must."""
         plant = model.states - model.disturbances
-        joint = self._is_joint(model) and (self._kinds or self.actuator_modes)
-        if joint and np.any(model.matrix("process_covariance")[:plant, :plant]):
+        if self._has_bank(model) and np.any(model.matrix("process_covariance")[:plant, :plant]):
             return tuple(self.process_modes)
         if self.process_modes and self.process_modes != PROCESS_MODES:
             raise ModelError(
@@ -195,7 +198,7 @@ class SwitchingPrecision(PrecisionLearner):
     ) -> Layout | None:
         """Return the layout of the joint form's bank, if it is that form."""
         kinds, actuator_modes = self._kinds, self.actuator_modes
-        if not self._is_joint(model) or not (kinds or actuator_modes):
+        if not self._has_bank(model):
             if actuator_modes:
                 raise ModelError(
                     "SwitchingPrecision has actuator_modes, which are told from sensors' faults in the joint form only; leave "
