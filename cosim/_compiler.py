@@ -50,6 +50,7 @@ _STAMP = 1_000_000_000.0
 _lock = threading.RLock()
 _modules: dict[str, ModuleType] = {}
 _kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], int]]] = WeakKeyDictionary()
+_latest_twin: WeakKeyDictionary[FunctionType, tuple[list[Any], FunctionType]] = WeakKeyDictionary()
 _registered: set[FunctionType] = set()
 
 
@@ -107,12 +108,18 @@ def _twins(functions: list[FunctionType]) -> list[FunctionType]:
     twins: dict[FunctionType, FunctionType] = {}
     for function in functions:
         now = {name: twins.get(value, value) if callable(value) else value for name, value in references(function)}
+        seen = [function.__code__, function.__defaults__, function.__kwdefaults__, *now.values()]
+        before, twin = _latest_twin.get(function, ([], function))
+        if len(before) == len(seen) and all(map(operator.is_, before, seen)):
+            twins[function] = twin  # another block calls it too: numba need not compile it again
+            continue
         closure = tuple(CellType(now[name]) for name in function.__code__.co_freevars)
         # The name of a module that any process can import, which stored code refers to; a function made by exec has none.
         namespace = {"__name__": __name__, "__builtins__": builtins, **now}
         twin = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__, closure or None)
         twin.__kwdefaults__ = function.__kwdefaults__
         twins[function] = twin
+        _latest_twin[function] = seen, twin
     return list(twins.values())
 
 

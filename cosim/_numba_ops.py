@@ -2,6 +2,7 @@
 
 import math
 
+import numba
 import numpy as np
 from numba import extending
 
@@ -73,6 +74,11 @@ def _square(x):
 
 OPTIONS = {"error_model": "numpy", "forceinline": True}
 """How every function called from a step function is compiled: 1/0 is infinite, and calls cost nothing."""
+
+if (0, 61) <= numba.version_info.short < (0, 69):  # it builds on what numba may change
+    from bayesftc.cosim._numba_callee import Callee
+
+    OPTIONS |= {"pipeline_class": Callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 extending.register_jitable(**OPTIONS)(_select)
 _IMPLEMENTATIONS = {name: value for name, value in globals().items() if name[1:] in ops.NAMES}

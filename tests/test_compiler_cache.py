@@ -244,6 +244,44 @@ def test_a_changed_global_is_noticed_in_the_same_function(module, evaluate):
     assert evaluate(kernel) == (6.5, 0)
 
 
+def test_what_two_blocks_call_is_compiled_once(module, evaluate):
+    written, shared = module(), []
+    one, two = written.make(3.0), written.make(4.0)
+    for kernel in (one, two):
+        evaluate(kernel)
+        shared.append(_compiler._latest_twin[written.helper])
+    assert shared[0] is shared[1]
+    assert _compiler._latest_twin[one][1] is not _compiler._latest_twin[two][1]
+
+
+OTHER_NUMBA = """
+import sys
+import numba
+if sys.argv[1] == "unknown":
+    numba.version_info = numba.version_info._replace(short=(99, 0))
+import numpy as np
+from bayesftc import controllers, cosim, fmus
+from bayesftc.cosim import _numba_ops
+
+model = controllers.LinearModel([[0.98]], [[0.02]], np.ones((2, 1)), [[1e-4]], np.eye(2), dt=0.02)
+controller = controllers.BayesianController(model, precision=controllers.GammaPrecision(forgetting=0.9))
+loop = cosim.closed_loop(plant=cosim.FMU(fmus.path("CruiseControl")), controller=controller, control="force", measured="v",
+                         sensors=cosim.Sensors(count=2, std=1.0), reference=5.0)
+result = loop.simulate(10.0, seed=1, engine="compiled")
+print(json.dumps(["pipeline_class" in _numba_ops.OPTIONS, {name: result[name].tobytes().hex() for name in result}]))
+"""
+
+
+def test_a_numba_that_is_not_known_compiles_to_the_same_bits(python, tmp_path):
+    (ours, known), (plain, unknown) = (
+        python(f"import json{OTHER_NUMBA}", version, cache=tmp_path / version, timeout=300)
+        for version in ("known", "unknown")
+    )
+    assert ours
+    assert not plain
+    assert known == unknown
+
+
 def test_functions_of_one_name_are_told_apart(evaluate):
     # Both helpers are called h, and both are reached by way of g first, in whichever order they are then given.
     def make_h(a):
