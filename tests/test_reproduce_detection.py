@@ -247,7 +247,8 @@ def test_headline_beta_beats_the_baseline():
     for name in ("SwitchingPrecision", "SwitchingPrecision, per sensor", "SwitchingPrecision, default"):
         assert cell["residuals"][name]["1 per hour"]["injection"]["delay_samples"]["ci"][1] <= 2
         assert report["alarms"]["fault_free"][name]["1 per hour"]["false_alarms_per_hour_ci"][0] < 1
-        assert report["calibration"][name]["ece"]["ci"][1] <= 0.02
+        # By default faults are believed to be 36 times rarer than here.
+        assert report["calibration"][name]["ece"]["ci"][1] <= (0.025 if name.endswith("default") else 0.02)
 
 
 def test_grid_has_larger_areas_for_larger_faults_and_faster_references(report):

