@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 
-from bayesftc.cosim import _fmi_instance, _fmi_kernels
+from bayesftc.cosim import _fmi_kernels, _fmi_steps
 
 
 def fake(returns, writes=()):
@@ -24,10 +24,10 @@ def fake(returns, writes=()):
         return returns["step"]
 
     return (
-        _fmi_instance._VALUES2(values),
-        _fmi_instance._VALUES3(values),
-        _fmi_instance._STEP2(step2),
-        _fmi_instance._STEP3(step3),
+        _fmi_steps._VALUES2(values),
+        _fmi_steps._VALUES3(values),
+        _fmi_steps._STEP2(step2),
+        _fmi_steps._STEP3(step3),
     )
 
 
@@ -59,14 +59,14 @@ def test_status_of_every_kind_in_both_engines(major, values, step, writes, expec
     u, y = np.zeros(1), np.zeros(1)
     entry = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
     for timing in ("plant", "sampled"):
-        steps = _fmi_instance.StepFunctions(major, addresses, 1, [0], [1], 0.01, timing)
+        steps = _fmi_steps.StepFunctions(major, addresses, 1, [0], [1], 0.01, timing)
         plain = steps.update if timing == "plant" else steps.output
         compiled = entry(steps.update_address if timing == "plant" else steps.output_address)
         assert len(steps.table) <= 32
         assert plain(u, y, 1.0) == expected
         assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == expected
     if values > 1:
-        steps = _fmi_instance.StepFunctions(major, addresses, 1, [0], [1], 0.01, "plant")
+        steps = _fmi_steps.StepFunctions(major, addresses, 1, [0], [1], 0.01, "plant")
         assert steps.output(u, y, 1.0) == 100 + values
         compiled = entry(steps.output_address)
         assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == 100 + values
@@ -75,5 +75,5 @@ def test_status_of_every_kind_in_both_engines(major, values, step, writes, expec
 
 def test_both_engines_have_the_same_codes():
     for name in ("GET", "SET", "STEP", "EARLY", "TERMINATED"):
-        assert getattr(_fmi_instance, name) == getattr(_fmi_kernels, name)
-    assert _fmi_instance._TOLERANCE == _fmi_kernels.TOLERANCE
+        assert getattr(_fmi_steps, name) == getattr(_fmi_kernels, name)
+    assert _fmi_steps._TOLERANCE == _fmi_kernels.TOLERANCE
