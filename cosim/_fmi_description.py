@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
+from bayesftc.cosim._model_exchange_info import ExchangeInfo, read_exchange
 from bayesftc.cosim.errors import FMUError, FMUVersionError
 
 if TYPE_CHECKING:
@@ -110,6 +111,8 @@ class FMUDescription:
         Name of the binary, and what proves that binary and description belong together.
     log_categories : tuple of str
         Categories under which it logs.
+    exchange : ExchangeInfo or None
+        Its states, derivatives and capabilities as a model exchange FMU; None where it is none.
     """
 
     name: str
@@ -126,6 +129,7 @@ class FMUDescription:
     identifier: str = ""
     token: str = field(default="", repr=False)
     log_categories: tuple[str, ...] = field(default=(), repr=False)
+    exchange: ExchangeInfo | None = field(default=None, repr=False)
 
     @property
     def fmi_major(self) -> int:
@@ -173,12 +177,13 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
     first = getattr(model, kinds[0]) if kinds else None
     experiment = model.defaultExperiment
     annotations = [element.get("timing") for element in root.iter("bayesftc")]
+    variables = tuple(_variable(archive, v) for v in model.modelVariables)
     return FMUDescription(
         name=model.modelName or archive.path.stem,
         fmi_version=version,
         kinds=kinds,
         platforms=archive.platforms(),
-        variables=tuple(_variable(archive, v) for v in model.modelVariables),
+        variables=variables,
         capabilities={name: getattr(first, name) for name in _CAPABILITIES if hasattr(first, name)},
         default_experiment={
             name: float(text)
@@ -192,6 +197,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         identifier=getattr(first, "modelIdentifier", None) or "",
         token=model.guid or "",
         log_categories=tuple(c.name for c in model.logCategories),
+        exchange=read_exchange(model, root, variables),
     )
 
 
