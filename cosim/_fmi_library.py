@@ -135,6 +135,8 @@ class Library2(Library):
     """A binary of FMI 2."""
 
     step_functions = ("fmi2GetReal", "fmi2SetReal", "fmi2DoStep")
+    #: fmi2Type: co-simulation here.
+    interface = 1
 
     @cached_property
     def _resources(self) -> bytes:
@@ -145,7 +147,7 @@ class Library2(Library):
         callbacks = callbacks2(messages)
         token = self.description.token.encode()
         component = self.call(
-            "fmi2Instantiate", name.encode(), 1, token, self._resources, ctypes.byref(callbacks), 0, 1
+            "fmi2Instantiate", name.encode(), self.interface, token, self._resources, ctypes.byref(callbacks), 0, 1
         )
         if component:
             self._narrow_log("fmi2SetDebugLogging", component)
@@ -231,7 +233,7 @@ class Library3(Library):
 
 
 _lock = threading.RLock()
-_loaded: dict[str, Library] = {}
+_loaded: dict[tuple[str, bool], Library] = {}
 
 
 def binary_entry(description: FMUDescription) -> tuple[str, str]:
@@ -242,8 +244,8 @@ def binary_entry(description: FMUDescription) -> tuple[str, str]:
     return platform, f"binaries/{platform}/{description.identifier}{fmpy.sharedLibraryExtension}"
 
 
-def load_library(archive: Archive, description: FMUDescription) -> Library:
-    """Unpack an FMU and load its binary, both only once.
+def load_library(archive: Archive, description: FMUDescription, *, exchange: bool = False) -> Library:
+    """Unpack an FMU and load its binary, both only once; `exchange` for model exchange, else co-simulation.
 
     Raises
     ------
@@ -251,7 +253,7 @@ def load_library(archive: Archive, description: FMUDescription) -> Library:
         If there is no binary for this platform, or it cannot be loaded.
     """
     with _lock:
-        if archive.digest not in _loaded:
+        if (archive.digest, exchange) not in _loaded:
             platform, entry = binary_entry(description)
             if entry not in archive.names:
                 have = ", ".join(archive.platforms()) or "no binaries at all"
@@ -259,13 +261,15 @@ def load_library(archive: Archive, description: FMUDescription) -> Library:
                     f"The FMU {archive.path} has no binary for this platform, {platform} (it has: {have}); export it for "
                     f"{platform}, or compile its sources, if it has any, with 'fmpy compile'."
                 )
-            _loaded[archive.digest] = _load(archive, description, extract(archive, entry), entry)
-        return _loaded[archive.digest]
+            _loaded[archive.digest, exchange] = _load(archive, description, extract(archive, entry), entry, exchange)
+        return _loaded[archive.digest, exchange]
 
 
-def _load(archive: Archive, description: FMUDescription, folder: Path, entry: str) -> Library:
-    from fmpy.fmi2 import FMU2Slave
-    from fmpy.fmi3 import FMU3Slave
+def _load(archive: Archive, description: FMUDescription, folder: Path, entry: str, exchange: bool) -> Library:
+    from fmpy.fmi2 import FMU2Model, FMU2Slave
+    from fmpy.fmi3 import FMU3Model, FMU3Slave
+
+    from bayesftc.cosim._model_exchange_library import ModelLibrary2, ModelLibrary3
 
     settings = {
         "guid": description.token,
@@ -276,9 +280,9 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
     here = os.getcwd()
     try:
         if description.fmi_major == 2:
-            slave = FMU2Slave(**settings)
+            slave = (FMU2Model if exchange else FMU2Slave)(**settings)
         else:
-            slave = FMU3Slave(**settings)
+            slave = (FMU3Model if exchange else FMU3Slave)(**settings)
         keep = ctypes.CDLL(str(folder / entry))
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError where a function lacks
         raise FMUError(
@@ -287,7 +291,9 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
         ) from None
     finally:
         os.chdir(here)  # fmpy goes to the binary's folder, and stays there if loading fails
-    return (Library2 if description.fmi_major == 2 else Library3)(description, slave, keep)
+    if description.fmi_major == 2:
+        return (ModelLibrary2 if exchange else Library2)(description, slave, keep)
+    return (ModelLibrary3 if exchange else Library3)(description, slave, keep)
 
 
 def _reason(error: Exception, folder: Path) -> str:
