@@ -11,6 +11,7 @@ import numpy as np
 from bayesftc.cosim._fmi_description import FMUVariable, Value
 from bayesftc.cosim._fmi_library import CallError, Library
 from bayesftc.cosim._fmi_messages import STATUS, Messages
+from bayesftc.cosim._fmi_states import SavedState, States
 from bayesftc.cosim._fmi_steps import DISCARD, EARLY, FATAL, GET, SET, STEP, TERMINATED, StepFunctions
 from bayesftc.cosim.errors import FMUError
 
@@ -69,6 +70,7 @@ class Instance(StepFunctions):
             )
         self._component = component
         library.alive += 1
+        self._states = States(library, component, name)
         try:
             library.initialize(component, start, inputs)
         except CallError as error:
@@ -77,6 +79,24 @@ class Instance(StepFunctions):
                 f"The FMU {model!r} could not be initialized as {name!r}: {error.sentence()}. {self._messages.quoted()} Check "
                 "its parameters and start values."
             ) from None
+
+    @property
+    def can_save(self) -> bool:
+        """See `bayesftc.cosim.block.External.can_save`."""
+        return self._states.can_save
+
+    def save(self) -> SavedState:
+        """See `bayesftc.cosim.block.External.save`."""
+        return self._states.save()
+
+    def restore(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.restore`."""
+        self._states.restore(saved)
+        self._healthy = not self._fatal  # an FMU that has failed may be put back to where it had not
+
+    def forget(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.forget`."""
+        self._states.forget(saved)
 
     def explain(self, status: int) -> str:
         """Return what a status means in FMI's words, with the instance's last messages."""
@@ -103,10 +123,11 @@ class Instance(StepFunctions):
         if component:
             self._library.alive -= 1
             try:
+                self._states.close(free=not self._fatal)
                 if self._healthy:
                     self._library.terminate(component)
                 if not self._fatal:  # after Fatal the standard allows no call at all
                     self._library.free(component)
-            except CallError:
+            except (CallError, FMUError):
                 pass  # it is over either way, and the results stand
         self._messages.close()

@@ -56,6 +56,12 @@ class Library(ABC):
 
     #: Names of the functions of a step: read reals, set reals, make a step.
     step_functions: tuple[str, str, str]
+    #: Names of the functions of saved states: get, set, free.
+    state_functions: tuple[str, str, str]
+    #: Names of the functions that make bytes of them: how many, to bytes, from bytes.
+    serial_functions: tuple[str, str, str]
+    #: What fmpy takes for one of these bytes.
+    byte: Any
 
     def __init__(self, description: FMUDescription, slave: Any, keep: Any):
         self.description = description
@@ -137,6 +143,9 @@ class Library2(Library):
     step_functions = ("fmi2GetReal", "fmi2SetReal", "fmi2DoStep")
     #: fmi2Type: co-simulation here.
     interface = 1
+    state_functions = ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate")
+    serial_functions = ("fmi2SerializedFMUstateSize", "fmi2SerializeFMUstate", "fmi2DeSerializeFMUstate")
+    byte = ctypes.c_char
 
     @cached_property
     def _resources(self) -> bytes:
@@ -193,6 +202,9 @@ class Library3(Library):
     """A binary of FMI 3."""
 
     step_functions = ("fmi3GetFloat64", "fmi3SetFloat64", "fmi3DoStep")
+    state_functions = ("fmi3GetFMUState", "fmi3SetFMUState", "fmi3FreeFMUState")
+    serial_functions = ("fmi3SerializedFMUStateSize", "fmi3SerializeFMUState", "fmi3DeserializeFMUState")
+    byte = ctypes.c_ubyte
 
     def create(self, name: str, messages: Messages) -> tuple[int, Any]:
         """See `Library.create`."""

@@ -150,6 +150,31 @@ class External(Protocol):
     def explain(self, status: int) -> str:
         """Return what the status means, with the last messages of the instance."""
 
+    @property
+    def can_save(self) -> bool:
+        """Whether `save` and `restore` work."""
+
+    def save(self) -> object:
+        """Return the present state, to which `restore` goes back; it pickles where the instance can serialise.
+
+        Raises
+        ------
+        FMUError
+            If it cannot be saved.
+        """
+
+    def restore(self, saved: object) -> None:
+        """Go back to a saved state, as often as one likes.
+
+        Raises
+        ------
+        FMUError
+            If it is no state of this block, or of another run and cannot be serialised.
+        """
+
+    def forget(self, saved: object) -> None:
+        """Free what a saved state takes; it cannot be restored any more. `close` forgets all of them."""
+
     def close(self) -> None:
         """Free the instance."""
 
