@@ -6,22 +6,18 @@ import hashlib
 import os
 import shutil
 import tempfile
-import zipfile
-import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from stat import S_ISDIR
 
+from bayesftc.cosim import _zip
 from bayesftc.cosim._cache import cache_directory
 from bayesftc.cosim.errors import FMUError
 
 DESCRIPTION = "modelDescription.xml"
-LARGEST, SUSPICIOUS, RATIO = 4_000_000_000, 100_000_000, 100
-"""Bytes that an FMU may unpack to; bytes from which on it may not be `RATIO` times its packed size."""
-
-_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError)
-"""What zipfile raises for files that are damaged, encrypted or packed in a way it does not know."""
+XML_FILES = (DESCRIPTION, "sources/buildDescription.xml", "terminalsAndIcons/terminalsAndIcons.xml")
+"""What programs read of an FMU; its documentation may hold other XML, which is for people."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ def open_archive(path: Path) -> Archive:
     Raises
     ------
     FMUError
-        If there is no such file, it is no FMU, or an entry would be unpacked to somewhere else.
+        If there is no such file, it is no FMU, or one that could do harm when it is unpacked or its XML is read (see `_zip`).
     """
     try:
         status = path.stat()
@@ -70,45 +66,31 @@ def _read(path: Path, stamp: tuple[int, ...]) -> Archive:
     try:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        with zipfile.ZipFile(path) as archive:
-            names = tuple(archive.namelist())
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-            packed = max(path.stat().st_size, 1)
     except OSError as error:
         raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check its permissions.") from None
-    except _DAMAGE:
-        raise FMUError(
-            f"{path} is no FMU: it is not a zip file, or it is damaged; get or export the file again."
-        ) from None
-    for name in names:
-        if "\\" in name or ":" in name or name.startswith("/") or ".." in PurePosixPath(name).parts:
-            raise FMUError(
-                f"The FMU {path} has an entry called {name!r}, which could be unpacked outside of its folder; nothing was "
-                "unpacked. Do not use this file; ask its maker for one with plain relative names."
-            )
-    if unpacked > LARGEST or (unpacked > SUSPICIOUS and unpacked > RATIO * packed):
-        raise FMUError(
-            f"The FMU {path} of {packed / 1e6:.3g} MB would unpack to {unpacked / 1e6:.3g} MB, which no honest FMU does; nothing "
-            "was unpacked. Ask its maker for one without such filling."
-        )
+    names = _zip.check(path, _zip.FMU_FILE)
     if DESCRIPTION not in names:
         raise FMUError(f"{path} is no FMU: it is a zip file without {DESCRIPTION} at its top; export the model again.")
-    return Archive(path, digest, names)
+    archive = Archive(path, digest, names)
+    for name in XML_FILES:
+        if name in names:
+            read_entry(archive, name)  # what XML can do to its reader is found out here, before anyone reads it
+    return archive
 
 
 def read_entry(archive: Archive, name: str) -> bytes:
-    """Return the content of one entry.
+    """Return the content of one entry; one of XML has no document type, and so no entities.
 
     Raises
     ------
     FMUError
-        If it is damaged.
+        If it is damaged, or hostile.
     """
     try:
-        with zipfile.ZipFile(archive.path) as file:
-            return file.read(name)
-    except (*_DAMAGE, KeyError, OSError):
-        raise _damaged(archive) from None
+        reader = _zip.read_xml if name.endswith(".xml") else _zip.read
+        return reader(archive.path, _zip.FMU_FILE, name)
+    except OSError as error:
+        raise FMUError(f"The FMU {archive.path} cannot be read ({error.strerror}); check its permissions.") from None
 
 
 def extract(archive: Archive, wanted: str) -> Path:
@@ -151,8 +133,6 @@ def extract(archive: Archive, wanted: str) -> Path:
 
 
 def _unpack(archive: Archive, folder: Path) -> None:
-    import fmpy
-
     # Beside its place, so that the move is one step and no one ever sees half of it; from a copy, so that what is unpacked is
     # what the folder is named after, even if someone exports the file anew just now.
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{archive.digest[:16]}-"))
@@ -163,15 +143,7 @@ def _unpack(archive: Archive, folder: Path) -> None:
             if hashlib.file_digest(file, "sha256").hexdigest() != archive.digest:
                 _read.cache_clear()
                 raise FMUError(f"The FMU {archive.path} was changed while it was being read; read it again.")
-        fmpy.extract(copy, temporary / "content")
+        _zip.unpack(copy, _zip.FMU_FILE, temporary / "content", archive.path)
         os.replace(temporary / "content", folder)
-    except (OSError, FMUError):
-        raise
-    except Exception:  # noqa: BLE001 - fmpy raises plain Exception, zipfile whatever the packer did wrong
-        raise _damaged(archive) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _damaged(archive: Archive) -> FMUError:
-    return FMUError(f"The FMU {archive.path} is damaged: its content cannot be unpacked; get or export the file again.")

@@ -8,8 +8,9 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
-from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
+from bayesftc.cosim._fmi_archive import DESCRIPTION, XML_FILES, Archive, read_entry
 from bayesftc.cosim._model_exchange_info import ExchangeInfo, read_exchange
 from bayesftc.cosim.errors import FMUError, FMUVersionError
 
@@ -159,13 +160,7 @@ def read_description(archive: Archive, *, validate: bool = True) -> FMUDescripti
 def _read(archive: Archive, validate: bool) -> FMUDescription:
     from xml.etree import ElementTree
 
-    content = read_entry(archive, DESCRIPTION)
-    try:
-        root = ElementTree.fromstring(content)
-    except ElementTree.ParseError as error:
-        raise FMUError(
-            f"The {DESCRIPTION} of {archive.path} is damaged ({error}); get or export the FMU again."
-        ) from None
+    root = ElementTree.fromstring(read_entry(archive, DESCRIPTION))
     version = root.get("fmiVersion", "")
     if version not in {"2.0", "3.0"}:
         raise FMUVersionError(
@@ -206,7 +201,7 @@ def _parse(archive: Archive, validate: bool) -> ModelDescription:
     from fmpy.model_description import ValidationError
 
     try:
-        return read_model_description(io.BytesIO(archive.path.read_bytes()), validate=validate)
+        return read_model_description(_checked_xml(archive), validate=validate)
     except ValidationError as error:
         problems = [str(p).removesuffix(".") for p in error.problems]
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
@@ -218,6 +213,16 @@ def _parse(archive: Archive, validate: bool) -> ModelDescription:
     raise FMUError(
         f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {'; '.join(problems[:_SHOWN])}{more}. {remedy}"
     )
+
+
+def _checked_xml(archive: Archive) -> io.BytesIO:
+    """Return an archive of the XML files alone, as they were checked: fmpy sees nothing else of the file."""
+    content = io.BytesIO()
+    with ZipFile(content, "w") as copy:
+        for name in XML_FILES:
+            if name in archive.names:
+                copy.writestr(name, read_entry(archive, name))
+    return content
 
 
 def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:

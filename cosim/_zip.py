@@ -1,0 +1,290 @@
+"""Zip files from anywhere: their table of contents is checked before anything of them is believed, and reading has limits.
+
+Refused is whatever could be unpacked outside of its folder, over another entry, or to more than it says: names that are
+absolute or lead upwards, links and devices, names that occur twice, entries that lie over each other in the file (a bomb that
+needs no nesting), more bytes than an honest file has, and packings other than the two that FMI and SSP allow (zipfile unpacks
+the others in one piece, whatever their size).
+"""
+
+from __future__ import annotations
+
+import copy
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
+from stat import S_IFDIR, S_IFMT, S_IFREG
+from struct import unpack_from
+from xml.parsers.expat import ExpatError, ParserCreate
+
+from bayesftc.cosim.errors import FMUError
+
+LARGEST, SUSPICIOUS, RATIO = 4_000_000_000, 100_000_000, 100
+"""Bytes that a file may unpack to; bytes from which on it may not be `RATIO` times its packed size."""
+
+MOST, LARGEST_XML, DEEPEST = 100_000, 500_000_000, 200
+"""Entries of a file; bytes of an XML file in it; elements of XML inside each other."""
+
+ENCODINGS = frozenset({"utf-8", "us-ascii", "ascii", "iso-8859-1", "iso-8859-15", "windows-1252"})
+"""Encodings of XML in which all parsers see the same text; FMI and SSP ask for the first."""
+
+_PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
+_PIECE = 1 << 18
+_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, KeyError)
+"""What zipfile raises for files that are damaged or packed in a way it does not know."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a zip file is meant to be, for messages, and the error that says that it is not."""
+
+    noun: str
+    suffix: str
+    error: type[FMUError]
+
+    @property
+    def article(self) -> str:
+        """The noun with ``an``, as both FMU and SSP have it."""
+        return f"an {self.noun}"
+
+
+FMU_FILE = Kind("FMU", ".fmu", FMUError)
+
+
+def check(path: Path, kind: Kind) -> tuple[str, ...]:
+    """Read the table of contents of a zip file and return the names of its entries; nothing is unpacked.
+
+    Raises
+    ------
+    FMUError
+        If it is no zip file, or one that no honest tool makes.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            _check_table(path, kind, entries, path.stat().st_size)
+            _check_places(path, kind, archive)
+    except OSError as error:
+        raise kind.error(f"The {kind.noun} {path} cannot be read ({error.strerror}); check its permissions.") from None
+    except _DAMAGE:
+        raise kind.error(
+            f"{path} is no {kind.noun}: it is not a zip file, or it is damaged; get or export the file again."
+        ) from None
+    return tuple(entry.filename for entry in entries)
+
+
+def read(path: Path, kind: Kind, name: str, largest: int = LARGEST) -> bytes:
+    """Return the content of one entry.
+
+    Raises
+    ------
+    FMUError
+        If it is damaged, larger than `largest` bytes, or not as large as the table of contents says.
+    """
+    with _reading(path, kind), zipfile.ZipFile(path) as archive:
+        entry = archive.getinfo(name)
+        if entry.file_size > largest:
+            raise kind.error(
+                f"{name} of the {kind.noun} {path} is {entry.file_size / 1e6:.3g} MB large, more than the "
+                f"{largest / 1e6:.3g} MB that can be read; nothing was unpacked. Ask its maker for a smaller one."
+            )
+        return b"".join(_pieces(path, kind, archive, entry))
+
+
+def read_xml(path: Path, kind: Kind, name: str) -> bytes:
+    """Return the content of an XML entry that was checked by `check_xml`."""
+    return check_xml(read(path, kind, name, LARGEST_XML), f"The {name} of {path}", kind)
+
+
+def unpack(path: Path, kind: Kind, folder: Path, shown: Path | None = None) -> None:
+    """Unpack a file whose table of contents was checked into a folder that does not exist yet.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+    kind : Kind
+        What it is meant to be.
+    folder : pathlib.Path
+        The new folder.
+    shown : pathlib.Path, optional
+        What messages call the file, where `path` is a copy of it.
+
+    Raises
+    ------
+    FMUError
+        If an entry is damaged, or not as large as the table of contents says.
+    OSError
+        If there is no room.
+    """
+    folder.mkdir()
+    shown = shown or path
+    with _reading(shown, kind), zipfile.ZipFile(path) as archive:
+        for entry in archive.infolist():
+            target = folder.joinpath(*_parts(entry.filename))
+            if entry.is_dir():
+                target.mkdir(parents=True, exist_ok=True)
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with target.open("xb") as file:
+                for piece in _pieces(shown, kind, archive, entry):
+                    file.write(piece)
+
+
+def check_xml(content: bytes, what: str, kind: Kind) -> bytes:
+    """Return XML as it is, if it has no document type: without one there are no entities, neither external nor nested.
+
+    Parameters
+    ----------
+    content : bytes
+        The XML text.
+    what : str
+        How a message begins, as ``"The modelDescription.xml of car.fmu"``.
+    kind : Kind
+        What kind of file it belongs to.
+
+    Raises
+    ------
+    FMUError
+        If it has one, is no XML, is nested too deeply, or in an encoding that parsers may read differently.
+    """
+    parser = ParserCreate()
+    depth = 0
+
+    def refuse(reason: str) -> None:
+        raise kind.error(
+            f"{what} {reason}; nothing was unpacked or loaded. Do not use this file; ask its maker for one without."
+        )
+
+    def declared(version: str, encoding: str | None, standalone: int) -> None:
+        if encoding is not None and encoding.lower() not in ENCODINGS:
+            refuse(f"is in the encoding {encoding!r}, where the standard asks for UTF-8")
+
+    def begin(name: str, attributes: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > DEEPEST:
+            refuse(f"has elements more than {DEEPEST} deep inside each other")
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser.XmlDeclHandler = declared
+    parser.StartDoctypeDeclHandler = lambda *_: refuse(
+        "has a document type declaration (DOCTYPE), through which it could read other files or grow without bound"
+    )
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    try:
+        if content[:2] in {b"\xff\xfe", b"\xfe\xff"}:
+            refuse("is in the encoding UTF-16, where the standard asks for UTF-8")
+        parser.Parse(content, True)
+    except (ExpatError, LookupError, ValueError) as error:
+        raise kind.error(f"{what} is damaged ({error}); get or export the {kind.noun} again.") from None
+    return content
+
+
+@contextmanager
+def _reading(path: Path, kind: Kind) -> Iterator[None]:
+    try:
+        yield
+    except _DAMAGE:
+        raise kind.error(
+            f"The {kind.noun} {path} is damaged: its content cannot be unpacked; get or export the file again."
+        ) from None
+
+
+def _parts(name: str) -> tuple[str, ...]:
+    return PurePosixPath(name).parts
+
+
+def _check_table(path: Path, kind: Kind, entries: list[zipfile.ZipInfo], packed: int) -> None:
+    end = "nothing was unpacked. Do not use this file; ask its maker for one"
+    seen: dict[tuple[str, ...], bool] = {}
+    for entry in entries:
+        name, parts, folder = entry.filename, _parts(entry.filename), entry.filename.endswith("/")
+        whose = f"The {kind.noun} {path} has an entry called {name!r}"
+        if "\\" in name or ":" in name or name.startswith("/") or ".." in parts or not parts or not name.isprintable():
+            raise kind.error(
+                f"{whose}, which could be unpacked outside of its folder; {end} with plain relative names."
+            )
+        mode = S_IFMT(entry.external_attr >> 16)
+        if mode not in {0, S_IFREG, S_IFDIR}:
+            raise kind.error(f"{whose}, which is a link or a device and no file; {end} with plain files alone.")
+        if parts in seen and not (folder and seen[parts]):
+            raise kind.error(
+                f"{whose} twice, so that nobody knows which of the two counts; {end} in which names are unique."
+            )
+        seen[parts] = folder
+        if entry.flag_bits & 1:
+            raise kind.error(f"{whose}, which is encrypted; {end} without a password.")
+        if entry.compress_type not in _PACKINGS:
+            raise kind.error(
+                f"{whose}, which is packed in a way that the standard does not allow (method {entry.compress_type}); {end} "
+                "that is stored or deflated."
+            )
+    for parts in seen:
+        above = next((parts[:n] for n in range(1, len(parts)) if seen.get(parts[:n]) is False), None)
+        if above:
+            raise kind.error(
+                f"The {kind.noun} {path} has an entry called {'/'.join(above)!r} that is a file and a folder at once; {end} in "
+                "which names are unique."
+            )
+    unpacked = sum(entry.file_size for entry in entries)
+    if unpacked > LARGEST or (unpacked > SUSPICIOUS and unpacked > RATIO * packed):
+        raise kind.error(
+            f"The {kind.noun} {path} of {packed / 1e6:.3g} MB would unpack to {unpacked / 1e6:.3g} MB, which no honest "
+            f"{kind.noun} does; nothing was unpacked. Ask its maker for one without such filling."
+        )
+    if len(entries) > MOST:
+        raise kind.error(
+            f"The {kind.noun} {path} has {len(entries)} entries, which no honest {kind.noun} has; nothing was unpacked. Ask its "
+            "maker for one without such filling."
+        )
+
+
+def _check_places(path: Path, kind: Kind, archive: zipfile.ZipFile) -> None:
+    """Refuse entries that share bytes of the file: a small file can so unpack to any size."""
+    file = archive.fp
+    assert file is not None
+    spans = []
+    for entry in archive.infolist():
+        file.seek(entry.header_offset)
+        header = file.read(30)
+        if len(header) < 30 or header[:4] != b"PK\3\4":
+            raise zipfile.BadZipFile
+        # The table of contents and the entry's own header may name different lengths; the data begin where the latter says.
+        name, extra = unpack_from("<HH", header, 26)
+        spans.append(
+            (entry.header_offset, entry.header_offset + 30 + name + extra + entry.compress_size, entry.filename)
+        )
+    for (_, end, name), (begin, _, other) in pairwise([*sorted(spans), (archive.start_dir, 0, "table of contents")]):
+        if begin < end:
+            raise kind.error(
+                f"The {kind.noun} {path} has entries that lie over each other ({name!r} and {other!r}), as zip bombs have; "
+                "nothing was unpacked. Do not use this file; ask its maker for another one."
+            )
+
+
+def _pieces(path: Path, kind: Kind, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[bytes]:
+    """Yield an entry's content piece by piece, and stop where there is more than it says."""
+    promised, count = entry.file_size, 0
+    asked = copy.copy(entry)
+    asked.file_size += 2 * _PIECE  # more is asked for than should be there, so that a lie shows
+    with archive.open(asked) as file:
+        while piece := file.read(_PIECE):
+            count += len(piece)
+            if count > promised:
+                break
+            yield piece
+    if count != promised:
+        raise kind.error(
+            f"{entry.filename} of the {kind.noun} {path} unpacks to {'more' if count > promised else 'less'} than the "
+            f"{promised} bytes that its table of contents says. Do not use this file; ask its maker for another one."
+        )
+
+
+__all__ = ["FMU_FILE", "Kind", "check", "check_xml", "read", "read_xml", "unpack"]
