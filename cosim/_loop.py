@@ -16,6 +16,7 @@ SIGNATURE = (
     "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], int64[::1], "
     "float64[:, ::1], int64, int64, int64, int64, int64, int64, int64[::1])"
 )
+PHASE_SIGNATURE = "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])"
 
 
 @intrinsic
@@ -58,6 +59,12 @@ def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
                 failed[0], failed[1] = c, NOT_FINITE + i
                 return False
     return True
+
+
+@register_jitable(error_model="numpy")
+def phase(calls, begin, end, gathers, memory, t, k, failed):
+    """Make the calls from row `begin` to `end` at step `k`; return whether all went well, else ``failed`` says which did not."""
+    return _phase(calls, begin, end, gathers, memory, memory.ctypes.data, t, k, failed)
 
 
 @register_jitable(error_model="numpy")

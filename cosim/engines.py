@@ -69,6 +69,29 @@ class Engine(Protocol):
         The outputs at t_begin are computed first if `first`, else they stand in memory already.
         """
 
+    def evaluate(self, k: int) -> Failure | None:
+        """Compute all outputs at t_k from the states, inputs and random numbers that stand in memory."""
+
+    def step(self, k: int) -> Failure | None:
+        """Take the states from t_k to t_k+1, once `evaluate` has brought the outputs and inputs at t_k."""
+
+
+class Draws:
+    """Brings the random numbers of a step into memory, with the same bits as inside the compiled loop."""
+
+    def __init__(self, run: Run):
+        self._run, self._streams, self._places = run, run.streams(), run.drawn()
+        self._buffer, self._chunk = np.empty((CHUNK, len(self._places))), -1
+
+    def fill(self, k: int) -> None:
+        """Draw the numbers of step `k`."""
+        if not len(self._places):
+            return
+        if k // CHUNK != self._chunk:
+            self._chunk = k // CHUNK
+            draw_chunk(self._run.seed, self._streams, self._chunk * CHUNK, self._buffer)
+        self._run.memory[self._places] = self._buffer[k - self._chunk * CHUNK]
+
 
 class CompiledEngine:
     """Calls every block by address from one compiled loop; the GIL is free while it runs."""
@@ -94,6 +117,7 @@ class CompiledEngine:
         self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), _loop.COLUMNS)
         self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
         self._streams, self._drawn, self._buffer = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
+        self._failed = np.array([-1, 0], dtype=np.int64)
         self._entry = compiled_loop()
 
     def _address(self, call: Call) -> int:
@@ -120,9 +144,27 @@ class CompiledEngine:
         )  # fmt: skip
         if failed[0] < 0:
             return int(last), None
-        call = (*run.schedule.evaluate, *run.schedule.advance)[failed[0]]
-        k = int(last) + (failed[0] < len(run.schedule.evaluate))
-        return int(last), Failure(_instant(run.schedule, call, k), call.node, int(failed[1]))
+        return int(last), self._failure(failed, int(last) + (failed[0] < len(run.schedule.evaluate)))
+
+    def evaluate(self, k: int) -> Failure | None:
+        """See `Engine.evaluate`."""
+        return self._phase(0, len(self._run.schedule.evaluate), k)
+
+    def step(self, k: int) -> Failure | None:
+        """See `Engine.step`."""
+        return self._phase(len(self._run.schedule.evaluate), len(self._calls), k)
+
+    def _phase(self, begin: int, end: int, k: int) -> Failure | None:
+        run, step = self._run, self._run.schedule.step
+        t = k * step.numerator / step.denominator
+        if compiled_phase()(self._calls, begin, end, self._gathers, run.memory, t, k, self._failed):
+            return None
+        return self._failure(self._failed, k)
+
+    def _failure(self, failed: np.ndarray[Any, np.dtype[np.int64]], k: int) -> Failure:
+        schedule = self._run.schedule
+        call = (*schedule.evaluate, *schedule.advance)[failed[0]]
+        return Failure(_instant(schedule, call, k), call.node, int(failed[1]))
 
 
 @cache
@@ -134,6 +176,15 @@ def compiled_loop() -> Any:
     return compile_function(_loop.run, _loop.SIGNATURE)
 
 
+@cache
+def compiled_phase() -> Any:
+    """Return one phase of a step as a compiled function."""
+    from bayesftc.cosim import _loop
+    from bayesftc.cosim._compiler import compile_function
+
+    return compile_function(_loop.phase, _loop.PHASE_SIGNATURE)
+
+
 class InterpretedEngine:
     """Calls the plain Python step functions, in which a debugger can stop."""
 
@@ -141,8 +192,7 @@ class InterpretedEngine:
         self._run = run
         self._evaluate = [self._bind(call) for call in run.schedule.evaluate]
         self._advance = [self._bind(call) for call in run.schedule.advance]
-        self._streams, self._drawn = run.streams(), run.drawn()
-        self._buffer, self._chunk = np.empty((CHUNK, len(run.schedule.draws))), -1
+        self._draws = Draws(run)
 
     def _bind(self, call: Call) -> tuple[Call, Callable[[float, int], int]]:
         run, schedule = self._run, self._run.schedule
@@ -170,33 +220,36 @@ class InterpretedEngine:
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
-        run, step = self._run, self._run.schedule.step
-        with np.errstate(all="ignore"):  # IEEE 754 as in compiled code: infinities and NaNs are values
+        run = self._run
+        with np.errstate(all="ignore"):  # once for all steps
             for k in range(begin, end + 1):
-                t = k * step.numerator / step.denominator
                 if first or k > begin:
-                    self._draw(k)
-                    failure = self._phase(self._evaluate, t, k)
+                    self._draws.fill(k)
+                    failure = self._phase(self._evaluate, k)
                     if failure:
                         return k - 1, failure
                     if k % run.decimation == 0:
                         run.recording[k // run.decimation] = run.memory[run.recorded]
                 if k < end:
-                    failure = self._phase(self._advance, t, k)
+                    failure = self._phase(self._advance, k)
                     if failure:
                         return k, failure
         return end, None
 
-    def _draw(self, k: int) -> None:
-        if not len(self._drawn):
-            return
-        if k // CHUNK != self._chunk:
-            self._chunk = k // CHUNK
-            draw_chunk(self._run.seed, self._streams, self._chunk * CHUNK, self._buffer)
-        self._run.memory[self._drawn] = self._buffer[k - self._chunk * CHUNK]
+    def evaluate(self, k: int) -> Failure | None:
+        """See `Engine.evaluate`."""
+        with np.errstate(all="ignore"):
+            return self._phase(self._evaluate, k)
 
-    def _phase(self, calls: list[tuple[Call, Callable[[float, int], int]]], t: float, k: int) -> Failure | None:
+    def step(self, k: int) -> Failure | None:
+        """See `Engine.step`."""
+        with np.errstate(all="ignore"):
+            return self._phase(self._advance, k)
+
+    def _phase(self, calls: list[tuple[Call, Callable[[float, int], int]]], k: int) -> Failure | None:
+        """Make the calls of a phase, under IEEE 754 as in compiled code: infinities and NaNs are values."""
         schedule, memory = self._run.schedule, self._run.memory
+        t = k * schedule.step.numerator / schedule.step.denominator
         for call, function in calls:
             node = schedule.nodes[call.node]
             if k % node.every:
