@@ -14,6 +14,10 @@ import pytest
 
 from bayesftc.cosim import Block, Definition
 
+# A shell starts what runs in the background deaf to Ctrl-C, and so would be the tests of it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # The tests' compiled code stays out of the user's cache, but is kept from run to run.
 os.environ.setdefault("BAYESFTC_CACHE", str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "bayesftc"))
 
