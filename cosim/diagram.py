@@ -11,6 +11,7 @@ from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, PortRef
 from bayesftc.cosim.timebase import rational_step, whole_number
+from bayesftc.cosim.units import difference
 
 if TYPE_CHECKING:
     from bayesftc.cosim.result import Result
@@ -132,10 +133,9 @@ class Diagram:
                 "choose elements with [i], or change the block's size."
             )
         for s in sources:
-            if s.port.unit and target.port.unit and _spelt(s.port.unit) != _spelt(target.port.unit):
+            if s.port.unit and target.port.unit and (remedy := difference(s.port.unit, target.port.unit)):
                 raise ConnectionError(
-                    f"{s.name} is in {s.port.unit}, but {target.name} is in {target.port.unit}; put a Gain between them that "
-                    "converts."
+                    f"{s.name} is in {s.port.unit}, but {target.name} is in {target.port.unit}{remedy}"
                 )
         # All or nothing: a connection that is refused leaves the diagram as it was.
         origins = [(s, element) for s in sources for element in s.elements]
@@ -259,7 +259,3 @@ class Diagram:
 def is_external(node: Node) -> bool:
     """Return whether the node's block is an FMU or another block with step functions in C."""
     return isinstance(node.block, ExternalBlock)
-
-
-def _spelt(unit: str) -> str:
-    return unit.replace(" ", "").replace(".", "*").replace("·", "*")

@@ -43,7 +43,10 @@ def parts(make_block):
         (lambda p, b: (p["xy"], b["opt"]), "plant.xy (size 2) cannot be connected to brain.opt (size 1)"),
         (lambda p, b: ([p["speed"], p["xy"]], b["uv"]), "plant.speed (size 1) + plant.xy (size 2) cannot be connected"),
         (lambda p, b: ([], b["uv"]), "cannot be connected to brain.uv (size 2)"),
-        (lambda p, b: (p["speed"], b["way"]), "plant.speed is in m/s, but brain.way is in m; put a Gain between"),
+        (
+            lambda p, b: (p["speed"], b["way"]),
+            "plant.speed is in m/s, but brain.way is in m: their dimensions differ; put a block",
+        ),
         (lambda p, b: (b["opt"], b["force"]), "brain.opt is an input, but the source must be an output"),
         (lambda p, b: (p["speed"], p["speed"]), "plant.speed is an output, but the target must be an input"),
         (lambda p, b: (p, b["opt"]), "The source of a connection must be a port, as node['y'], not <plant: Custom>"),
@@ -62,6 +65,32 @@ def test_connections_that_cannot_be(parts, connect, sentence):
         diagram.connect(*connect(plant, brain))
     assert sentence in str(caught.value)
     assert not any(diagram.source_of(brain, port, e) for port in brain.block.inputs for e in range(port.size))
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "sentence"),
+    [
+        ("km/h", "m/s", "; put Gain(0.277777777778) between them."),
+        ("m/s", "km/h", "; put Gain(3.6) between them."),
+        ("degC", "K", "; put Gain(1, offset=273.15) between them."),
+        ("Hz", "rad/s", ": 1 Hz is 2 pi rad/s; put a block"),
+        ("W", "N", ": their dimensions differ; put a block"),
+        ("p.u.", "V", "; put a Gain between them that converts."),  # who knows
+        ("N.m", "kg.m2/s2", None),
+        ("rad/s", "1/s", None),
+        ("p.u.", "p*u*", None),
+    ],
+)
+def test_units_of_a_connection_are_compared_by_meaning(make_block, source, target, sentence):
+    diagram = cosim.Diagram(0.1)
+    a = diagram.add(make_block(outputs=[Port("y", unit=source)]), "a")
+    b = diagram.add(make_block(inputs=[Port("u", unit=target)]), "b")
+    if sentence is None:
+        diagram.connect(a["y"], b["u"])
+        return
+    with pytest.raises(cosim.ConnectionError) as caught:
+        diagram.connect(a["y"], b["u"])
+    assert f"a.y is in {source}, but b.u is in {target}{sentence}" in str(caught.value)
 
 
 def test_a_second_source_is_refused_and_changes_nothing(parts):
