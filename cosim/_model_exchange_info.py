@@ -28,8 +28,8 @@ class ExchangeInfo:
         Whether it wants to be told of every completed step of the integrator.
     directional : bool
         Whether it gives directional derivatives.
-    can_save : bool
-        Whether its state can be read and set.
+    can_save, can_serialise : bool
+        Whether its state can be read and set, and turned into bytes.
     once : bool
         Whether a process can have one instance only.
     """
@@ -41,6 +41,7 @@ class ExchangeInfo:
     needs_completed_step: bool
     directional: bool
     can_save: bool
+    can_serialise: bool
     once: bool
 
 
@@ -67,5 +68,6 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
         needs_completed_step=completed,
         directional=says("providesDirectionalDerivative", "providesDirectionalDerivatives"),
         can_save=says("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+        can_serialise=says("canSerializeFMUstate", "canSerializeFMUState"),
         once=says("canBeInstantiatedOnlyOncePerProcess"),
     )

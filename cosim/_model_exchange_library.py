@@ -5,10 +5,13 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
-from bayesftc.cosim._fmi_library import CallError, Library2, Library3
+from bayesftc.cosim._fmi_archive import Archive
+from bayesftc.cosim._fmi_description import FMUDescription
+from bayesftc.cosim._fmi_library import CallError, Library2, Library3, load_library
 from bayesftc.cosim._fmi_messages import Messages, callback3
 
 Function = Callable[..., int]
@@ -192,3 +195,24 @@ class ModelLibrary3(_Bound, Library3):
 
 
 ModelLibrary = ModelLibrary2 | ModelLibrary3
+
+
+def load_model(archive: Archive, description: FMUDescription) -> ModelLibrary:
+    """Unpack an FMU and load its binary for model exchange, both only once.
+
+    Raises
+    ------
+    FMUError
+        If there is no binary for this platform, or it cannot be loaded.
+    """
+    exchange = description.exchange
+    assert exchange is not None
+    capabilities = dict(description.capabilities) | {
+        "canGetAndSetFMUstate": exchange.can_save,
+        "canSerializeFMUstate": exchange.can_serialise,
+        "canBeInstantiatedOnlyOncePerProcess": exchange.once,
+    }
+    own = replace(description, identifier=exchange.identifier, capabilities=capabilities)
+    library = load_library(archive, own, exchange=True)
+    assert isinstance(library, ModelLibrary2 | ModelLibrary3)
+    return library

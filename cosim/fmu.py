@@ -1,10 +1,10 @@
-"""FMUs as blocks: plants from any tool, or controllers that were exported, of FMI 2.0 or 3.0 for co-simulation."""
+"""FMUs as blocks: plants from any tool, or controllers that were exported, of FMI 2.0 or 3.0, of either kind."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from numbers import Integral, Real
@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal
 
 from bayesftc.cosim._fmi_archive import Archive, open_archive
 from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, read_description
+from bayesftc.cosim._model_exchange_settings import checked_settings
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
@@ -21,7 +22,7 @@ from bayesftc.cosim.ports import Port
 
 @dataclass(frozen=True)
 class FMU(ExternalBlock):
-    """An FMU for co-simulation, FMI 2.0 or 3.0; its scalar Real (Float64) inputs and outputs become ports.
+    """An FMU of FMI 2.0 or 3.0; its scalar Real (Float64) inputs and outputs become ports.
 
     The file is read and checked when the block is made; it is unpacked (once per machine) and its binary loaded (once per
     process) when a run begins, and each run has a new instance. Time starts at 0 and has no end.
@@ -36,21 +37,34 @@ class FMU(ExternalBlock):
     inputs, outputs : sequence of str, optional
         Names of the variables that become ports; all scalar Real ones by default. An input that is left out keeps its start
         value. After construction these hold the ports.
-    timing : {"plant", "sampled"}, optional
+    timing : {"plant", "direct", "sampled"}, optional
         ``"plant"``: the outputs at t_k are read before the step that the inputs at t_k take to t_k+1. ``"sampled"``: the FMU
-        makes its step with the inputs at t_k and its outputs count at t_k, as a controller's do. By default what the FMU
-        says of itself (exports of this package do), else ``"plant"``; a ``"plant"`` that was not asked for warns where outputs
-        depend at once on inputs.
+        makes its step with the inputs at t_k and its outputs count at t_k, as a controller's do. ``"direct"``, for model
+        exchange only: the outputs at t_k are computed from the inputs at t_k, before the step; inputs on which an output
+        depends feed through. By default what the FMU says of itself (exports of this package do); else ``"direct"`` for
+        model exchange where an output depends on an input or nothing is said of that, and ``"plant"`` otherwise; for
+        co-simulation a ``"plant"`` that was not asked for warns where outputs depend at once on inputs.
     name : str, optional
         Name under which a diagram adds it; the model's name in small letters by default.
     validate : bool
         False to accept a model description that breaks the rules of FMI, at your own risk.
+    kind : {"co-simulation", "model exchange"}, optional
+        As what to use it: by default for co-simulation where it can, else for model exchange, as an ordinary differential
+        equation that is integrated here, with its events.
+    solver : str, optional
+        For model exchange: ``"cvode"`` (by default) or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as
+        ``"scipy:RK45"``.
+    rtol, atol : float, optional
+        For model exchange: relative tolerance (by default the FMU's own, else 1e-6), and absolute tolerance of all states (by
+        default rtol times each state's nominal value).
 
     Raises
     ------
     FMUError
-        If the file is missing or damaged, no FMU of FMI 2.0 or 3.0 for co-simulation, has no binary for this platform, or a
+        If the file is missing or damaged, no FMU of FMI 2.0 or 3.0 of that kind, has no binary for this platform, or a
         variable cannot be what it was asked to be.
+    ModelError
+        If a solver or tolerance is none, or is given for co-simulation.
     UnknownNameError
         If it has no variable of that name.
 
@@ -72,27 +86,46 @@ class FMU(ExternalBlock):
     parameters: Mapping[str, Value] | None = field(default=None, kw_only=True, hash=False)
     inputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
     outputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
-    timing: Literal["plant", "sampled"] | None = field(default=None, kw_only=True)
+    timing: Literal["plant", "direct", "sampled"] | None = field(default=None, kw_only=True)
     name: str | None = field(default=None, kw_only=True)
     validate: bool = field(default=True, kw_only=True)
+    kind: Literal["co-simulation", "model exchange"] | None = field(default=None, kw_only=True)
+    solver: str | None = field(default=None, kw_only=True)
+    rtol: float | None = field(default=None, kw_only=True)
+    atol: float | None = field(default=None, kw_only=True)
 
     checks_finite: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.timing not in {None, "plant", "sampled"}:
-            raise ModelError(f"FMU has timing={self.timing!r}; it must be 'plant' or 'sampled'.")
+        if self.timing not in {None, "plant", "direct", "sampled"}:
+            raise ModelError(f"FMU has timing={self.timing!r}; it must be 'plant', 'direct' or 'sampled'.")
         set_ = object.__setattr__
         set_(self, "path", Path(self.path).expanduser().absolute())
         archive, description = self._read()
-        _check_kind(archive, description)
+        kind = _chosen_kind(archive, description, self.kind)
+        exchange = kind == "model exchange"
+        set_(self, "kind", kind)
+        settings = checked_settings(archive, description, exchange, self.solver, self.rtol, self.atol)
+        for name, value in settings.items():
+            set_(self, name, value)
         asked = self.timing
-        set_(self, "timing", asked or description.timing or "plant")
+        if asked == "direct" and not exchange:
+            raise ModelError(
+                f"FMU has timing='direct', but {archive.path.name} is used for co-simulation, where an output cannot show the "
+                "inputs of the same instant without a step: give timing='plant' or 'sampled', or kind='model exchange'."
+            )
+        own = "direct" if exchange else "plant"
+        set_(self, "timing", asked or description.timing or own)
         set_(self, "name", self.name or "".join(description.name.lower().split()))
         set_(self, "parameters", _start_values(archive, description, self.parameters or {}))
-        for side, causality in (("inputs", "input"), ("outputs", "output")):
-            chosen = _choose(archive, description, causality, getattr(self, side))
-            set_(self, side, tuple(self._port(variable) for variable in chosen))
-        if asked is None and self.timing == "plant":
+        chosen = {side: _choose(archive, description, side, getattr(self, f"{side}s")) for side in ("input", "output")}
+        through = [description.feedthrough.get(v.name) for v in chosen["output"]]
+        reaching = {v.name for v in chosen["input"] if any(names is None or v.name in names for names in through)}
+        if asked is None and self.timing == "direct" and not reaching:
+            set_(self, "timing", "plant")  # there it is the same
+        for side, variables in chosen.items():
+            set_(self, f"{side}s", tuple(self._port(v, reaching) for v in variables))
+        if asked is None and self.timing == "plant" and not exchange:
             late = _late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
             if late:
                 warnings.warn(late, stacklevel=3)  # at the line that makes the block
@@ -147,26 +180,34 @@ class FMU(ExternalBlock):
         FMUError
             If the binary cannot be loaded, or the FMU refuses to be instantiated or initialized.
         """
+        archive, description = self._read()
+        start, inputs, outputs = self._variables()
+        timing = self.timing or "plant"
+        if self.kind == "model exchange":
+            from bayesftc.cosim._model_exchange_instance import ExchangeInstance
+
+            from bayesftc.cosim._model_exchange_library import load_model
+
+            solver = self.solver or "cvode", self.rtol or 0.0, self.atol
+            return ExchangeInstance(
+                load_model(archive, description), name, step, timing, start, inputs, outputs, solver
+            )
         from bayesftc.cosim._fmi_instance import Instance
         from bayesftc.cosim._fmi_library import load_library
 
-        archive, description = self._read()
-        variables = {v.name: v for v in description.variables}
+        return Instance(load_library(archive, description), name, step, timing, start, inputs, outputs)
+
+    def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value], list[FMUVariable]]:
+        """Return the start values, the inputs with their start values, and the outputs, by variable."""
+        variables = {v.name: v for v in self.description.variables}
         missing = [n for n in (*(p.name for p in self._ports), *(self.parameters or {})) if n not in variables]
         if missing:
             raise FMUError(
                 f"The FMU {self.path} was changed since it was read and has no {missing[0]!r} any more; read it again."
             )
         inputs: dict[FMUVariable, Value] = {variables[p.name]: p.default or 0.0 for p in self._ports[: self._count]}
-        return Instance(
-            load_library(archive, description),
-            name,
-            step,
-            self.timing or "plant",
-            {variables[n]: value for n, value in (self.parameters or {}).items()},
-            inputs,
-            [variables[p.name] for p in self._ports[self._count :]],
-        )
+        start = {variables[n]: value for n, value in (self.parameters or {}).items()}
+        return start, inputs, [variables[p.name] for p in self._ports[self._count :]]
 
     @property
     def _ports(self) -> tuple[Port, ...]:
@@ -180,11 +221,11 @@ class FMU(ExternalBlock):
         archive = open_archive(Path(self.path))
         return archive, read_description(archive, validate=self.validate)
 
-    def _port(self, variable: FMUVariable) -> Port:
+    def _port(self, variable: FMUVariable, reaching: Container[str]) -> Port:
         if variable.causality == "output":
             return Port(variable.name, unit=variable.unit)
         default = (self.parameters or {}).get(variable.name, variable.start)
-        feedthrough = self.timing == "sampled"
+        feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
         return Port(variable.name, unit=variable.unit, feedthrough=feedthrough, default=float(default or 0.0))
 
 
@@ -211,14 +252,28 @@ def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescript
     return read_description(open_archive(Path(path).expanduser().absolute()), validate=validate)
 
 
-def _check_kind(archive: Archive, description: FMUDescription) -> None:
-    if "coSimulation" not in description.kinds:
-        kinds = {"modelExchange": "model exchange", "scheduledExecution": "scheduled execution"}
-        have = " and ".join(kinds[kind] for kind in description.kinds) or "nothing"
+def _chosen_kind(archive: Archive, description: FMUDescription, asked: str | None) -> str:
+    """Return as what an FMU is used: what was asked for, else co-simulation where it can, else model exchange."""
+    names = {
+        "coSimulation": "co-simulation",
+        "modelExchange": "model exchange",
+        "scheduledExecution": "scheduled execution",
+    }
+    have = [names[kind] for kind in description.kinds]
+    usable = [kind for kind in ("co-simulation", "model exchange") if kind in have]
+    if asked is not None and asked not in {"co-simulation", "model exchange"}:
+        raise ModelError(f"FMU has kind={asked!r}; it must be 'co-simulation' or 'model exchange'.")
+    if asked is not None and asked not in usable:
         raise FMUVersionError(
-            f"The FMU {archive.path} is for {have} only, and only co-simulation can be used: export it for co-simulation, "
-            "with a solver inside."
+            f"The FMU {archive.path} cannot be used for {asked}, only for {' and '.join(have) or 'nothing'}: leave kind= out, "
+            "or export it for that."
         )
+    if not usable:
+        raise FMUVersionError(
+            f"The FMU {archive.path} is for {' and '.join(have) or 'nothing'} only, and only co-simulation and model exchange "
+            "can be used: export it for one of these."
+        )
+    return asked or usable[0]
 
 
 def _choose(

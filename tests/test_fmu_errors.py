@@ -130,14 +130,26 @@ def test_other_versions(tmp_path, version):
     refused(lambda: describe(path), wanted)
 
 
-def test_model_exchange_only(tmp_path):
+def test_kinds(tmp_path):
     def change(text):
         begin, end = text.index("<CoSimulation"), text.index("</CoSimulation>") + len("</CoSimulation>")
         return text[:begin] + '<ModelExchange modelIdentifier="CruiseControl"/>' + text[end:]
 
     path = edited(SHIPPED["2.0"], tmp_path / "me.fmu", change)
-    refused(lambda: FMU(path), "is for model exchange only", "export it for co-simulation")
+    refused(lambda: FMU(path, kind="co-simulation"), "cannot be used for co-simulation, only for model exchange")
+    assert FMU(path).kind == "model exchange"
     assert describe(path).kinds == ("modelExchange",)
+    refused(lambda: FMU(SHIPPED["2.0"], kind="model exchange"), "only for co-simulation: leave kind= out")
+    refused(lambda: FMU(SHIPPED["2.0"], kind="ME"), "'co-simulation' or 'model exchange'", error=ModelError)
+    refused(lambda: FMU(SHIPPED["2.0"], rtol=1e-4), "rtol=0.0001", "brings its own solver", error=ModelError)
+    refused(lambda: FMU(SHIPPED["2.0"], timing="direct"), "cannot show the inputs of the same", error=ModelError)
+
+    def scheduled(text):
+        begin, end = text.index("<CoSimulation"), text.index("/>", text.index("<CoSimulation")) + 2
+        return text[:begin] + '<ScheduledExecution modelIdentifier="CruiseControl"/>' + text[end:]
+
+    path = edited(SHIPPED["3.0"], tmp_path / "se.fmu", scheduled)
+    refused(lambda: FMU(path), "is for scheduled execution only", "only co-simulation and model exchange")
 
 
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
@@ -249,7 +261,7 @@ def test_names_and_types(tmp_path, fmi):
     refused(lambda: FMU(path, inputs=["count"]), "only scalar Real (Float64) variables can be ports")
     refused(lambda: FMU(path, inputs="force"), "give a list of names, as ['force']", error=ModelError)
     refused(lambda: FMU(path, inputs=["force", "force"]), "'force' twice among its inputs", error=ModelError)
-    refused(lambda: FMU(path, timing="fast"), "it must be 'plant' or 'sampled'", error=ModelError)
+    refused(lambda: FMU(path, timing="fast"), "it must be 'plant', 'direct' or 'sampled'", error=ModelError)
     if fmi == "3.0":
         assert next(v for v in describe(path).variables if v.name == "wide").shape == (3,)
         refused(lambda: FMU(path, inputs=["wide"]), "'wide'", "an array of shape (3,)", "leave it out of inputs")

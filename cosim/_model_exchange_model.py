@@ -1,0 +1,276 @@
+"""One instance of a model exchange FMU: its modes, its numbers, its events; whoever integrates drives it through this."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim._fmi_description import FMUVariable, Value
+from bayesftc.cosim._fmi_library import CallError
+from bayesftc.cosim._fmi_messages import Messages
+from bayesftc.cosim._fmi_states import SavedState, States
+from bayesftc.cosim._model_exchange_library import ModelLibrary
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import FMUError
+
+ITERATIONS = 1000
+"""Turns of the event iteration at one instant, after which it is taken to be endless."""
+
+_FATAL = 4
+
+
+class StopError(Exception):
+    """Why an instance cannot go on, as a sentence."""
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """The state of a model exchange FMU: the FMU's own, and what the side of the integrator knows."""
+
+    state: SavedState
+    time: float
+    next_event: float
+    inputs: Floats
+
+
+class ExchangeModel:
+    """A model exchange FMU that is initialized and in continuous-time mode.
+
+    Parameters
+    ----------
+    library : ModelLibrary2 or ModelLibrary3
+        The binary; its description has an ``exchange``.
+    name : str
+        Name of the instance.
+    start : dict
+        Start values.
+    inputs : dict
+        The inputs that are set while it runs, with their start values.
+    outputs : sequence of FMUVariable
+        The outputs that are read while it runs.
+
+    Attributes
+    ----------
+    component : int
+        The instance's address.
+    nx, nz : int
+        Numbers of continuous states and event indicators.
+    x : ndarray, (nx,)
+        Where `read_states` writes to and `write_states` reads from.
+    inputs : ndarray
+        The inputs as they were set last.
+    time, next_event : float
+        Its own time, and the time of its next time event, infinity if there is none, in seconds.
+
+    Raises
+    ------
+    FMUError
+        If the FMU refuses to be instantiated or initialized, or ends at once.
+    """
+
+    def __init__(
+        self,
+        library: ModelLibrary,
+        name: str,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value],
+        outputs: Sequence[FMUVariable],
+    ):
+        exchange = library.description.exchange
+        assert exchange is not None
+        self.library, self.info, self.name = library, exchange, name
+        self.messages = Messages(name)
+        self.component, self.healthy, self.fatal = 0, True, False
+        self.time, self.next_event = 0.0, math.inf
+        self._event_info = library.event_info()
+        try:
+            self._start(start, inputs)
+        except BaseException:
+            self.healthy = False
+            self.close()
+            raise
+        self._references = [np.array([v.reference for v in side], dtype=np.uint32) for side in (inputs, outputs)]
+        self._sizes = [sum(prod(v.shape) for v in side) for side in (inputs, outputs)]
+        values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
+        self.inputs = np.concatenate([np.zeros(0), *values])
+        self._outputs = np.zeros(self._sizes[1])
+        self._get, self._set = library.values
+
+    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+        library, model = self.library, self.library.description.name
+        if library.alive and self.info.once:
+            raise FMUError(
+                f"{self.name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
+                "after the other, or in separate processes."
+            )
+        self.component, self._callbacks = library.create(self.name, self.messages)
+        if not self.component:
+            raise FMUError(
+                f"The FMU {model!r} refused to be instantiated as {self.name!r} for model exchange. {self.messages.quoted()} If "
+                "it needs a tool or a licence, check that it is there."
+            )
+        library.alive += 1
+        self.states = States(library, self.component, self.name)
+        self._bound = library.bound
+        try:
+            library.initialize(self.component, start, inputs)
+            self.nx = library.size(self.component, "states", self._declared("states"))
+            self.nz = library.size(self.component, "indicators", self.info.indicators)
+            self.x = np.zeros(self.nx)
+            self._iterate()
+        except (CallError, StopError) as error:
+            self.fatal = isinstance(error, CallError) and error.status == _FATAL
+            what = error.sentence() if isinstance(error, CallError) else str(error)
+            raise FMUError(
+                f"The FMU {model!r} could not be initialized as {self.name!r}: {what}. {self.messages.quoted()} Check its "
+                "parameters and start values."
+            ) from None
+
+    def _declared(self, what: str) -> int:
+        variables: tuple[FMUVariable, ...] = getattr(self.info, what)
+        return sum(prod(v.shape) for v in variables)
+
+    # --- calls -----------------------------------------------------------------------------------------------------
+
+    def call(self, role: str, *arguments: Any) -> None:
+        """Call one of the functions that an integrator needs.
+
+        Raises
+        ------
+        CallError
+            If it returns neither OK nor Warning.
+        """
+        self._check(role, self._bound[role](self.component, *arguments))
+
+    def _check(self, role: str, status: int) -> None:
+        if status > 1 or status < 0:
+            self.fatal = self.fatal or status == _FATAL
+            raise CallError(self.library.names[role], status)
+
+    def set_time(self, t: float) -> None:
+        """Tell the FMU what time it is."""
+        self.call("set_time", t)
+        self.time = t
+
+    def write_states(self) -> None:
+        """Give it the continuous states in `x`."""
+        if self.nx:
+            self.call("set_states", self.x.ctypes.data, self.nx)
+
+    def read_states(self) -> None:
+        """Read its continuous states into `x`."""
+        if self.nx:
+            self.call("get_states", self.x.ctypes.data, self.nx)
+
+    def read(self, role: str, array: Floats) -> None:
+        """Read ``get_derivatives``, ``get_indicators`` or ``get_nominals``."""
+        if len(array):
+            self.call(role, array.ctypes.data, len(array))
+
+    def write_inputs(self, values: Floats) -> None:
+        """Set the inputs, in the mode in which it is."""
+        self.inputs[:] = values
+        references = self._references[0]
+        if len(references):
+            status = self._set(
+                self.component, references.ctypes.data, len(references), self.inputs.ctypes.data, self._sizes[0]
+            )
+            self._check("set_reals", status)
+
+    def read_outputs(self, values: Floats) -> None:
+        """Read the outputs."""
+        references = self._references[1]
+        if len(references):
+            buffer = self._outputs
+            buffer[:] = values  # what a failing FMU does not write stays as it is
+            status = self._get(self.component, references.ctypes.data, len(references), buffer.ctypes.data, len(buffer))
+            values[:] = buffer
+            self._check("get_reals", status)
+
+    # --- events ----------------------------------------------------------------------------------------------------
+
+    def event(self, inputs: Floats | None = None) -> bool:
+        """Go through event mode, where inputs may jump and discrete states change.
+
+        Returns
+        -------
+        bool
+            Whether the nominal values of the states have changed. The states themselves may have; `x` has them.
+
+        Raises
+        ------
+        StopError
+            If the iteration does not end, or the FMU ends the simulation.
+        CallError
+            If a call fails.
+        """
+        self.call("enter_event_mode")
+        if inputs is not None:
+            self.write_inputs(inputs)
+        return self._iterate()
+
+    def _iterate(self) -> bool:
+        info, update = self._event_info, self.library.update_discrete
+        nominals = False
+        for _ in range(ITERATIONS):
+            info.defined = 0
+            self._check("update_discrete", update(self.component, info))
+            nominals = nominals or bool(info.nominals)
+            if info.terminate:
+                raise StopError("The FMU asks to end the simulation (terminateSimulation)")
+            if not info.needed:
+                break
+        else:
+            raise StopError(
+                f"Its event iteration does not end: after {ITERATIONS} turns at t = {self.time:g} s it still wants another "
+                f"{self.library.names['update_discrete']}"
+            )
+        self.next_event = float(info.time) if info.defined else math.inf
+        if math.isnan(self.next_event):
+            raise StopError("The FMU says that its next event is at t = NaN")
+        self.call("enter_continuous_mode")
+        self.read_states()
+        return nominals
+
+    # --- states and end --------------------------------------------------------------------------------------------
+
+    def save(self) -> SavedModel:
+        """Return its state; see `bayesftc.cosim.block.External.save`."""
+        return SavedModel(self.states.save(), self.time, self.next_event, self.inputs.copy())
+
+    def restore(self, saved: object) -> None:
+        """Go back to a state; see `bayesftc.cosim.block.External.restore`."""
+        self.states.restore(saved.state if isinstance(saved, SavedModel) else saved)
+        assert isinstance(saved, SavedModel)
+        self.time, self.next_event = saved.time, saved.next_event
+        self.inputs[:] = saved.inputs
+        self.healthy = not self.fatal
+        self.read_states()
+
+    def forget(self, saved: object) -> None:
+        """Free a saved state; see `bayesftc.cosim.block.External.forget`."""
+        if isinstance(saved, SavedModel):
+            self.states.forget(saved.state)
+
+    def close(self) -> None:
+        """Free the instance; the binary stays loaded."""
+        component, self.component = self.component, 0
+        if component:
+            self.library.alive -= 1
+            try:
+                self.states.close(free=not self.fatal)
+                if self.healthy:
+                    self.library.terminate(component)
+                if not self.fatal:  # after Fatal the standard allows no call at all
+                    self.library.free(component)
+            except (CallError, FMUError):
+                pass  # it is over either way
+        self.messages.close()
+
+
+Derivatives = Callable[[float, Floats], Floats]
