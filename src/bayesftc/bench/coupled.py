@@ -1,0 +1,64 @@
+"""Two coupled FMUs with six blocks in the compiled engine: one car that follows another."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from bayesftc.bench._figures import Figure, Section, in_turns
+from bayesftc.bench._slave import CAR
+from bayesftc.cosim.diagram import Diagram
+
+STEP = 0.02
+EVERY = 100
+
+
+def platoon() -> Diagram:
+    """Return two cars: the first follows a sine with a limited force, the second follows the first, both against their errors."""
+    from bayesftc import cosim, fmus
+
+    diagram = cosim.Diagram(STEP)
+    first, second = (diagram.add(cosim.FMU(fmus.path(CAR), inputs=["force"]), name) for name in ("first", "second"))
+    speed = diagram.add(cosim.Sine(amplitude=5.0, period=8.0, offset=20.0), "speed")
+    behind, apart = (diagram.add(cosim.Sum("+-"), name) for name in ("behind", "apart"))
+    engine, pursuit = (diagram.add(cosim.Gain(800.0), name) for name in ("engine", "pursuit"))
+    limit = diagram.add(cosim.Saturation(-5_000.0, 5_000.0), "limit")
+    for source, target in (
+        ([speed["y"], first["v"]], behind["u"]),
+        (behind["y"], engine["u"]),
+        (engine["y"], limit["u"]),
+        (limit["y"], first["force"]),
+        ([first["v"], second["v"]], apart["u"]),
+        (apart["y"], pursuit["u"]),
+        (pursuit["y"], second["force"]),
+    ):
+        diagram.connect(source, target)
+    return diagram
+
+
+def measure(quick: bool = False) -> Section:
+    """Measure the steps per second, after a check that both engines compute the same speeds."""
+    steps, rounds = (20_000, 2) if quick else (3_000_000, 7)
+    diagram = platoon()
+    both = [diagram.simulate(20.0, engine=engine)["second.v"] for engine in ("compiled", "interpreted")]
+
+    def rate() -> float:
+        started = time.perf_counter()
+        diagram.simulate(steps * diagram.step, record=["second.v"], decimation=EVERY)
+        return steps / (time.perf_counter() - started)
+
+    return Section(
+        "coupled",
+        "Two coupled FMUs with six blocks",
+        (
+            Figure("engine", "compiled engine, one core", "steps/s", in_turns({"engine": rate}, rounds)["engine"], 3e6),
+            Figure(
+                "difference",
+                "largest difference of the speeds, compiled and interpreted",
+                "m/s",
+                [float(np.abs(both[0] - both[1]).max())],
+                at_most=0.0,
+            ),
+        ),
+    )
