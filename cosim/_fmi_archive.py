@@ -1,4 +1,4 @@
-"""The file of an FMU: checked before anything of it is believed, and unpacked once per machine."""
+"""The file of an FMU (or of an SSP): checked before anything of it is believed, and unpacked once per machine."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from stat import S_ISDIR
 
 from bayesftc.cosim import _zip
 from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim._zip import FMU_FILE, Kind
 
-DESCRIPTION = "modelDescription.xml"
-XML_FILES = (DESCRIPTION, "sources/buildDescription.xml", "terminalsAndIcons/terminalsAndIcons.xml")
-"""What programs read of an FMU; its documentation may hold other XML, which is for people."""
+DESCRIPTION = FMU_FILE.main
+_XML = (".xml", ".ssd", ".ssv", ".ssm")
 
 
 @dataclass(frozen=True)
 class Archive:
-    """An FMU file whose table of contents is in order.
+    """An FMU (or SSP) file whose table of contents is in order.
 
     Attributes
     ----------
@@ -32,11 +31,14 @@ class Archive:
         SHA-256 of its content: two copies of a file are the same FMU, an edited file is another.
     names : tuple of str
         Names of its entries.
+    kind : Kind
+        What it is.
     """
 
     path: Path
     digest: str
     names: tuple[str, ...]
+    kind: Kind = FMU_FILE
 
     def platforms(self) -> tuple[str, ...]:
         """Return the names of the platforms that it has binaries for, as FMI spells them."""
@@ -44,8 +46,8 @@ class Archive:
         return tuple(sorted({parts[1] for parts in found if len(parts) > 2 and parts[0] == "binaries"}))
 
 
-def open_archive(path: Path) -> Archive:
-    """Read the table of contents of an FMU; nothing is unpacked.
+def open_archive(path: Path, kind: Kind = FMU_FILE) -> Archive:
+    """Read the table of contents of an FMU (or SSP); nothing is unpacked.
 
     Raises
     ------
@@ -55,24 +57,28 @@ def open_archive(path: Path) -> Archive:
     try:
         status = path.stat()
     except OSError as error:
-        raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check the path.") from None
+        raise kind.error(f"The {kind.noun} {path} cannot be read ({error.strerror}); check the path.") from None
     if S_ISDIR(status.st_mode):
-        raise FMUError(f"{path} is a folder; give the .fmu file itself, or zip the folder's content into one.")
-    return _read(path, (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino))
+        raise kind.error(
+            f"{path} is a folder; give the {kind.suffix} file itself, or zip the folder's content into one."
+        )
+    return _read(path, kind, (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino))
 
 
 @lru_cache(maxsize=256)
-def _read(path: Path, stamp: tuple[int, ...]) -> Archive:
+def _read(path: Path, kind: Kind, stamp: tuple[int, ...]) -> Archive:
     try:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise FMUError(f"The FMU {path} cannot be read ({error.strerror}); check its permissions.") from None
-    names = _zip.check(path, _zip.FMU_FILE)
-    if DESCRIPTION not in names:
-        raise FMUError(f"{path} is no FMU: it is a zip file without {DESCRIPTION} at its top; export the model again.")
-    archive = Archive(path, digest, names)
-    for name in XML_FILES:
+        raise _unreadable(path, kind, error) from None
+    names = _zip.check(path, kind)
+    if kind.main not in names:
+        raise kind.error(
+            f"{path} is no {kind.noun}: it is a zip file without {kind.main} at its top; export the model again."
+        )
+    archive = Archive(path, digest, names, kind)
+    for name in kind.xml:
         if name in names:
             read_entry(archive, name)  # what XML can do to its reader is found out here, before anyone reads it
     return archive
@@ -87,19 +93,23 @@ def read_entry(archive: Archive, name: str) -> bytes:
         If it is damaged, or hostile.
     """
     try:
-        reader = _zip.read_xml if name.endswith(".xml") else _zip.read
-        return reader(archive.path, _zip.FMU_FILE, name)
+        reader = _zip.read_xml if name.endswith(_XML) else _zip.read
+        return reader(archive.path, archive.kind, name)
     except OSError as error:
-        raise FMUError(f"The FMU {archive.path} cannot be read ({error.strerror}); check its permissions.") from None
+        raise _unreadable(archive.path, archive.kind, error) from None
+
+
+def _unreadable(path: Path, kind: Kind, error: OSError) -> Exception:
+    return kind.error(f"The {kind.noun} {path} cannot be read ({error.strerror}); check its permissions.")
 
 
 def extract(archive: Archive, wanted: str) -> Path:
-    """Unpack an FMU into the user's cache, unless it is there already.
+    """Unpack an FMU (or SSP) into the user's cache, unless it is there already.
 
     Parameters
     ----------
     archive : Archive
-        The FMU.
+        The file.
     wanted : str
         An entry that must be there in the end: a folder that someone emptied is unpacked anew.
 
@@ -115,7 +125,7 @@ def extract(archive: Archive, wanted: str) -> Path:
     """
     from filelock import FileLock
 
-    root = cache_directory("fmus")
+    root = cache_directory(archive.kind.folder)
     folder = root / archive.digest
     if (folder / wanted).exists():
         return folder
@@ -125,9 +135,9 @@ def extract(archive: Archive, wanted: str) -> Path:
                 shutil.rmtree(folder, ignore_errors=True)
                 _unpack(archive, folder)
     except OSError as error:
-        raise FMUError(
-            f"The FMU {archive.path} cannot be unpacked into {root} ({error.strerror or error}); make room there, or set "
-            "BAYESFTC_CACHE to another folder."
+        raise archive.kind.error(
+            f"The {archive.kind.noun} {archive.path} cannot be unpacked into {root} ({error.strerror or error}); make room "
+            "there, or set BAYESFTC_CACHE to another folder."
         ) from None
     return folder
 
@@ -142,8 +152,8 @@ def _unpack(archive: Archive, folder: Path) -> None:
         with copy.open("rb") as file:
             if hashlib.file_digest(file, "sha256").hexdigest() != archive.digest:
                 _read.cache_clear()
-                raise FMUError(f"The FMU {archive.path} was changed while it was being read; read it again.")
-        _zip.unpack(copy, _zip.FMU_FILE, temporary / "content", archive.path)
+                raise archive.kind.error(f"{archive.path} was changed while it was being read; read it again.")
+        _zip.unpack(copy, archive.kind, temporary / "content", archive.path)
         os.replace(temporary / "content", folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

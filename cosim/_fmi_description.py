@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile
 
-from bayesftc.cosim._fmi_archive import DESCRIPTION, XML_FILES, Archive, read_entry
+from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._model_exchange_info import ExchangeInfo, read_exchange
 from bayesftc.cosim.errors import FMUError, FMUVersionError
 
@@ -219,7 +219,7 @@ def _checked_xml(archive: Archive) -> io.BytesIO:
     """Return an archive of the XML files alone, as they were checked: fmpy sees nothing else of the file."""
     content = io.BytesIO()
     with ZipFile(content, "w") as copy:
-        for name in XML_FILES:
+        for name in archive.kind.xml:
             if name in archive.names:
                 copy.writestr(name, read_entry(archive, name))
     return content

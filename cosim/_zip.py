@@ -39,19 +39,32 @@ _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, K
 
 @dataclass(frozen=True)
 class Kind:
-    """What a zip file is meant to be, for messages, and the error that says that it is not."""
+    """What a zip file is meant to be.
+
+    Attributes
+    ----------
+    noun, suffix : str
+        For messages, and the end of its name.
+    main : str
+        The entry that it must have.
+    error : type
+        What is raised where it is not in order.
+    xml : tuple of str
+        Entries that programs read as XML, checked when the file is opened; its documentation may hold other XML, for people.
+    folder : str
+        Where it is unpacked in the user's cache.
+    """
 
     noun: str
     suffix: str
+    main: str
     error: type[FMUError]
-
-    @property
-    def article(self) -> str:
-        """The noun with ``an``, as both FMU and SSP have it."""
-        return f"an {self.noun}"
+    xml: tuple[str, ...]
+    folder: str
 
 
-FMU_FILE = Kind("FMU", ".fmu", FMUError)
+_READ = ("modelDescription.xml", "sources/buildDescription.xml", "terminalsAndIcons/terminalsAndIcons.xml")
+FMU_FILE = Kind("FMU", ".fmu", "modelDescription.xml", FMUError, _READ, "fmus")
 
 
 def check(path: Path, kind: Kind) -> tuple[str, ...]:

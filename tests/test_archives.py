@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import fmus
-from bayesftc.cosim import FMUError, _fmi_archive, _zip
+from bayesftc.cosim import FMUError, _zip
 from bayesftc.cosim.fmu import FMU, describe
 
 SHIPPED = fmus.path("CruiseControl")
@@ -191,7 +191,7 @@ def with_doctype(doctype, content=XML):
 
 
 @pytest.mark.parametrize("doctype", DOCTYPES.values(), ids=DOCTYPES)
-@pytest.mark.parametrize("where", _fmi_archive.XML_FILES)
+@pytest.mark.parametrize("where", _zip.FMU_FILE.xml)
 def test_document_types(tmp_path, cache, doctype, where):
     hostile = with_doctype(doctype)
     others = [] if where == DESCRIPTION else [(where, hostile)]
