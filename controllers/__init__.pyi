@@ -31,6 +31,7 @@ from .fault_modes import (
 from .gamma import GammaPrecision as GammaPrecision
 from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative
 from .learning import LearnedModes as LearnedModes, RecordedRun as RecordedRun, learn_modes as learn_modes
+from .lqg import LQGController as LQGController
 from .modality import Modality as Modality
 from .model import LinearModel as LinearModel
 from .monitor import FaultMonitor as FaultMonitor, LogisticMap as LogisticMap

@@ -19,6 +19,25 @@ VARIANCE_CAP = 1e20
 """Largest predicted variance, in units of the largest variance among initial belief, process noise and sensors."""
 
 
+def extended_mean(model: Any, values: Floats, mean: object) -> object:
+    """Return a mean for the plant's states with disturbances of zero, and a constant of one; any other `mean` as it is."""
+    plant = model.states - model.disturbances
+    if model.disturbances and values.shape in {(plant,), (1,)}:
+        others = np.zeros(model.disturbances)
+        others[-1] = getattr(model, "constant", False)
+        return np.concatenate([np.broadcast_to(values, plant), others])
+    return mean
+
+
+def known_constant(model: Any, covariance: Floats) -> Floats:
+    """Return a covariance in which the model's constant, if it has one, is known."""
+    if not getattr(model, "constant", False):
+        return covariance
+    known = np.array(covariance)
+    known[-1], known[:, -1] = 0.0, 0.0
+    return frozen(known)
+
+
 @dataclass(frozen=True, eq=False)
 class BayesianBlock(Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
@@ -53,7 +72,9 @@ class BayesianBlock(Block, ABC):
             "u_max": as_vector("u_max", self.u_max, p, finite=False),
             "u_rate": as_vector("u_rate", self.u_rate, p, finite=False),
             "initial_mean": as_vector("The initial_mean", self._extended(self.initial_mean), n),
-            "initial_covariance": as_covariance("The initial_covariance", self.initial_covariance, n, singular=True),
+            "initial_covariance": known_constant(
+                self.model, as_covariance("The initial_covariance", self.initial_covariance, n, singular=True)
+            ),
         }
         if self.control_covariance is not None:
             values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
@@ -80,10 +101,7 @@ class BayesianBlock(Block, ABC):
     def _extended(self, mean: object) -> object:
         # A mean for the plant's states alone is meant with disturbances of zero.
         values = np.atleast_1d(as_numbers("The initial_mean", mean, "it must be a number or a list of numbers"))
-        plant = self.model.states - self.model.disturbances
-        if self.model.disturbances and values.shape in {(plant,), (1,)}:
-            return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
-        return mean
+        return extended_mean(self.model, values, mean)
 
     @property
     def goal_matrix(self) -> Floats:
@@ -153,12 +171,16 @@ class BayesianBlock(Block, ABC):
             np.zeros((p, p)) if self.control_covariance is None else np.linalg.inv(np.asarray(self.control_covariance))
         )
 
+    def _priors(self) -> tuple[Floats, Floats, Floats]:
+        """Return what the goal prior is about (of the state), its covariance, and the control prior's precision."""
+        return self.goal_matrix, np.asarray(self.goal_covariance, float), self._prior_precision()
+
     def _shared_parameters(self, step: Fraction) -> dict[str, Any]:
         """Return the parameters that the step functions of both controllers have."""
         Q, nominal = self.model.matrix("process_covariance"), self.model.matrix("sensor_covariance")
-        initial, G = np.asarray(self.initial_covariance), self.goal_matrix
+        initial, (G, goal_covariance, _) = np.asarray(self.initial_covariance), self._priors()
         return {
-            "Q": Q, "nominal": nominal, "G": G, "GQ": G @ Q @ G.T + np.asarray(self.goal_covariance, float),
+            "Q": Q, "nominal": nominal, "G": G, "GQ": G @ Q @ G.T + goal_covariance,
             "settings": self._learner().settings,
             "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
             "largest": VARIANCE_CAP * max(M.diagonal().max() for M in (initial, Q, nominal)),

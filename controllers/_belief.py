@@ -60,13 +60,12 @@ def belief_state(model: LinearModel, learner: Learner, mean: object, covariance:
     }  # fmt: skip
 
 
-def plan(goal, works, load, GB, sought, GBw):
+def plan(works, load, GB, sought, GBw):
     """Leave to the control what is left to do: of each control ``works`` arrives, and ``load`` is there without it.
 
     Their first row is what is expected, their second one what the control counts on.
     """
     for i in range(sought.shape[0]):
-        sought[i] = goal[i]
         for j in range(works.shape[1]):
             sought[i] = sought[i] - GB[i, j] * load[1, j]
             GBw[i, j] = GB[i, j] * works[1, j]

@@ -25,6 +25,10 @@ def with_sensor_errors(
     common: bool,
 ) -> LinearModel:
     """Return the model with the errors as further states; see `LinearModel.with_sensor_errors`."""
+    if model.constant:
+        raise ModelError(
+            "The model has a constant, which is its last state: apply with_sensor_errors() before about()."
+        )
     chosen = _chosen(model, sensors)
     deviations = as_vector("The sensor errors' std", std, len(chosen))
     if common and np.ndim(time_constant):

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +33,10 @@ def _make_step(
     update: Callable[..., None],
     report: Callable[..., None],
     fold: Callable[..., None],
+    seek: Callable[..., None],
     first: int,
 ) -> Callable[..., None]:
-    """Return the controller's step function for ways of learning, of coming to a belief, of reporting and carrying it.
+    """Return the controller's step function for ways of learning, of coming to a belief, of reporting, carrying and using it.
 
     The learner's own outputs begin at the place `first` among all outputs. The same functions give the same one, so that it
     is looked through and compiled once for however many controllers.
@@ -45,7 +47,7 @@ def _make_step(
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
-        N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw,
+        N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
@@ -55,7 +57,22 @@ def _make_step(
             R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         )  # fmt: skip
         report(memory, settings, nominal, first, outputs)
-        plan(goal, works, load, GB, sought, GBw)
+        seek(
+            goal,
+            x_hat,
+            works,
+            load,
+            x_target,
+            u_target,
+            prior_precision,
+            GB,
+            held,
+            u_prior,
+            prior_pull,
+            goal_shift,
+            sought,
+        )
+        plan(works, load, GB, sought, GBw)
         decide(sought, x_hat, P, A, G, GQ, GBw, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
         limit(u, applied, u_min, u_max, u_change)
         for i in range(pull.shape[0]):
@@ -65,6 +82,14 @@ def _make_step(
         predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
 
     return bayesian_controller
+
+
+def seek_goal(
+    goal, x_hat, works, load, x_target, u_target, prior_precision, GB, held, u_prior, prior_pull, goal_shift, sought
+):
+    """Seek the goal as it is given; the control prior stays what it is."""
+    for i in range(sought.shape[0]):
+        sought[i] = goal[i]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,12 +177,11 @@ class BayesianController(BayesianBlock):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        model, learner, G = self.model, self._learner(), self.goal_matrix
+        model, learner, (G, _, prior) = self.model, self._learner(), self._priors()
         n, p, g = model.states, model.controls, len(G)
-        B, prior = model.matrix("B"), self._prior_precision()
+        B = model.matrix("B")
         parameters = self._shared_parameters(step) | {
-            "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "goal_shift": G @ B @ self.control_mean,
-            "prior_precision": prior, "prior_pull": prior @ np.asarray(self.control_mean),
+            "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "prior_precision": prior,
         }  # fmt: skip
         scratch = {
             "wanted": (g,), "GA": (g, n), "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
@@ -178,10 +202,25 @@ class BayesianController(BayesianBlock):
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
         state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
         state |= {name: np.zeros(shape) for name, shape in scratch.items()}
+        seek, constants, seeking = self._seeking(G @ B, prior)
+        parameters |= constants
+        state |= seeking
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
         ways = make_ways(learner.step, None if joint else learner.infer)
-        return Definition(_make_step(*ways, learner.report, fold, first), state=state, parameters=parameters)
+        return Definition(_make_step(*ways, learner.report, fold, seek, first), state=state, parameters=parameters)
+
+    def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
+        """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""
+        mean = np.asarray(self.control_mean)
+        constants = {"goal_shift": GB @ mean, "prior_pull": prior @ mean}
+        unused = {
+            "x_target": np.zeros((1, 1)),
+            "u_target": np.zeros((1, 1)),
+            "held": np.zeros(1),
+            "u_prior": np.zeros(1),
+        }
+        return seek_goal, constants | unused, {}
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of plant and belief together in steady state, at fixed precision and without limits.
@@ -190,9 +229,10 @@ class BayesianController(BayesianBlock):
         gain on the belief, and those of the filter. States of an estimated disturbance move on their own; of them only the
         estimates are counted.
         """
-        model, G = self.model, self.goal_matrix
+        model = self.model.moving
         A, B, C = (model.matrix(name) for name in "ABC")
         n, plant = model.states, model.states - model.disturbances
+        G = self._priors()[0][:, :n]
         K, L, T = self._steady_gains(A, B, C, G)
         seen = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
         move = A @ T - B @ L  # mean at the next step = move @ x_hat
@@ -202,12 +242,13 @@ class BayesianController(BayesianBlock):
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the filter's gain, the control's gain, and what the goal leaves of the belief's mean, in steady state."""
-        Q, R = self.model.matrix("process_covariance"), self.model.matrix("sensor_covariance")
+        Q, R = self.model.moving.matrix("process_covariance"), self.model.matrix("sensor_covariance")
         GA, GB, one = G @ A, G @ B, np.eye(len(A))
-        N, prior = G @ Q @ G.T + np.asarray(self.goal_covariance, float), self._prior_precision()
+        _, goal_covariance, prior = self._priors()
+        N = G @ Q @ G.T + goal_covariance
         weight = np.linalg.solve(N, GB)
         V = np.linalg.inv(N) - weight @ np.linalg.solve(prior + GB.T @ weight, weight.T)
-        start = np.asarray(self.initial_covariance)
+        start = np.asarray(self.initial_covariance)[: len(A), : len(A)]
         # What is steady does not depend on the start; beside a belief that knows nothing R would be lost to rounding.
         start = start * min(1.0, 1e6 / max(1.0, float((np.diag(C @ start @ C.T) / np.diag(R)).max())))
         predicted = start + Q + 1e-9 * np.trace(R) * one

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from bayesftc.controllers._bayesian_block import VARIANCE_CAP
+from bayesftc.controllers._bayesian_block import VARIANCE_CAP, extended_mean, known_constant
 from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers._filter import innovate, predict
@@ -99,15 +99,13 @@ class StateEstimator(Block):
         n = self.model.states
         object.__setattr__(self, "initial_mean", as_vector("The initial_mean", self._extended(self.initial_mean), n))
         start = self._start() if self.initial_covariance is None else self.initial_covariance
-        object.__setattr__(self, "initial_covariance", as_covariance("The initial_covariance", start, n, singular=True))
+        covariance = as_covariance("The initial_covariance", start, n, singular=True)
+        object.__setattr__(self, "initial_covariance", known_constant(self.model, covariance))
         self.precision.learner(self.model)  # settings that do not fit the model fail here, not in the loop
 
     def _extended(self, mean: object) -> object:
         values = np.atleast_1d(as_numbers("The initial_mean", mean, "it must be a number or a list of numbers"))
-        plant = self.model.states - self.model.disturbances
-        if values.shape in {(plant,), (1,)}:
-            return np.concatenate([np.broadcast_to(values, plant), np.zeros(self.model.disturbances)])
-        return mean
+        return extended_mean(self.model, values, mean)
 
     def _start(self) -> Floats:
         """Return the variances of a belief that knows of the disturbances what their model says."""

@@ -8,8 +8,9 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, frozen
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector, frozen
 from bayesftc.controllers._sensor_errors import with_sensor_errors
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError
@@ -37,6 +38,9 @@ class LinearModel:
     disturbances : int
         How many states, the last ones, are estimated disturbances: of the inputs (`with_disturbance`) or of the sensors
         (`with_sensor_errors`); goals do not concern them.
+    constant : bool
+        Whether the last of these states is the constant 1, by which a model of deviations speaks of values (`about`). It is known
+        and costs a belief nothing.
 
     Raises
     ------
@@ -51,6 +55,7 @@ class LinearModel:
     sensor_covariance: Matrix
     dt: float | str | Fraction
     disturbances: int = 0
+    constant: bool = False
 
     def __post_init__(self) -> None:
         A = as_matrix("The model's A", self.A)
@@ -73,6 +78,10 @@ class LinearModel:
         if not 0 <= self.disturbances < n:
             raise ModelError(
                 f"The model has disturbances={self.disturbances} among {n} states; at least one must be the plant's."
+            )
+        if self.constant and (not self.disturbances or not _stays(self, n)):
+            raise ModelError(
+                "The model has constant=True, but its last state is no constant: let about() make it, as the last thing."
             )
 
     @property
@@ -99,8 +108,23 @@ class LinearModel:
     def quantities(self) -> Floats:
         """What each sensor measures of the plant's states, disturbances (its own error is one) left out (m x n)."""
         rows = self.matrix("C").copy()
-        rows[:, self.states - self.disturbances :] = 0.0
+        rows[:, self.states - self.disturbances : self.states - self.constant] = 0.0
         return frozen(rows)
+
+    @property
+    def moving(self) -> LinearModel:
+        """The model without its constant: that of deviations."""
+        if not self.constant:
+            return self
+        return replace(
+            self,
+            A=self.matrix("A")[:-1, :-1],
+            B=self.matrix("B")[:-1],
+            C=self.matrix("C")[:, :-1],
+            process_covariance=self.matrix("process_covariance")[:-1, :-1],
+            disturbances=self.disturbances - 1,
+            constant=False,
+        )
 
     def matrix(self, name: str) -> Floats:
         """Return one of the matrices by name, as an array."""
@@ -217,3 +241,47 @@ class LinearModel:
             Whether they all have the same error (wheels of one axle), `std` saying how much of it, instead of one each.
         """
         return with_sensor_errors(self, std, time_constant, sensors, common)
+
+    def about(self, x: ArrayLike, u: ArrayLike, y: ArrayLike, *, following: ArrayLike | None = None) -> LinearModel:
+        """Return this model of deviations from an operating point as one of values, with the constant 1 as its last state.
+
+        Apply it last: further states stand before the constant.
+
+        Parameters
+        ----------
+        x, u, y : vector
+            Where the deviations begin: state (of the plant, disturbances left out), control and readings.
+        following : vector, optional
+            The state one step later; by default `x`, as at a steady state.
+        """
+        if self.constant:
+            raise ModelError("The model speaks of values already; apply about() once.")
+        n, plant = self.states, self.states - self.disturbances
+        A, B, C = (self.matrix(name) for name in "ABC")
+        x, u, y = (
+            as_vector("The x", x, plant),
+            as_vector("The u", u, self.controls),
+            as_vector("The y", y, self.sensors),
+        )
+        reached = x if following is None else as_vector("The following state", following, plant)
+        drift = np.zeros((n, 1))
+        drift[:plant, 0] = reached - A[:plant, :plant] @ x - B[:plant] @ u
+        reading = (y - C[:, :plant] @ x)[:, None]
+        Q = np.zeros((n + 1, n + 1))
+        Q[:n, :n] = self.matrix("process_covariance")
+        return replace(
+            self,
+            A=np.block([[A, drift], [np.zeros((1, n)), np.ones((1, 1))]]),
+            B=np.vstack([B, np.zeros((1, self.controls))]),
+            C=np.hstack([C, reading]),
+            process_covariance=Q,
+            disturbances=self.disturbances + 1,
+            constant=True,
+        )
+
+
+def _stays(model: LinearModel, n: int) -> bool:
+    """Whether the last state keeps what it is, whatever happens."""
+    last = np.eye(n)[-1]
+    Q = model.matrix("process_covariance")
+    return np.array_equal(model.matrix("A")[-1], last) and not (model.matrix("B")[-1].any() or Q[-1].any())

@@ -170,6 +170,11 @@ class NonlinearModel:
         model : LinearModel
             The model.
         """
+        if model.constant:
+            raise ModelError(
+                "The model has the constant 1 as a state (LinearModel.about), which no nonlinear model needs: write f and g with "
+                "the constants in them, or take model.moving and work with deviations."
+            )
         A, B, C = (tuple(map(tuple, model.matrix(name).tolist())) for name in "ABC")
         n, p, m = model.states, model.controls, model.sensors
 

@@ -6,6 +6,7 @@ from bayesftc.controllers.bayesian import BayesianController
 from bayesftc.controllers.explicit import ExplicitDetection
 from bayesftc.controllers.gamma import GammaPrecision
 from bayesftc.controllers.laws import PID, Proportional, ProportionalDerivative
+from bayesftc.controllers.lqg import LQGController
 from bayesftc.controllers.nonlinear import NonlinearBayesianController
 from bayesftc.controllers.point_mass import PointMassPrecision
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
@@ -15,7 +16,12 @@ from bayesftc.controllers.variational import VariationalBayesKF
 from bayesftc.controllers.wishart import WishartPrecision
 from bayesftc.cosim.block import Block
 
-CONTROLLERS: tuple[type[Block], ...] = (BayesianController, NonlinearBayesianController, UnbiasedActiveInference)
+CONTROLLERS: tuple[type[Block], ...] = (
+    BayesianController,
+    LQGController,
+    NonlinearBayesianController,
+    UnbiasedActiveInference,
+)
 """What can stand between sensors and plant: a block with the inputs ``y`` and ``goal`` and the output ``u``."""
 
 LAWS: tuple[type[Block], ...] = (Proportional, ProportionalDerivative, PID)

@@ -1,0 +1,91 @@
+"""The linear quadratic regulator behind a goal on outputs: cost-to-go, feedback gain, steady states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesftc.controllers._stabilisability import refuse_unseen_by_goal
+from bayesftc.controllers.model import LinearModel
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
+
+
+@dataclass(frozen=True, eq=False)
+class Regulator:
+    """What an infinite horizon makes of a model and a stage cost.
+
+    With x the plant's states, z what else the model has as states (disturbances, the constant), and r the goal: the steady state
+    is ``x_ss = x_of_goal r + x_of_others z``, ``u_ss = u_of_goal r + u_of_others z``, and the law ``u = u_ss - gain (x - x_ss)``.
+    """
+
+    cost_to_go: Floats
+    gain: Floats
+    x_of_goal: Floats
+    x_of_others: Floats
+    u_of_goal: Floats
+    u_of_others: Floats
+
+    @property
+    def root(self) -> Floats:
+        """Return G with ``G' G = cost_to_go``, a row for each direction that costs anything."""
+        values, vectors = np.linalg.eigh(self.cost_to_go)
+        costly = values > 1e-14 * values[-1]
+        return np.asarray(np.sqrt(values[costly])[:, None] * vectors[:, costly].T)
+
+
+def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cost: Floats) -> Regulator:
+    """Return the regulator of ``sum (y - r)' output_cost (y - r) + (u - u_ss)' input_cost (u - u_ss)`` with ``y = outputs x``.
+
+    Raises
+    ------
+    ModelError
+        If the goals cannot be held in steady state, or there is no such law.
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are
+
+    plant = model.states - model.disturbances
+    A, B, H = model.matrix("A")[:plant, :plant], model.matrix("B")[:plant], outputs[:, :plant]
+    others = np.vstack([model.matrix("A")[:plant, plant:], -outputs[:, plant:]])
+    refuse_unseen_by_goal(A, H)
+    to_goal, to_others = _steady(A, B, H, input_cost, others)
+    try:
+        P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))
+    except (LinAlgError, ValueError) as error:
+        raise ModelError(
+            f"No feedback law could be computed for these weights ({str(error).rstrip('.')}): bring the states, the goals' and "
+            "the controls' weights nearer to each other in size."
+        ) from None
+    P = (P + P.T) / 2
+    gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
+    return Regulator(P, gain, to_goal[:plant], to_others[:plant], to_goal[plant:], to_others[plant:])
+
+
+def _steady(A: Floats, B: Floats, H: Floats, input_cost: Floats, others: Floats) -> tuple[Floats, Floats]:
+    """Return the maps from the goal and from the other states to the cheapest (x_ss, u_ss), one below the other.
+
+    ``x = A x + B u + ...`` and ``H x + ... = r`` leave as many directions free as there are controls beyond the goals; of all
+    solutions the one with the smallest ``u' input_cost u`` is taken, and among these that with the smallest x.
+    """
+    n, goals = len(A), len(H)
+    if goals > B.shape[1]:
+        raise ModelError(
+            f"There are {goals} goals but {B.shape[1]} controls: no more outputs can be held at values of their own than there "
+            "are controls; set goals for fewer outputs, or actuate further inputs."
+        )
+    M = np.block([[np.eye(n) - A, -B], [H, np.zeros((goals, B.shape[1]))]])
+    scale = np.linalg.norm(M, axis=1)
+    left, sizes, right = np.linalg.svd(M / np.where(scale > 0, scale, 1.0)[:, None])
+    if sizes[-1] <= 1e-10 * sizes[0]:
+        raise ModelError(
+            "The goals cannot be held in steady state, each at a value of its own: with the controls held, an output stays where "
+            "it is whatever they are (the plant has a zero at 1), or goals depend on each other; set goals for other outputs."
+        )
+    rhs = np.block([[np.zeros((n, goals)), others[:n]], [np.eye(goals), others[n:]]])
+    whole = right[: len(sizes)].T @ ((left.T @ (rhs / scale[:, None])) / sizes[:, None])
+    free = right[len(sizes) :].T
+    if free.shape[1]:
+        root = np.linalg.cholesky(input_cost).T
+        whole = whole - free @ np.linalg.pinv(root @ free[n:]) @ (root @ whole[n:])
+    return whole[:, :goals], whole[:, goals:]

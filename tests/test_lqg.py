@@ -1,0 +1,175 @@
+"""The goal that looks ahead: the one-step posterior is the regulator's law, goals are on outputs, refusals are sentences."""
+
+import pickle
+import warnings
+
+import control
+import numpy as np
+import pytest
+
+from bayesftc import controllers, cosim
+from bayesftc.controllers import BayesianController, LinearModel, LQGController
+from bayesftc.cosim.errors import ModelError
+
+
+def sampled(A, B, C, dt, sensors=1):
+    """The model of a continuous plant, with noise on its inputs."""
+    plant = control.sample_system(control.ss(A, B, C, 0), dt, method="zoh")
+    noise = 1e-3 * plant.B @ plant.B.T + 1e-8 * np.eye(len(A))
+    return LinearModel(plant.A, plant.B, np.tile(plant.C, (sensors, 1)), noise, 1e-4, dt=dt)
+
+
+def servo(dt=0.01):
+    """A position servo: a voltage, a current that follows within 0.05 s, a shaft with friction."""
+    return sampled([[0, 1, 0], [0, -2, 2], [0, 0, -20]], [[0], [0], [20]], [[1, 0, 0]], dt, sensors=2)
+
+
+def two_masses(dt=0.02):
+    """Two masses with a spring between them; a force on the first, the place of the second."""
+    A = [[0, 1, 0, 0], [-100, -1, 100, 1], [0, 0, 0, 1], [100, 1, -100, -1]]
+    return sampled(A, [[0], [1], [0], [0]], [[0, 0, 1, 0]], dt)
+
+
+def pendulum(dt=0.02):
+    """A pendulum that stands on a cart, linearised upright; place of the cart and angle are measured."""
+    A = [[0, 1, 0, 0], [0, -0.1, 1.0, 0], [0, 0, 0, 1], [0, -0.2, 20.0, 0]]
+    return sampled(A, [[0], [1], [0], [2]], [[1, 0, 0, 0], [0, 0, 1, 0]], dt)
+
+
+def wrong_way(dt=0.05):
+    """A plant that first goes the wrong way: (1 - s) / ((1 + s) (1 + 0.5 s))."""
+    plant = control.ss(control.tf([-1, 1], [0.5, 1.5, 1]))
+    return sampled(plant.A, plant.B, plant.C, dt)
+
+
+PLANTS = {
+    "servo": (servo(), [0]),
+    "two masses": (two_masses(), [0]),
+    "pendulum": (pendulum(), [0]),
+    "wrong way": (wrong_way(), [0]),
+}
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_one_step_posterior_is_the_regulators_law(name):
+    model, goals = PLANTS[name]
+    A, B, H = model.matrix("A"), model.matrix("B"), model.matrix("C")[goals]
+    controller = LQGController(model, goal_on=H, goal_covariance=0.04, control_covariance=0.5)
+    gain, cost, poles = control.dlqr(A, B, H.T @ H / 0.04, np.eye(1) / 0.5)
+    step, rng = controller.online(compiled=False), np.random.default_rng(1)
+    steady = np.linalg.solve(np.block([[np.eye(len(A)) - A, -B], [H, np.zeros((1, 1))]]), np.eye(len(A) + 1)[:, -1])
+    x_ss, u_ss = steady[: len(A)], steady[len(A) :]
+    goal = np.zeros(1)
+    for k in range(40):
+        given = np.array([np.nan]) if k == 7 else rng.normal(size=1)
+        goal = goal if k == 7 else given  # no goal: the last one holds
+        out = step(y=rng.normal(size=model.sensors), goal=given)
+        law = u_ss * goal - gain @ (np.ravel(out.x_hat) - x_ss * goal)
+        np.testing.assert_allclose(np.atleast_1d(out.u), law, rtol=1e-9, atol=1e-9 * np.abs(gain).max())
+    np.testing.assert_allclose(controller.regulator.cost_to_go, cost, rtol=1e-7, atol=1e-9 * cost.max())
+    found = controller.closed_loop_poles()
+    for pole in poles:
+        assert np.abs(found - pole).min() < 1e-6
+    assert np.abs(found).max() < 1
+
+
+@pytest.mark.parametrize(("make", "radius"), [(servo, 3.5), (two_masses, 5.3)])
+def test_a_goal_for_the_next_step_alone_is_short_sighted(make, radius):
+    model = make()
+    goal = {"goal_on": model.matrix("C")[:1], "goal_covariance": 1e-9}
+    with pytest.warns(controllers.UnstableLoopWarning):
+        naive = BayesianController(model, **goal)
+    assert np.abs(naive.closed_loop_poles()).max() == pytest.approx(radius, abs=0.05)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.abs(LQGController(model, **goal).closed_loop_poles()).max() < 1
+
+
+def test_the_goal_changes_during_a_run_in_both_engines(run_both):
+    """On the model itself: the output is led to each goal, also beside a second control that is not needed for it."""
+    A, B = [[0.9, 0.1], [0.0, 0.8]], [[0.0, 0.2], [0.1, 0.0]]
+    model = LinearModel(A, B, np.eye(2), 1e-6, 1e-4, dt=0.1)
+    controller = LQGController(model, goal_on=[[1, 0]], goal_covariance=0.01, control_covariance=[1.0, 4.0])
+    loop = cosim.closed_loop(
+        cosim.StateSpace(control.ss(A, B, np.eye(2), 0, 0.1)),
+        controller,
+        control=["u0", "u1"],
+        measured=["y0", "y1"],
+        reference=cosim.Step(time=10.0, before=1.0, after=-2.0),
+    )
+    result = run_both(loop, 20.0)
+    assert result["plant.y0"][99] == pytest.approx(1.0, abs=1e-3)
+    assert result["plant.y0"][-1] == pytest.approx(-2.0, abs=2e-3)
+    # Of all controls that hold the output at 1 the cheapest.
+    reach = np.linalg.solve(np.eye(2) - A, B)[0]
+    cost = np.diag([1.0, 0.25])
+    cheapest = np.linalg.solve(cost, reach) / (reach @ np.linalg.solve(cost, reach))
+    np.testing.assert_allclose(result["controller.u"][99], cheapest, atol=2e-3)
+
+
+def test_an_operating_point_is_a_constant_of_the_model():
+    """Deviations plus their origin, by hand, against the controller of values."""
+    model = servo()
+    x, u, y = np.array([0.3, 0.0, 0.0]), [2.0], [10.3, 10.3]
+    deviations = LQGController(model, goal_on=[[1, 0, 0]], goal_covariance=0.01, initial_covariance=1e-3)
+    about = model.about(x, u, y)
+    values = LQGController(
+        about, goal_on=about.quantities[:1], goal_covariance=0.01, initial_covariance=1e-3, initial_mean=x
+    )
+    assert "1.000" not in values.describe().splitlines()[1]  # the constant is none of the poles
+    one, two = deviations.online(compiled=False), values.online(compiled=False)
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        sample = rng.normal(size=2)
+        low, high = one(y=sample, goal=[0.5]), two(y=sample + y, goal=[10.8])
+        np.testing.assert_allclose(high.u, np.atleast_1d(low.u) + u, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(high.x_hat[:3], low.x_hat + x, atol=1e-9)
+        assert high.x_hat[3] == 1.0
+    assert pickle.loads(pickle.dumps(about)).constant
+
+
+def test_a_constant_load_leaves_no_steady_error():
+    model = servo().with_disturbance(1e-4)
+    controller = LQGController(model, goal_on="outputs", goal_covariance=1e-3, initial_covariance=1e-4)
+    A, B, C = (servo().matrix(name) for name in "ABC")
+    step, x, u = controller.online(compiled=False), np.zeros(3), np.zeros(1)
+    for _ in range(800):
+        u = np.atleast_1d(step(y=C @ x, goal=[1.0]).u)
+        x = A @ x + B @ (u + 0.7)
+    assert x[0] == pytest.approx(1.0, abs=1e-6)
+    assert u[0] == pytest.approx(-0.7, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: (np.diag([1.05, 0.5]), [[0], [1]], np.eye(2), {}), r"no control moves the mode with the eigenvalue 1\.05, which grows"),
+        (lambda: (np.diag([1.05, 0.5]), np.eye(2), [[0, 1]], {}), r"no sensor sees the mode with the eigenvalue 1\.05"),
+        (lambda: (np.diag([0.9, 0.5]), [[1], [1]], np.eye(2), {}), "There are 2 goals but 1 controls"),
+        (lambda: ([[0, 0], [1, 0]], [[1], [0]], [[1, -1]], {}), "zero at 1"),
+        (lambda: (np.diag([1.0, 0.5]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), "goals do not see .* 1, which stays"),
+        (lambda: (np.diag([0.9, 0.5]), np.eye(2), np.eye(2), {"goal_on": "states"}), "not every state"),
+        (lambda: (np.diag([0.9, 0.5]), np.eye(2), np.eye(2), {"control_covariance": None}), "needs a control_covariance"),
+        (lambda: (np.diag([0.9, 0.5]), np.eye(2), np.eye(2), {"control_mean": 1.0}), "leave control_mean out"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_said_in_a_sentence(make, words):
+    A, B, C, settings = make()
+    model = LinearModel(A, B, C, 1e-4, 1e-4, dt=0.1)
+    with pytest.raises(ModelError, match=words):
+        LQGController(model, **settings)
+
+
+def test_constants_come_last():
+    model = servo().about([0, 0, 0], [1.0], [0, 0])
+    for again in (
+        lambda: model.about([0, 0, 0], [1], [0, 0]),
+        lambda: model.with_sensor_errors(1.0, 1.0),
+        model.with_disturbance,
+    ):
+        with pytest.raises(ModelError):
+            again()
+    with pytest.raises(ModelError, match="last state is no constant"):
+        LinearModel(np.eye(2), [[0], [1]], np.eye(2), 1e-4, 1e-4, dt=0.1, disturbances=1, constant=True)
+    with pytest.raises(ModelError, match="write f and g"):
+        controllers.NonlinearModel.from_linear(model)
