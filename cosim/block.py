@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from types import FunctionType
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from bayesftc.cosim.errors import KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
+    from bayesftc.cosim.control_system import ControlSystem
     from bayesftc.cosim.online import Online
 
 Floats = NDArray[np.float64]
@@ -114,6 +115,62 @@ class Block:
         from bayesftc.cosim.online import Online
 
         return Online(self, dt, compiled=compiled)
+
+    def to_control(
+        self,
+        dt: float | str | Fraction | None = None,
+        *,
+        inputs: Sequence[str] | Mapping[str, str] | str | None = None,
+        outputs: Sequence[str] | Mapping[str, str] | str | None = None,
+        seed: int | None = 0,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+        name: str | None = None,
+    ) -> ControlSystem:
+        """Return the block as a discrete-time system of python-control, for ``control.interconnect`` and simulation there.
+
+        Its state is what the block keeps from a step to the next, and its functions are pure, so that ``control.linearize`` and
+        ``control.find_operating_point`` work, too. The state of an FMU is known to that alone, but for those of this package:
+        it is the number of a saved state, or of the steps made by an FMU that cannot save (which can only be stepped in
+        order); both functions refuse it. python-control begins at zeros: give ``X0=cosim.initial_state(system)``.
+
+        Parameters
+        ----------
+        dt : float, str or Fraction, optional
+            Sample time in seconds; not needed where the block knows it.
+        inputs, outputs : sequence of str or mapping of str to str, optional
+            Names of the ports to take, ``y[1]`` for one element of a vector; a mapping gives each a new name. By default all but
+            random inputs. A vector becomes ``y[0]``, ``y[1]``, and dots become ``_``.
+        seed : int or None
+            Of the random inputs that are not among `inputs`: they are drawn for the step that the time is of, as in a
+            diagram in which the block has the same name. None for no noise.
+        engine : {"auto", "compiled", "interpreted"}
+            As in `Diagram.simulate`.
+        name : str, optional
+            Of the system; by default that under which a diagram adds the block.
+
+        Returns
+        -------
+        control.NonlinearIOSystem
+            With the attribute ``initial_state``, for ``X0``.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no port of that name.
+        ModelError
+            If `dt` is needed, or a name is given twice.
+
+        Examples
+        --------
+        >>> import control
+        >>> from bayesftc import cosim
+        >>> delay = cosim.UnitDelay().to_control(dt=0.1, outputs={"y": "late"})
+        >>> control.input_output_response(delay, [0.0, 0.1, 0.2], [5.0, 6.0, 7.0]).outputs.tolist()
+        [0.0, 5.0, 6.0]
+        """
+        from bayesftc.cosim.control_system import block_to_control
+
+        return block_to_control(self, dt, inputs, outputs, seed, engine, name)
 
 
 class ExternalBlock(Block):

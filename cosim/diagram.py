@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,6 +14,7 @@ from bayesftc.cosim.timebase import rational_step, whole_number
 from bayesftc.cosim.units import difference
 
 if TYPE_CHECKING:
+    from bayesftc.cosim.control_system import ControlSystem
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.schedule import Schedule
     from bayesftc.cosim.simulation import Progress
@@ -242,6 +243,41 @@ class Diagram:
             progress=progress,
             time_limit=time_limit,
         )
+
+    def to_control(
+        self,
+        *,
+        inputs: Sequence[str] | Mapping[str, str] | str | None = None,
+        outputs: Sequence[str] | Mapping[str, str] | str | None = None,
+        seed: int | None = 0,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+        name: str | None = None,
+    ) -> ControlSystem:
+        """Return the diagram as one discrete-time system of python-control; `Block.to_control` says what holds for its state.
+
+        Parameters
+        ----------
+        inputs : sequence of str or mapping of str to str, optional
+            What comes from outside: inputs of blocks (``"plant.disturbance"``), whatever feeds them in the diagram, or outputs
+            (``"reference.y"``, ``"controller.u"``), whose place it then takes in all that they feed. By default the inputs
+            that have neither a source nor a start value. Called ``plant_disturbance``, or as the mapping says.
+        outputs : sequence of str or mapping of str to str, optional
+            Outputs of blocks; by default all.
+        seed : int or None
+            Of the random streams, which give the same numbers as in `simulate`; None for no noise.
+        engine : {"auto", "compiled", "interpreted"}
+            As in `simulate`.
+        name : str, optional
+            Of the system.
+
+        Returns
+        -------
+        control.NonlinearIOSystem
+            With the attribute ``initial_state``, for ``X0``. The diagram itself stays as it is; it is not frozen.
+        """
+        from bayesftc.cosim.control_system import diagram_to_control
+
+        return diagram_to_control(self, inputs, outputs, seed, engine, name)
 
     def __repr__(self) -> str:
         blocks = ", ".join(self._nodes)
