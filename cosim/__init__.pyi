@@ -47,6 +47,7 @@ from .ports import Port as Port, PortRef as PortRef
 from .probabilities import Reliability as Reliability, reliability as reliability
 from .result import Result as Result
 from .sensors import Sensors as Sensors
+from .session import RunState as RunState, Session as Session
 from .sources import (
     Constant as Constant,
     Gaussian as Gaussian,

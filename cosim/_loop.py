@@ -14,7 +14,7 @@ COLUMNS = 10
 
 SIGNATURE = (
     "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], int64[::1], "
-    "float64[:, ::1], int64, int64, int64, int64, int64, int64, int64[::1])"
+    "float64[:, ::1], int64, int64, int64, int64, int64, int64, int64, int64[::1])"
 )
 PHASE_SIGNATURE = "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])"
 
@@ -70,11 +70,12 @@ def phase(calls, begin, end, gathers, memory, t, k, failed):
 @register_jitable(error_model="numpy")
 def run(
     calls, evaluations, gathers, seed, streams, drawn, buffer, memory, recorded, recording, decimation,
-    first, begin, end, numerator, denominator, failed,
+    before, first, begin, end, numerator, denominator, failed,
 ):  # fmt: skip
     """Take the loop from t_begin to t_end; return the last step whose outputs are complete (``begin - 1`` for none).
 
-    Evaluates step `begin` only if `first` is not 0. On failure ``failed`` holds the call and its status.
+    Evaluates step `begin` only if `first` is not 0. The first row of `recording` is number `before` of the whole run. On failure
+    ``failed`` holds the call and its status.
     """
     base = memory.ctypes.data
     chunk = -1
@@ -92,7 +93,7 @@ def run(
             if not _phase(calls, 0, evaluations, gathers, memory, base, t, k, failed):
                 return k - 1
             if k % decimation == 0:
-                row = k // decimation
+                row = k // decimation - before
                 for j in range(recorded.size):
                     recording[row, j] = memory[recorded[j]]
         if k == end:

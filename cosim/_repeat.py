@@ -56,6 +56,7 @@ def repeat(
                 machine, first, _ = known
                 first.memory[:] = run.memory
                 first.seed, first.recording, first.instances = run.seed, run.recording, run.instances
+                first.before, first.k, first.sound = run.before, run.k, run.sound
                 run = first
             else:
                 machine = choose_engine("auto", run)
@@ -65,7 +66,7 @@ def repeat(
                 failure = machine.advance(0, steps, first=True)[1]
                 stopped = explain(failure, run) if failure else None
             else:
-                stopped = advance(machine, steps, run, None, None)[1]
+                stopped = advance(machine, steps, run)
                 short = time.perf_counter() - began < BREATH
         result = Result(run.recording, selection.columns, schedule.step, units=selection.units, stopped=stopped)
         if stopped:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.control_system import ControlSystem
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.schedule import Schedule
+    from bayesftc.cosim.session import RunState, Session
     from bayesftc.cosim.simulation import Progress
 
 
@@ -75,6 +76,7 @@ class Diagram:
         self._sources: dict[tuple[str, str, int], tuple[PortRef, int]] = {}
         self._coupling: Coupling | None = None
         self._schedule: Schedule | None = None
+        self._session: Session | None = None
 
     def add(self, block: Block, name: str | None = None, every: int = 1) -> Node:
         """Add a block and return its node, whose ports can be connected.
@@ -206,6 +208,7 @@ class Diagram:
         engine: Literal["auto", "compiled", "interpreted"] = "auto",
         progress: Progress | None = None,
         time_limit: float | None = None,
+        pace: float | None = None,
     ) -> Result:
         """Run the diagram from its initial state; `bayesftc.cosim.simulation.simulate` describes every option.
 
@@ -225,6 +228,8 @@ class Diagram:
             Called as ``progress(step, steps)`` now and then.
         time_limit : float, optional
             Seconds of computing after which the run is stopped.
+        pace : float, optional
+            Simulated seconds for each second of the clock, 1.0 for real time; ``result.metadata["pace"]`` reports overruns.
 
         Returns
         -------
@@ -242,7 +247,81 @@ class Diagram:
             engine=engine,
             progress=progress,
             time_limit=time_limit,
+            pace=pace,
         )
+
+    def start(
+        self,
+        *,
+        seed: int = 0,
+        record: Iterable[str | PortRef] | None = None,
+        decimation: int = 1,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+    ) -> Session:
+        """Start a live run, which goes on piece by piece; the diagram keeps it for `advance` and the methods after it.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of all random streams.
+        record : iterable of str, optional
+            Names or patterns of the signals that results hold; by default all outputs.
+        decimation : int
+            Keep every `decimation`-th step.
+        engine : {"auto", "compiled", "interpreted"}
+            Both give the same bits.
+
+        Returns
+        -------
+        Session
+            At its beginning, before the first outputs are computed.
+        """
+        from bayesftc.cosim.session import Session
+
+        self._session = Session(self, seed=seed, record=record, decimation=decimation, engine=engine)
+        return self._session
+
+    def advance(self, duration: float | str | Fraction, *, pace: float | None = None) -> Result:
+        """Go on with the live run, from its beginning where `start` was not called; see `Session.advance`.
+
+        Parameters
+        ----------
+        duration : float, str or Fraction
+            Seconds, a whole number of base steps.
+        pace : float, optional
+            Simulated seconds for each second of the clock.
+        """
+        return self._live().advance(duration, pace=pace)
+
+    def save_state(self) -> RunState:
+        """Return all that the live run remembers, FMUs included; see `Session.save_state`."""
+        return self._live().save_state()
+
+    def restore(self, state: RunState) -> None:
+        """Put the live run back to a saved state; see `Session.restore`.
+
+        Parameters
+        ----------
+        state : RunState
+            What `save_state` has returned.
+        """
+        self._live().restore(state)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Put the live run back to its beginning without loading FMUs anew; see `Session.reset`.
+
+        Parameters
+        ----------
+        seed : int, optional
+            A new seed; by default that of the run before.
+        """
+        self._live().reset(seed)
+
+    def _live(self) -> Session:
+        if self._session is None or self._session.closed:
+            self.start()
+        assert self._session is not None
+        return self._session
 
     def to_control(
         self,
@@ -288,8 +367,9 @@ class Diagram:
             raise ModelError(f"The diagram is built and frozen; to {what}, do so before build() or simulate().")
 
     def __getstate__(self) -> dict[str, Any]:
-        # The schedule is built anew where it is needed; a copy shares no table with the original.
-        return {**self.__dict__, "_nodes": dict(self._nodes), "_sources": dict(self._sources), "_schedule": None}
+        # The schedule is built anew where it is needed; a copy shares no table and no live run with the original.
+        own = {"_nodes": dict(self._nodes), "_sources": dict(self._sources), "_schedule": None, "_session": None}
+        return {**self.__dict__, **own}
 
 
 def is_external(node: Node) -> bool:

@@ -40,6 +40,12 @@ class Run:
         Places in memory that are recorded.
     recording : ndarray, rows x recorded
         Filled row by row, a row every `decimation` steps.
+    before : int
+        How many rows of the whole run come before the first row of `recording`.
+    k : int
+        The last step whose outputs are complete; -1 before the first.
+    sound : bool
+        Whether memory and FMUs stand as that step has left them: not after a failure or an interruption.
     """
 
     schedule: Schedule
@@ -49,6 +55,9 @@ class Run:
     recorded: np.ndarray[Any, np.dtype[np.int64]]
     recording: Floats
     decimation: int = 1
+    before: int = 0
+    k: int = -1
+    sound: bool = True
 
     def streams(self) -> np.ndarray[Any, np.dtype[np.uint64]]:
         """Return the table of random streams."""
@@ -139,7 +148,7 @@ class CompiledEngine:
         failed = np.array([-1, 0], dtype=np.int64)
         last = self._entry(
             self._calls, len(run.schedule.evaluate), self._gathers, np.uint64(run.seed), self._streams, self._drawn,
-            self._buffer, run.memory, run.recorded, run.recording, run.decimation, int(first), begin, end,
+            self._buffer, run.memory, run.recorded, run.recording, run.decimation, run.before, int(first), begin, end,
             step.numerator, step.denominator, failed,
         )  # fmt: skip
         if failed[0] < 0:
@@ -229,7 +238,7 @@ class InterpretedEngine:
                     if failure:
                         return k - 1, failure
                     if k % run.decimation == 0:
-                        run.recording[k // run.decimation] = run.memory[run.recorded]
+                        run.recording[k // run.decimation - run.before] = run.memory[run.recorded]
                 if k < end:
                     failure = self._phase(self._advance, k)
                     if failure:

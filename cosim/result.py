@@ -53,6 +53,8 @@ class Result(Mapping[str, Floats]):
         The base step in seconds.
     decimation : int
         Base steps between two rows.
+    before : int
+        How many rows of the whole run come before the first row here: none, unless it is a piece of a live run.
     units, metadata, stopped
         See below.
 
@@ -73,18 +75,20 @@ class Result(Mapping[str, Floats]):
         step: Fraction,
         *,
         decimation: int = 1,
+        before: int = 0,
         units: Mapping[str, str] | None = None,
         metadata: Mapping[str, Any] | None = None,
         stopped: str | None = None,
     ):
         self._recording, self._columns = recording, dict(columns)
-        self.step, self.decimation = step, decimation
+        self.step, self.decimation, self.before = step, decimation, before
         self.units, self.metadata, self.stopped = dict(units or {}), dict(metadata or {}), stopped
 
     @property
     def time(self) -> Floats:
         """Time of each row in seconds: the doubles nearest to k times the step."""
-        k = np.arange(len(self._recording), dtype=np.int64) * (self.decimation * self.step.numerator)
+        rows = np.arange(self.before, self.before + len(self._recording), dtype=np.int64)
+        k = rows * (self.decimation * self.step.numerator)
         return k / self.step.denominator
 
     def __getitem__(self, name: str) -> Floats:
@@ -175,6 +179,7 @@ class Result(Mapping[str, Floats]):
             "format": FORMAT,
             "step": str(self.step),
             "decimation": self.decimation,
+            "before": self.before,
             "columns": {name: [start, list(shape)] for name, (start, shape) in self._columns.items()},
             "units": self.units,
             "metadata": self.metadata,
@@ -220,6 +225,7 @@ class Result(Mapping[str, Floats]):
                 columns,
                 Fraction(header["step"]),
                 decimation=header["decimation"],
+                before=header.get("before", 0),  # files of earlier versions hold whole runs
                 units=header["units"],
                 metadata=header["metadata"],
                 stopped=header["stopped"],

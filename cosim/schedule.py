@@ -89,6 +89,8 @@ class Schedule:
         What the engine's random streams fill.
     initial : ndarray
         Memory as it stands before the first step: states, parameters, input defaults.
+    free : tuple of (Node, Port)
+        The inputs that nothing feeds, which keep their start values.
     ahead : dict of int to int
         Where in memory the outputs at t_k+1 stand, while the others step, of the FMUs that a later FMU sees so.
     """
@@ -111,6 +113,12 @@ class Schedule:
         self._seen_ahead = self._pairs_ahead(diagram)
         self.ahead, self.initial = self._lay_out_ahead(values)
         self.draws = self._check_inputs(diagram)
+        self.free = tuple(
+            (node, port)
+            for node in self.nodes
+            for port in node.block.inputs
+            if port.draw is None and all(diagram.source_of(node, port, e) is None for e in range(port.size))
+        )
         self._edges = self._feedthrough_edges(diagram)
         evaluate = [
             Call(i, "output", self._gathers(diagram, i, feedthrough=True)) for i in self._order() if self._outputs(i)
@@ -133,6 +141,11 @@ class Schedule:
         slots = self.slots[self._place[node]]
         start = slots.offset(port.name)
         return slice(start, start + port.size)
+
+    def layout(self) -> tuple[Any, ...]:
+        """Return what two diagrams must have in common for the memory of one to be that of the other."""
+        blocks = tuple((node.name, type(node.block).__name__, node.every) for node in self.nodes)
+        return str(self.step), self.coupling, blocks, len(self.initial)
 
     def describe(self) -> str:
         """Return the order of a step as text, a line a call; an FMU's line names the FMUs that it sees at t_k+1 already."""

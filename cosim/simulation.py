@@ -1,6 +1,7 @@
 """Runs a diagram: opens its FMUs, chooses the engine, records, and lets Ctrl-C, progress and time limits in between.
 
-`simulate` is one run. Its parts, `open_run`, `choose_engine`, `advance` and `explain`, are for what makes many (`_repeat`).
+`simulate` is one run. Its parts, `open_run`, `choose_engine`, `advance` and `explain`, are for what makes many (`_repeat`) and
+for runs that stay alive (`session`).
 """
 
 from __future__ import annotations
@@ -13,18 +14,18 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bayesftc.cosim.block import Block, ExternalBlock, Floats
+from bayesftc.cosim._pacing import Pacer
+from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
-from bayesftc.cosim.errors import KernelError, ModelError, SimulationError
-from bayesftc.cosim.ports import PortRef
-from bayesftc.cosim.random import check_seed
-from bayesftc.cosim.recording import Selection, select_signals
-from bayesftc.cosim.result import Result
+from bayesftc.cosim.errors import KernelError, ModelError
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule
-from bayesftc.cosim.timebase import show, whole_number, whole_steps
+from bayesftc.cosim.timebase import show
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram import Diagram
+    from bayesftc.cosim.ports import PortRef
+    from bayesftc.cosim.recording import Selection
+    from bayesftc.cosim.result import Result
 
 BREATH = 0.05
 """Seconds between two returns of the compiled loop to Python."""
@@ -42,6 +43,7 @@ def simulate(
     engine: Literal["auto", "compiled", "interpreted"] = "auto",
     progress: Progress | None = None,
     time_limit: float | None = None,
+    pace: float | None = None,
 ) -> Result:
     """Run `diagram` for `duration` seconds from its initial state.
 
@@ -65,6 +67,10 @@ def simulate(
         Called as ``progress(step, steps)`` about twenty times a second.
     time_limit : float, optional
         Seconds of computing after which the run is stopped.
+    pace : float, optional
+        Simulated seconds for each second of the clock, 1.0 for real time: what belongs to t_k is computed when its time has
+        come. ``result.metadata["pace"]`` says how many steps were not done before the next was due (``overruns``) and by how
+        many seconds at worst (``worst_overrun``). By default as fast as the machine can.
 
     Returns
     -------
@@ -80,36 +86,10 @@ def simulate(
         On Ctrl-C, within about a twentieth of a second (an FMU's single step is not cut short). The signals so far are
         discarded; to keep those of a run that may take too long, give it a ``time_limit``.
     """
-    schedule = diagram.schedule
-    steps = whole_steps(duration, schedule.step, "The duration")
-    decimation = whole_number(decimation, "decimation is ")
-    if time_limit is not None and not time_limit >= 0:
-        raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
-    selection = select_signals(schedule, record)
-    with ExitStack() as stack:
-        run = open_run(schedule, stack, check_seed(seed), selection, steps, decimation)
-        machine = choose_engine(engine, run)
-        last, stopped = advance(machine, steps, run, progress, time_limit)
-    metadata = {
-        "seed": run.seed,
-        "duration": float(steps * schedule.step),
-        "step": str(schedule.step),
-        "engine": "compiled" if isinstance(machine, CompiledEngine) else "interpreted",
-        "blocks": {node.name: type(node.block).__name__ for node in schedule.nodes},
-    }
-    rows = last // run.decimation + 1 if last >= 0 else 0
-    result = Result(
-        run.recording[:rows],
-        selection.columns,
-        schedule.step,
-        decimation=run.decimation,
-        units=selection.units,
-        metadata=metadata,
-        stopped=stopped,
-    )
-    if stopped:
-        raise SimulationError(stopped, result)
-    return result
+    from bayesftc.cosim.session import Session
+
+    with Session(diagram, seed=seed, record=record, decimation=decimation, engine=engine) as session:
+        return session.advance(duration, progress=progress, time_limit=time_limit, pace=pace)
 
 
 def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection, steps: int, decimation: int) -> Run:
@@ -127,17 +107,36 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
             instance = node.block.instantiate(schedule.step * node.every, node.name)
             stack.callback(instance.close)
             instances[i] = instance
-            start = schedule.slots[i].start["parameters"]
-            memory[start : start + len(instance.table)] = instance.table.view(np.float64)
-    rows, columns = steps // decimation + 1, len(selection.places)
+    run = Run(schedule, seed, memory, instances, selection.places, np.empty((0, 0)), decimation)
+    place_tables(run)
+    make_room(run, steps)
+    return run
+
+
+def place_tables(run: Run) -> None:
+    """Write into memory what compiled code needs to know of each FMU's instance."""
+    for i, instance in run.instances.items():
+        start = run.schedule.slots[i].start["parameters"]
+        run.memory[start : start + len(instance.table)] = instance.table.view(np.float64)
+
+
+def make_room(run: Run, end: int) -> None:
+    """Give a run an empty recording of the steps that come after those done, up to step `end`.
+
+    Raises
+    ------
+    ModelError
+        If it does not fit into memory.
+    """
+    run.before = run.k // run.decimation + 1
+    rows, columns = end // run.decimation + 1 - run.before, len(run.recorded)
     try:
-        recording: Floats = np.empty((rows, columns))
+        run.recording = np.empty((rows, columns))
     except (MemoryError, ValueError):
         raise ModelError(
             f"Recording {columns} numbers at {rows} steps takes {8e-9 * rows * columns:.3g} GB, more than this machine has; name "
             "fewer signals with record=..., or keep every n-th step with decimation=n."
         ) from None
-    return Run(schedule, seed, memory, instances, selection.places, recording, decimation)
 
 
 def choose_engine(wanted: str, run: Run) -> Engine:
@@ -165,30 +164,44 @@ def choose_engine(wanted: str, run: Run) -> Engine:
 
 
 def advance(
-    engine: Engine, steps: int, run: Run, progress: Progress | None, time_limit: float | None
-) -> tuple[int, str | None]:
-    """Run in pieces of about `BREATH` seconds; return the last complete step and why the run stopped early, if it did."""
+    engine: Engine,
+    end: int,
+    run: Run,
+    progress: Progress | None = None,
+    time_limit: float | None = None,
+    pacer: Pacer | None = None,
+) -> str | None:
+    """Take a run on to step `end` in pieces of about `BREATH` seconds; return why it stopped early, if it did.
+
+    ``run.k`` is then the last complete step.
+    """
     # The first piece is one step: a slow FMU must not keep Ctrl-C waiting for many.
-    begin, piece, started = 0, 1, time.perf_counter()
+    begin, piece, started = max(run.k, 0), 1, time.perf_counter()
+    origin = begin
     while True:
         before = time.perf_counter()
-        end = min(begin + piece, steps)
-        last, failure = engine.advance(begin, end, first=begin == 0)
+        until = min(begin + (pacer.pack if pacer else piece), end)
+        if pacer and run.k < 0:
+            until = 0  # what belongs to t_0 is not to wait for t_1
+        if pacer:
+            pacer.wait(until)
+        run.sound = False
+        run.k, failure = engine.advance(begin, until, first=run.k < 0)
         now = time.perf_counter()
         if failure:
-            return last, explain(failure, run)
+            return explain(failure, run)
+        run.sound = True
+        if pacer:
+            pacer.done(until)
         if progress:
-            progress(last, steps)
-        if end == steps:
-            return last, None
+            progress(until - origin, end - origin)
+        if until == end:
+            return None
         if time_limit is not None and now - started > time_limit:
-            t = float(end * run.schedule.step)
-            return (
-                last,
-                f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {end} of {steps}).",
-            )
+            t = float(until * run.schedule.step)
+            return f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {until} of {end})."
         piece = max(1, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
-        begin = end
+        begin = until
 
 
 def explain(failure: Failure, run: Run) -> str:
@@ -219,4 +232,4 @@ def _signal_at(block: Block, offset: int) -> str:
     return "output"
 
 
-__all__ = ["advance", "choose_engine", "explain", "open_run", "simulate"]
+__all__ = ["advance", "choose_engine", "explain", "make_room", "open_run", "place_tables", "simulate"]

@@ -1,0 +1,318 @@
+"""A live run: it goes on piece by piece, is saved and put back, and starts anew, while FMUs stay loaded.
+
+Pieces add up to the bits of one `simulate`: time is an integer step, every random number is a function of seed and step, and
+all else that a run remembers stands in its memory and in its FMUs.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim._pacing import Pacer
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.engines import CompiledEngine, Engine, Run
+from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError, did_you_mean
+from bayesftc.cosim.random import check_seed
+from bayesftc.cosim.recording import select_signals
+from bayesftc.cosim.result import Result
+from bayesftc.cosim.simulation import advance, choose_engine, make_room, open_run, place_tables
+from bayesftc.cosim.timebase import whole_number, whole_steps
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram import Diagram
+    from bayesftc.cosim.ports import PortRef
+    from bayesftc.cosim.schedule import Schedule
+    from bayesftc.cosim.simulation import Progress
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """All that a live run remembers at one step; made by `Session.save_state`.
+
+    It pickles if the state of every FMU does, and can then be restored in another process.
+
+    Attributes
+    ----------
+    k : int
+        The last complete step; -1 before the first.
+    seed : int
+        Seed of the run.
+    memory : ndarray
+        States, parameters, inputs and outputs of all blocks.
+    instances : mapping of str to object
+        The saved state of each FMU.
+    layout : tuple
+        What the diagram is like, so that a state goes back only where it fits.
+    """
+
+    k: int
+    seed: int
+    memory: Floats = field(repr=False)
+    instances: Mapping[str, Any] = field(repr=False)
+    layout: tuple[Any, ...] = field(repr=False)
+
+
+class Session:
+    """A live run of a diagram; `Diagram.start` makes it, ``with`` or `close` ends it.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        What to run; it is built and frozen if it is not yet.
+    seed : int
+        Seed of all random streams.
+    record : iterable of str, optional
+        Names or patterns of the signals that results hold; by default all outputs.
+    decimation : int
+        Keep every `decimation`-th step, counted from step 0.
+    engine : {"auto", "compiled", "interpreted"}
+        Both give the same bits.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim, fmus
+    >>> diagram = cosim.Diagram(dt=0.02)
+    >>> car = diagram.add(cosim.FMU(fmus.path("CruiseControl")), "car")
+    >>> with diagram.start() as session:
+    ...     session.set("car.force", 500.0)
+    ...     first = session.advance(1.0)
+    ...     here = session.save_state()
+    ...     second = session.advance(1.0)
+    ...     session.restore(here)
+    ...     again = session.advance(1.0)
+    >>> float(second["car.v"][-1]) == float(again["car.v"][-1])
+    True
+    """
+
+    def __init__(
+        self,
+        diagram: Diagram,
+        *,
+        seed: int = 0,
+        record: Iterable[str | PortRef] | None = None,
+        decimation: int = 1,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+    ):
+        self._schedule: Schedule = diagram.schedule
+        self._decimation = whole_number(decimation, "decimation is ")
+        self._selection = select_signals(self._schedule, record)
+        self._wanted = engine
+        self._engine: Engine
+        self._run: Run | None = None
+        self._pacer: Pacer | None = None
+        self._stack = ExitStack()
+        self._finalizer = weakref.finalize(
+            self, self._stack.close
+        )  # FMUs of a session that is dropped are freed as well
+        self._open(check_seed(seed))
+
+    def advance(
+        self,
+        duration: float | str | Fraction,
+        *,
+        pace: float | None = None,
+        progress: Progress | None = None,
+        time_limit: float | None = None,
+    ) -> Result:
+        """Go on for `duration` seconds; return the signals of this piece.
+
+        Rows follow those of the piece before; only the first piece has the row at t = 0. ``advance(0)`` at the beginning
+        yields that row alone.
+
+        Parameters
+        ----------
+        duration : float, str or Fraction
+            Seconds; a whole number of base steps.
+        pace : float, optional
+            Simulated seconds for each second of the clock, 1.0 for real time. The clock runs on between calls with the same
+            pace, so that what is computed outside counts, too; a call without it, `restore` and `reset` stop the clock.
+            ``result.metadata["pace"]`` has the pace, the number of late steps (``overruns``) and the seconds by which the worst
+            was late (``worst_overrun``), since the clock has started.
+        progress : callable, optional
+            Called as ``progress(step, steps)`` now and then, of this piece.
+        time_limit : float, optional
+            Seconds of computing after which the run is stopped; it can go on from there.
+
+        Raises
+        ------
+        SimulationError
+            If the run has to stop; its ``result`` has the signals of this piece up to the last complete step. After the failure
+            of a block the session goes on only after `restore` or `reset`.
+        """
+        run = self._sound_run()
+        steps = whole_steps(duration, self._schedule.step, "The duration")
+        end = max(run.k, 0) + steps
+        whole_steps(end * self._schedule.step, self._schedule.step, "The run's length")
+        if time_limit is not None and not time_limit >= 0:
+            raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
+        if pace is None or self._pacer is None or self._pacer.pace != pace:
+            self._pacer = None if pace is None else Pacer(pace, self._schedule.step, max(run.k, 0))
+        make_room(run, end)
+        stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
+        metadata: dict[str, Any] = {
+            "seed": run.seed,
+            "duration": float(steps * self._schedule.step),
+            "step": str(self._schedule.step),
+            "engine": self.engine,
+            "blocks": {node.name: type(node.block).__name__ for node in self._schedule.nodes},
+        }
+        if self._pacer:
+            metadata["pace"] = self._pacer.report()
+        result = Result(
+            run.recording[: max(run.k // run.decimation + 1 - run.before, 0)],
+            self._selection.columns,
+            self._schedule.step,
+            decimation=run.decimation,
+            before=run.before,
+            units=self._selection.units,
+            metadata=metadata,
+            stopped=stopped,
+        )
+        if stopped:
+            raise SimulationError(stopped, result)
+        return result
+
+    def set(self, name: str, value: ArrayLike) -> None:
+        """Give an input that nothing feeds a value, which it keeps until it is set again; `reset` brings its start value back.
+
+        A plant takes it in its next step, a block that feeds it through shows it at the next t_k.
+
+        Parameters
+        ----------
+        name : str
+            Name of the input, ``"plant.force"``.
+        value : float or array
+            One number for each element, or one for all.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such input, or it has a source.
+        """
+        run = self._sound_run()
+        free = {f"{node.name}.{port.name}": (node, port) for node, port in self._schedule.free}
+        if name not in free:
+            raise UnknownNameError(f"There is no input {name!r} that nothing feeds; {did_you_mean(name, free)}")
+        lies = self._schedule.signal(*free[name])
+        try:
+            run.memory[lies] = np.broadcast_to(np.asarray(value, dtype=np.float64), free[name][1].shape or (1,)).ravel()
+        except (ValueError, TypeError):
+            raise ModelError(f"{name} cannot be set to {value!r}; give {lies.stop - lies.start} numbers.") from None
+
+    @property
+    def k(self) -> int:
+        """The last complete step; -1 before the first."""
+        return self._sound_run().k
+
+    @property
+    def time(self) -> float:
+        """The time of the last complete step in seconds."""
+        return max(self.k, 0) * self._schedule.step.numerator / self._schedule.step.denominator
+
+    @property
+    def engine(self) -> str:
+        """The engine that is used: ``"compiled"`` or ``"interpreted"``."""
+        return "compiled" if isinstance(self._engine, CompiledEngine) else "interpreted"
+
+    def save_state(self) -> RunState:
+        """Return all that the run remembers now; `restore` goes back to it as often as one likes.
+
+        Raises
+        ------
+        FMUError
+            If an FMU cannot save its state; the sentence names it.
+        """
+        run = self._sound_run()
+        saved = {self._schedule.nodes[i].name: instance.save() for i, instance in run.instances.items()}
+        return RunState(run.k, run.seed, run.memory.copy(), saved, self._schedule.layout())
+
+    def restore(self, state: RunState) -> None:
+        """Go back to a saved state: of this session, or of another one of the same diagram.
+
+        Raises
+        ------
+        ModelError
+            If it is no state of such a diagram.
+        FMUError
+            If an FMU cannot take it: one without ``canSerializeFMUState`` takes states of this session only, and none from before
+            a `reset`.
+        """
+        if not isinstance(state, RunState) or state.layout != self._schedule.layout():
+            raise ModelError(
+                f"{state!r} is no saved state of this diagram; restore what save_state() has returned for the same blocks."
+            )
+        run = self._opened()
+        run.sound = False  # until all of it is restored
+        for i, instance in run.instances.items():
+            instance.restore(state.instances[self._schedule.nodes[i].name])
+        run.memory[:] = state.memory
+        place_tables(run)
+        self._pacer = None
+        if state.seed != run.seed:
+            run.seed = state.seed
+            self._engine = choose_engine(self._wanted, run)  # an engine holds numbers that it has drawn ahead
+        run.k, run.sound = state.k, True
+
+    def reset(self, seed: int | None = None) -> None:
+        """Go back to the beginning, with new instances of the FMUs, whose binaries stay loaded.
+
+        Parameters
+        ----------
+        seed : int, optional
+            A new seed; by default that of the run before.
+        """
+        seed = self._opened().seed if seed is None else check_seed(seed)
+        self._stack.close()
+        self._open(seed)
+
+    def close(self) -> None:
+        """End the run and free its FMUs; the session cannot be used any more."""
+        self._run = None
+        self._stack.close()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._run is None
+
+    def __repr__(self) -> str:
+        if self._run is None:
+            return "<Session: closed>"
+        return f"<Session at t = {max(self._run.k, 0) * float(self._schedule.step):g} s: {self.engine}>"
+
+    def _open(self, seed: int) -> None:
+        self._run, self._pacer = None, None
+        try:
+            run = open_run(self._schedule, self._stack, seed, self._selection, 0, self._decimation)
+            self._engine = choose_engine(self._wanted, run)
+        except BaseException:
+            self._stack.close()
+            raise
+        self._run = run
+
+    def _opened(self) -> Run:
+        if self._run is None:
+            raise ModelError("The session is closed; start a new one with diagram.start().")
+        return self._run
+
+    def _sound_run(self) -> Run:
+        run = self._opened()
+        if not run.sound:
+            raise ModelError(
+                f"The session stopped in the middle of a step after step {run.k}; go back with restore(state) or reset() first."
+            )
+        return run
