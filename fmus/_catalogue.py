@@ -32,7 +32,7 @@ def names() -> tuple[str, ...]:
     --------
     >>> from bayesftc import fmus
     >>> fmus.names()
-    ('CruiseControl', 'TwoLinkArm')
+    ('CartPendulum', 'CruiseControl', 'HydroTurbine', 'PositionServo', 'TwoLinkArm', 'TwoMasses')
     """
     from bayesftc.fmus.plants import PLANTS
 

@@ -39,10 +39,11 @@ def _fmi_headers(fmi: str) -> dict[str, bytes]:
 
 
 def _with_token(model: Model, fmi: str, token: str) -> dict[str, bytes]:
-    wrapper, own = f"fmi{fmi[0]}.c", f"{model.name}.c"
+    wrapper, own, source = f"fmi{fmi[0]}.c", f"{model.name}.c", model.source.read_bytes()
+    needed = [wrapper, "instance.h", "model.h"] + ["runge_kutta.h"] * (b'"runge_kutta.h"' in source)
     files = {
-        f"sources/{own}": model.source.read_bytes(),
-        **{f"sources/{name}": (_C_FOLDER / name).read_bytes() for name in (wrapper, "instance.h", "model.h")},
+        f"sources/{own}": source,
+        **{f"sources/{name}": (_C_FOLDER / name).read_bytes() for name in needed},
         "sources/model_config.h": config_header(model, token, time_variable=fmi == "3.0").encode(),
     }
     if fmi == "2.0":

@@ -89,7 +89,7 @@ def run(
 
 @app.command()
 def inspect(
-    fmu: Annotated[str, typer.Argument(help="An FMU file, or the name of a shipped one: CruiseControl or TwoLinkArm.")],
+    fmu: Annotated[str, typer.Argument(help="An FMU file, or the name of a shipped one, as CruiseControl.")],
     validate: Annotated[bool, typer.Option(help="Whether its description must keep the rules of FMI.")] = True,
     json: Json = False,
     debug: Debug = False,
