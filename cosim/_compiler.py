@@ -165,6 +165,30 @@ def compile_raw(function: FunctionType) -> CFunc:
     return compiled
 
 
+def compile_callback(function: FunctionType, signature: str) -> CFunc:
+    """Compile a service function as a C function of another signature, or load it from the disk.
+
+    Parameters
+    ----------
+    function : function
+        What a C library calls back; numba sees it as it stands.
+    signature : str
+        Its signature in numba's notation, as ``"int32(float64, int64)"``.
+
+    Returns
+    -------
+    numba CFunc
+        Its ``address`` is what the library gets; keep it alive as long as that is used.
+    """
+    arguments = ", ".join(_arguments(function))
+    text = (
+        f'from numba import cfunc\n\n@cfunc({signature!r}, error_model="numpy", cache=True)\n'
+        f"def entry({arguments}):\n    return kernel({arguments})\n"
+    )
+    compiled: CFunc = _load_service(function, text).entry
+    return compiled
+
+
 def _load_service(function: FunctionType, text: str) -> ModuleType:
     return _load(
         f"engine_{function.__name__}_{service_fingerprint(function, text)}", text, {"kernel": function}, [function]

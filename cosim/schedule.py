@@ -163,7 +163,7 @@ class Schedule:
     def _updates(self, i: int) -> bool:
         definition = self.definitions[i]
         return (
-            definition.update is not None if definition else getattr(self.nodes[i].block, "timing", "plant") == "plant"
+            definition.update is not None if definition else getattr(self.nodes[i].block, "timing", "plant") != "sampled"
         )
 
     def _outputs(self, i: int) -> bool:
