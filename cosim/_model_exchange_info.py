@@ -32,6 +32,9 @@ class ExchangeInfo:
         Whether its state can be read and set, and turned into bytes.
     once : bool
         Whether a process can have one instance only.
+    smooth : bool
+        Whether time, continuous states and inputs are all that it remembers: it declares no event indicators, no discrete
+        variables, and no interest in completed steps.
     """
 
     identifier: str
@@ -43,6 +46,7 @@ class ExchangeInfo:
     can_save: bool
     can_serialise: bool
     once: bool
+    smooth: bool
 
 
 def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVariable, ...]) -> ExchangeInfo | None:
@@ -60,6 +64,7 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
         completed = not says("completedIntegratorStepNotNeeded")
     else:
         completed = says("needsCompletedIntegratorStep")
+    discrete = any(v.variability == "discrete" for v in variables)
     return ExchangeInfo(
         identifier=element.get("modelIdentifier") or "",
         states=tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name")),
@@ -70,4 +75,5 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
         can_save=says("canGetAndSetFMUstate", "canGetAndSetFMUState"),
         can_serialise=says("canSerializeFMUstate", "canSerializeFMUState"),
         once=says("canBeInstantiatedOnlyOncePerProcess"),
+        smooth=not (model.numberOfEventIndicators or completed or discrete),
     )

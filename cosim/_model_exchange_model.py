@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -30,12 +30,14 @@ class StopError(Exception):
 
 @dataclass(frozen=True)
 class SavedModel:
-    """The state of a model exchange FMU: the FMU's own, and what the side of the integrator knows."""
+    """The state of a model exchange FMU: the FMU's own, if it has more than what the side of the integrator knows."""
 
-    state: SavedState
+    state: SavedState | None
+    token: str
     time: float
     next_event: float
     inputs: Floats
+    x: Floats
 
 
 class ExchangeModel:
@@ -98,7 +100,8 @@ class ExchangeModel:
         self._sizes = [sum(prod(v.shape) for v in side) for side in (inputs, outputs)]
         values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
         self.inputs = np.concatenate([np.zeros(0), *values])
-        self._outputs = np.zeros(self._sizes[1])
+        self.output_size = self._sizes[1]
+        self._outputs = np.zeros(self.output_size)
         self._get, self._set = library.values
 
     def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
@@ -145,9 +148,10 @@ class ExchangeModel:
         CallError
             If it returns neither OK nor Warning.
         """
-        self._check(role, self._bound[role](self.component, *arguments))
+        self.check(role, self._bound[role](self.component, *arguments))
 
-    def _check(self, role: str, status: int) -> None:
+    def check(self, role: str, status: int) -> None:
+        """Raise CallError if the function of a role has returned neither OK nor Warning."""
         if status > 1 or status < 0:
             self.fatal = self.fatal or status == _FATAL
             raise CallError(self.library.names[role], status)
@@ -180,7 +184,7 @@ class ExchangeModel:
             status = self._set(
                 self.component, references.ctypes.data, len(references), self.inputs.ctypes.data, self._sizes[0]
             )
-            self._check("set_reals", status)
+            self.check("set_reals", status)
 
     def read_outputs(self, values: Floats) -> None:
         """Read the outputs."""
@@ -190,7 +194,7 @@ class ExchangeModel:
             buffer[:] = values  # what a failing FMU does not write stays as it is
             status = self._get(self.component, references.ctypes.data, len(references), buffer.ctypes.data, len(buffer))
             values[:] = buffer
-            self._check("get_reals", status)
+            self.check("get_reals", status)
 
     # --- events ----------------------------------------------------------------------------------------------------
 
@@ -219,7 +223,7 @@ class ExchangeModel:
         nominals = False
         for _ in range(ITERATIONS):
             info.defined = 0
-            self._check("update_discrete", update(self.component, info))
+            self.check("update_discrete", update(self.component, info))
             nominals = nominals or bool(info.nominals)
             if info.terminate:
                 raise StopError("The FMU asks to end the simulation (terminateSimulation)")
@@ -239,22 +243,46 @@ class ExchangeModel:
 
     # --- states and end --------------------------------------------------------------------------------------------
 
+    @property
+    def can_save(self) -> bool:
+        """See `bayesftc.cosim.block.External.can_save`; one that has continuous states only is saved without its help."""
+        return self.states.can_save or self._is_smooth
+
+    @property
+    def _is_smooth(self) -> bool:
+        return self.info.smooth and self.next_event == math.inf
+
     def save(self) -> SavedModel:
         """Return its state; see `bayesftc.cosim.block.External.save`."""
-        return SavedModel(self.states.save(), self.time, self.next_event, self.inputs.copy())
+        own = None if self._is_smooth and not self.states.can_save else self.states.save()
+        return SavedModel(own, self.states.token, self.time, self.next_event, self.inputs.copy(), self.x.copy())
 
     def restore(self, saved: object) -> None:
         """Go back to a state; see `bayesftc.cosim.block.External.restore`."""
-        self.states.restore(saved.state if isinstance(saved, SavedModel) else saved)
-        assert isinstance(saved, SavedModel)
-        self.time, self.next_event = saved.time, saved.next_event
-        self.inputs[:] = saved.inputs
+        if not isinstance(saved, SavedModel) or saved.token != self.states.token:
+            raise FMUError(
+                f"What {self.name!r} was to be restored to is no saved state of the FMU {self.library.description.name!r} as a "
+                "model exchange FMU; save it in a run of the same FMU."
+            )
+        try:
+            if saved.state is not None:
+                self.states.restore(saved.state)
+                self.time = saved.time
+            else:
+                self.set_time(saved.time)
+            self.write_inputs(saved.inputs)
+            self.x[:] = saved.x
+            self.write_states()
+        except CallError as error:
+            raise FMUError(
+                f"{self.name!r} could not be restored: {error.sentence()}. {self.messages.quoted()}"
+            ) from None
+        self.next_event = saved.next_event
         self.healthy = not self.fatal
-        self.read_states()
 
     def forget(self, saved: object) -> None:
         """Free a saved state; see `bayesftc.cosim.block.External.forget`."""
-        if isinstance(saved, SavedModel):
+        if isinstance(saved, SavedModel) and saved.state is not None:
             self.states.forget(saved.state)
 
     def close(self) -> None:
@@ -271,6 +299,3 @@ class ExchangeModel:
             except (CallError, FMUError):
                 pass  # it is over either way
         self.messages.close()
-
-
-Derivatives = Callable[[float, Floats], Floats]

@@ -17,6 +17,9 @@ METHODS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
 
 DEFAULT_TOLERANCE = 1e-6
 
+INTERNAL_STEPS = 100_000
+"""Steps that an integrator may take from one communication point, or event, to the next."""
+
 
 def checked_settings(
     archive: Archive, description: FMUDescription, exchange: bool, solver: Any, rtol: Any, atol: Any
@@ -42,7 +45,8 @@ def checked_settings(
         raise ModelError(f"FMU has solver={solver!r}; it must be one of {', '.join(known)}.")
     for name in ("rtol", "atol"):
         value = given.get(name)
-        if value is not None and not (isinstance(value, Real) and not isinstance(value, bool) and 0 < value < math.inf):
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        if value is not None and not (is_number and 0 < float(value) < math.inf):
             raise ModelError(f"FMU has {name}={value!r}; it must be a positive number, as 1e-6.")
     own = description.default_experiment.get("tolerance", 0.0)
     if rtol is None:
