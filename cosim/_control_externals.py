@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim._fmi_states import SavedState
 from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.errors import FMUError, ModelError
+from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.timebase import show
 
 if TYPE_CHECKING:
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
 
 SNAPSHOTS = 100
 """How many saved states are kept, besides the first one: an FMU may need megabytes for each."""
+
+_HEADER = 64 + 4 * 4 + 8
+"""Bytes before the numbers in a serialised state of an FMU of this package: token, four ints, stop time."""
 
 Key = tuple[int, int, bytes]
 
@@ -42,7 +47,7 @@ class ExternalState(ABC):
     def __init__(self, instance: External, schedule: Schedule, i: int):
         node, slots = schedule.nodes[i], schedule.slots[i]
         self._instance, self._every, self._step = instance, node.every, schedule.step
-        self._sampled = getattr(node.block, "timing", "plant") == "sampled"
+        self._timing = getattr(node.block, "timing", "plant")
         begin = slots.start["inputs"]
         self._inputs = slice(begin, begin + sum(port.size for port in node.block.inputs))
         self.title = node.name
@@ -56,8 +61,8 @@ class ExternalState(ABC):
         """Bring the FMU into a state, at step `k` of the diagram."""
 
     def evaluated(self, k: int) -> None:
-        """Note that the outputs at step `k` have been read, for which a sampled FMU has made its step."""
-        if self._sampled and k % self._every == 0:
+        """Note that the outputs at step `k` have been read, for which another FMU than a plant has been given its inputs."""
+        if self._timing != "plant" and k % self._every == 0:
             self.lose()
 
     @abstractmethod
@@ -77,7 +82,8 @@ class Snapshots(ExternalState):
         self.names, self.initial = [f"{self.title}.snapshot"], np.zeros(1)
         self._saved: dict[int, object] = {0: instance.save()}
         self._steps: dict[int, int] = {0: 0}
-        self._known: dict[Key, int] = {}
+        self._ways: dict[int, Key] = {}  # how each was reached, and which was reached so
+        self._reached: dict[Key, int] = {}
         self._next, self._loaded = 1, 0
         self._standing: int | None = 0
 
@@ -108,12 +114,13 @@ class Snapshots(ExternalState):
         if k % self._every:
             return np.array([float(self._loaded)])
         key = self._loaded, k, memory[self._inputs].tobytes()
-        number = self._known.get(key)
-        if number is None or number not in self._saved:
+        number = self._reached.get(key)
+        if number is None:
             number, self._next = self._next, self._next + 1
             self._saved[number], self._steps[number] = self._instance.save(), k // self._every + 1
-            self._known[key] = number
-            self._forget()
+            self._ways[number], self._reached[key] = key, number
+            if len(self._ways) > SNAPSHOTS:
+                self._forget(next(iter(self._ways)))
         self._standing = number
         return np.array([float(number)])
 
@@ -121,12 +128,9 @@ class Snapshots(ExternalState):
         """See `ExternalState.lose`."""
         self._standing = None
 
-    def _forget(self) -> None:
-        if len(self._saved) > SNAPSHOTS + 1:
-            oldest = next(number for number in self._saved if number)
-            self._instance.forget(self._saved.pop(oldest))
-            del self._steps[oldest]
-            self._known = {key: number for key, number in self._known.items() if number in self._saved}
+    def _forget(self, number: int) -> None:
+        self._instance.forget(self._saved.pop(number))
+        del self._steps[number], self._reached[self._ways.pop(number)]
 
 
 class InOrder(ExternalState):
@@ -134,7 +138,7 @@ class InOrder(ExternalState):
 
     def __init__(self, instance: External, schedule: Schedule, i: int):
         super().__init__(instance, schedule, i)
-        if self._sampled:
+        if self._timing == "sampled":
             raise FMUError(
                 f"The FMU {self.title!r} has timing='sampled' and cannot save its state (canGetAndSetFMUstate), so that "
                 "python-control cannot ask for its outputs without changing it; export it with that capability."
@@ -162,6 +166,9 @@ class InOrder(ExternalState):
                 f"t = {float(k * self._step):g} s; begin at t = 0."
             )
 
+    def evaluated(self, k: int) -> None:
+        """See `ExternalState.evaluated`: it stays where it is."""
+
     def leave(self, k: int, memory: Floats) -> Floats:
         """See `ExternalState.leave`."""
         assert self._made is not None
@@ -174,9 +181,85 @@ class InOrder(ExternalState):
         self._made = None
 
 
+class OwnNumbers(ExternalState):
+    """An FMU of this package: the numbers that its instance keeps, but for inputs, parameters and time.
+
+    ``fmus/c/instance.h`` says how they are serialised: the token, what phase the instance is in, and all numbers: those of
+    the variables, the time, and those that importers do not see.
+    """
+
+    real = True
+
+    def __init__(self, instance: External, schedule: Schedule, i: int, saved: SavedState):
+        super().__init__(instance, schedule, i)
+        description = schedule.nodes[i].block.description  # type: ignore[attr-defined]
+        self._saved, self._content = saved, np.frombuffer(saved.serialised(), dtype=np.uint8).copy()
+        numbers = self._content[_HEADER:].view(np.float64)
+        variables = [v for v in description.variables if v.causality != "independent"]
+        kept = [v for v in variables if v.causality in {"output", "local"}]
+        hidden = range(len(variables) + 1, len(numbers))
+        self.names = [f"{self.title}.{v.name}" for v in kept] + [
+            f"{self.title}.hidden[{j}]" for j, _ in enumerate(hidden)
+        ]
+        self._numbers, self._time = numbers, len(variables)
+        self._places = np.array([*(v.reference for v in kept), *hidden], dtype=np.int64)
+        self.initial = numbers[self._places]
+        self._part = self.initial
+        self._standing: tuple[int, bytes] | None = (0, self.initial.tobytes())
+
+    def load(self, k: int, part: Floats) -> None:
+        """See `ExternalState.load`."""
+        made = -(-k // self._every)
+        if self._standing == (made, part.tobytes()):
+            return
+        self._standing = None
+        self._numbers[self._places] = part
+        h = self._step * self._every
+        # As the FMU itself adds the step to the instant at which the step began.
+        self._numbers[self._time] = float((made - 1) * h) + float(h) if made else 0.0
+        self._instance.restore(self._saved.changed_to(self._content.tobytes()))
+        self._standing, self._part = (made, part.tobytes()), part.copy()
+
+    def leave(self, k: int, memory: Floats) -> Floats:
+        """See `ExternalState.leave`."""
+        if k % self._every == 0:
+            saved: Any = self._instance.save()
+            self._part = np.frombuffer(saved.serialised(), offset=_HEADER)[self._places]
+            self._instance.forget(saved)
+            self._standing = k // self._every + 1, self._part.tobytes()
+        return self._part
+
+    def lose(self) -> None:
+        """See `ExternalState.lose`."""
+        self._standing = None
+
+
 def external_state(instance: External, schedule: Schedule, i: int) -> ExternalState:
     """Return what stands for the state of a running FMU, the node number `i` of a diagram."""
-    return (Snapshots if instance.can_save else InOrder)(instance, schedule, i)
+    if not instance.can_save:
+        return InOrder(instance, schedule, i)
+    block = schedule.nodes[i].block
+    if isinstance(block, FMU) and block.description.timing is not None:
+        saved = instance.save()
+        if isinstance(saved, SavedState) and _known(saved, block):
+            return OwnNumbers(instance, schedule, i, saved)
+        instance.forget(saved)
+    return Snapshots(instance, schedule, i)
+
+
+def _known(saved: SavedState, block: FMU) -> bool:
+    """Return whether a saved state of an FMU with this package's annotation is indeed written as this package does it."""
+    try:
+        content = saved.serialised()
+    except FMUError:
+        return False
+    variables = [v for v in block.description.variables if v.causality != "independent"]
+    size = len(content) - _HEADER
+    if size % 8 or size < 8 * (len(variables) + 1) or not content.startswith(block.description.token.encode()):
+        return False
+    numbers = np.frombuffer(content, offset=_HEADER)
+    parameters = [v for v in variables if v.causality == "parameter"]
+    return all(numbers[v.reference] == block.start_value(v.name) for v in parameters)
 
 
 def _no_number(title: str, given: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
 from math import isfinite
@@ -49,6 +50,8 @@ class Machine:
         Of the elements of the state.
     opaque : list of str
         Names of the FMUs of which the state is known to themselves alone.
+    told : bool
+        Whether no more need be said of a beginning at zeros.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Machine:
     ):
         self._settings = diagram, inputs, outputs, seed, engine
         self._schedule = schedule = diagram.schedule
+        self._steps_per_time = schedule.step.denominator, schedule.step.numerator
         self._in, self._out = (_places(diagram, elements) for elements in (inputs, outputs))
         self._state = state_places(schedule)
         self._carried = np.array([place for place, _ in self._state], dtype=np.int64)
@@ -69,6 +73,7 @@ class Machine:
         self.initial = np.concatenate([schedule.initial[self._carried], *(e.initial for e in self._externals)])
         self.names = [name for _, name in self._state] + [name for e in self._externals for name in e.names]
         self.opaque = [e.title for e in self._externals if not e.real]
+        self.told = not self.initial.any()
 
     def _open(self) -> None:
         """Begin anew: with new instances of all FMUs."""
@@ -92,7 +97,7 @@ class Machine:
 
     def output(self, t: float, x: Any, u: Any, params: object = None) -> Floats:
         """Return the outputs at time `t`."""
-        self._evaluate(t, x, u)
+        self._evaluate(self._asked(t, x, u))
         values: Floats = self._run.memory[self._out]
         return values
 
@@ -100,50 +105,56 @@ class Machine:
         """Return the state one step after time `t`."""
         key = self._asked(t, x, u)
         if key != self._stepped:
-            k = self._evaluate(t, x, u)
-            self._evaluated = self._stepped = None
+            if key[0] == 0 and not self.told:
+                self._warn_of_zeros(key[1])
+            self._evaluate(key)
+            k, self._evaluated, self._stepped = key[0], None, None
             self._check(self._engine.step(k))
             parts = [external.leave(k, self._run.memory) for external in self._externals]
             self._after = np.concatenate([self._run.memory[self._carried], *parts])
             self._stepped = key
         return self._after.copy()
 
-    def _asked(self, t: float, x: Any, u: Any) -> Asked:
-        return self._step_of(t), np.asarray(x, dtype=np.float64).tobytes(), np.asarray(u, dtype=np.float64).tobytes()
+    def _warn_of_zeros(self, state: bytes) -> None:
+        if not any(state):
+            self.told = True
+            warnings.warn(
+                f"A system of python-control begins at zeros, with {self.names[int(np.argmax(self.initial != 0.0))]} = 0 and so "
+                "on, which is not where its blocks begin; for that, give X0=cosim.initial_state(system).",
+                stacklevel=2,
+            )
 
-    def _step_of(self, t: float) -> int:
-        step = self._schedule.step
-        ratio = t * step.denominator / step.numerator
+    def _asked(self, t: float, x: Any, u: Any) -> Asked:
+        ratio = t * self._steps_per_time[0] / self._steps_per_time[1]
         k = round(ratio) if isfinite(ratio) else -1
         if k < 0 or abs(ratio - k) > _ROUNDING * max(k, 1):
             raise StepSizeError(
-                f"The system was asked for t = {t:g} s, but it has a sample time of {show(step)} s and begins at 0; give times "
-                "that are whole multiples of it."
+                f"The system was asked for t = {t:g} s, but it has a sample time of {show(self._schedule.step)} s and begins "
+                "at 0; give times that are whole multiples of it."
             )
-        return k
+        return k, np.asarray(x, dtype=np.float64).tobytes(), np.asarray(u, dtype=np.float64).tobytes()
 
-    def _evaluate(self, t: float, x: Any, u: Any) -> int:
-        """Bring outputs and inputs into memory as they are at time `t`; return the number of the step."""
-        key = self._asked(t, x, u)
-        k = key[0]
-        if key == self._evaluated:
-            return k
+    def _evaluate(self, asked: Asked) -> None:
+        """Bring outputs and inputs into memory as they are at a step, in a state, with inputs from outside."""
+        if asked == self._evaluated:
+            return
         self._evaluated = None
-        state = np.asarray(x, dtype=np.float64)
-        if any(e.over(part) for e, part in self._parts(state)):
+        k, state, inputs = asked[0], np.frombuffer(asked[1]), np.frombuffer(asked[2])
+        parts = self._parts(state)
+        if any(external.over(part) for external, part in parts):
             self._open()
+            parts = self._parts(state)
         memory = self._run.memory
         memory[self._carried] = state[: len(self._carried)]
-        memory[self._in] = np.asarray(u, dtype=np.float64)[: len(self._in)]
-        for external, part in self._parts(state):
+        memory[self._in] = inputs[: len(self._in)]
+        for external, part in parts:
             external.load(k, part)
         if self._draws is not None:
             self._draws.fill(k)
         self._check(self._engine.evaluate(k))
         for external in self._externals:
             external.evaluated(k)
-        self._evaluated = key
-        return k
+        self._evaluated = asked
 
     def _parts(self, state: Floats) -> list[tuple[ExternalState, Floats]]:
         begin, parts = len(self._carried), []

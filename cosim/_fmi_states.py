@@ -56,6 +56,12 @@ class SavedState:
             return self._states.serialise(self._place)
         return self._bytes
 
+    def changed_to(self, content: bytes) -> SavedState:
+        """Return a state of the same FMU of which the bytes are these."""
+        other = object.__new__(SavedState)
+        other.__setstate__({"model": self.model, "token": self.token, "_states": None, "_place": 0, "_bytes": content})
+        return other
+
     def place_in(self, states: States) -> int:
         """Return where in the memory of the FMU the state lies; 0 if it is none of that instance's."""
         return self._place if self._states is states else 0

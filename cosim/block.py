@@ -136,7 +136,8 @@ class Block:
         Parameters
         ----------
         dt : float, str or Fraction, optional
-            Sample time in seconds; not needed where the block knows it.
+            Sample time in seconds; not needed where the block knows it. A model exchange FMU without one becomes a system in
+            continuous time, whose states are its own; no events happen there.
         inputs, outputs : sequence of str or mapping of str to str, optional
             Names of the ports to take, ``y[1]`` for one element of a vector; a mapping gives each a new name. By default all but
             random inputs. A vector becomes ``y[0]``, ``y[1]``, and dots become ``_``.

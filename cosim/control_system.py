@@ -12,10 +12,12 @@ from typing import Any
 import control
 import numpy as np
 
+from bayesftc.cosim._control_equations import Equations
 from bayesftc.cosim._control_machine import Machine
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.result import labels
 
@@ -27,21 +29,21 @@ _OUTSIDE = "<outside>"
 
 
 class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
-    """A block or a diagram as a discrete-time system of python-control; made by `Block.to_control` and `Diagram.to_control`.
+    """A block or a diagram as a system of python-control; made by `Block.to_control` and `Diagram.to_control`.
 
     Its functions of time, state and inputs are pure: they can be asked in any order, and a system may stand twice in a diagram.
 
     Parameters
     ----------
-    machine : Machine
-        What evaluates the diagram.
+    machine : Machine or Equations
+        What evaluates the diagram, in discrete time, or a model exchange FMU, in continuous time.
     name, dt, inputs, outputs, states
         As for ``control.nlsys``.
     """
 
     def __init__(
         self,
-        machine: Machine,
+        machine: Machine | Equations,
         name: str | None,
         dt: float,
         inputs: Sequence[str],
@@ -82,6 +84,7 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
                 f"The state of the FMU {self._machine.opaque[0]!r} is known to itself alone, so that it cannot be linearized in "
                 "python-control: LinearModel.from_fmu makes a linear model of it."
             )
+        self._machine.told = True  # about zeros, that is, if they are asked for here
         return super().linearize(x0, u0, *args, **settings)
 
 
@@ -123,13 +126,16 @@ def block_to_control(
 ) -> ControlSystem:
     """Return a block as a system of python-control; `Block.to_control` describes the arguments."""
     step = block.sample_time if dt is None else dt
-    if step is None:
+    continuous = step is None and isinstance(block, FMU) and block.kind == "model exchange"
+    if step is None and not continuous:
         raise ModelError(f"{type(block).__name__} does not know its sample time; give to_control(dt=...) in seconds.")
-    diagram = Diagram(step)
+    diagram = Diagram(1 if step is None else step)
     node = diagram.add(block, name)
     if inputs is None:
         inputs = [port.name for port in block.inputs if port.draw is None]
     known = {port.name: (node, port) for port in block.inputs}, {port.name: (node, port) for port in block.outputs}
+    if continuous and isinstance(block, FMU):
+        return _equations(block, known, inputs, outputs, node.name)
     return _system(diagram, known, inputs, outputs, seed, engine, node.name, f"{node.name}.")
 
 
@@ -170,6 +176,16 @@ def _system(
     machine = Machine(whole, places, [(node.name, port.name, i) for node, port, i in shown.values()], seed, engine)
     states = [allowed(state.removeprefix(prefix)) for state in machine.names]
     return ControlSystem(machine, name, float(diagram.step), list(given), list(shown), states)
+
+
+def _equations(
+    fmu: FMU, known: tuple[Signals, Signals], inputs: Names, outputs: Names | None, name: str
+) -> ControlSystem:
+    given = _chosen(known[0], inputs, "input")
+    shown = _chosen(known[1], list(known[1]) if outputs is None else outputs, "output")
+    model = Equations(fmu, *([(port, i) for _, port, i in side.values()] for side in (given, shown)))
+    states = [allowed(state) for state in model.names]
+    return ControlSystem(model, name, 0.0, list(given), list(shown), states)
 
 
 def _chosen(known: Signals, names: Names, what: str) -> dict[str, tuple[Node, Port, int]]:
