@@ -13,11 +13,13 @@ from zipfile import ZipFile
 from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._model_exchange_info import ExchangeInfo, read_exchange
 from bayesftc.cosim.errors import FMUError, FMUVersionError
+from bayesftc.cosim.units import BASE, Unit, UnitDefinition
 
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription, ModelVariable
 
-Value = float | int | bool | str
+Value = float | int | bool | str | tuple[Any, ...]
+"""A value of a variable: of an array, tuples of tuples, row by row."""
 
 REAL_TYPES = frozenset({"Real", "Float64"})
 """The types that ports can have: double-precision numbers of FMI 2 and FMI 3."""
@@ -37,6 +39,7 @@ _CAPABILITIES = (
     "hasEventMode",
     "mightReturnEarlyFromDoStep",
 )
+_SYMBOLS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _SHOWN = 3
 
 
@@ -48,12 +51,13 @@ class FMUVariable:
     ----------
     name, causality, variability, type : str
         As in the model description, with the standard's defaults filled in.
-    start : float, int, bool, str or None
-        Its start value; of an array, the text of the model description.
+    start : float, int, bool, str, tuple or None
+        Its start value; of an array, tuples of tuples, row by row.
     unit, description : str or None
         As in the model description.
     shape : tuple of int
-        ``()`` for a scalar; only FMI 3 has arrays.
+        ``()`` for a scalar; only FMI 3 has arrays. Where structural parameters say how large an array is, with their start
+        values.
     settable : bool
         Whether its start value may be set before initialization.
     reference : int
@@ -62,6 +66,12 @@ class FMUVariable:
         Whether it only exists at the ticks of a clock (FMI 3).
     alias : bool
         Whether it is another name of a variable that is listed too (FMI 3).
+    dimensions : tuple of int or str
+        Of an array: how large it is in each direction, or the name of the structural parameter that says so.
+    items : tuple of (str, int)
+        Of an enumeration: names and numbers.
+    relative : bool
+        Whether it is a difference, to which a unit's offset (degC) does not apply.
     """
 
     name: str
@@ -76,11 +86,19 @@ class FMUVariable:
     reference: int
     clocked: bool = False
     alias: bool = False
+    dimensions: tuple[int | str, ...] = ()
+    items: tuple[tuple[str, int], ...] = ()
+    relative: bool = False
 
     @property
-    def is_real_scalar(self) -> bool:
-        """Whether it can be a port."""
-        return self.type in REAL_TYPES and not self.shape and not self.clocked
+    def is_real(self) -> bool:
+        """Whether it is made of double-precision numbers."""
+        return self.type in REAL_TYPES
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether its values are numbers: it can be a port."""
+        return self.type not in {"String", "Binary", "Clock"} and not self.clocked
 
 
 @dataclass(frozen=True)
@@ -112,6 +130,8 @@ class FMUDescription:
         Name of the binary, and what proves that binary and description belong together.
     log_categories : tuple of str
         Categories under which it logs.
+    units : mapping of str to UnitDefinition
+        What the FMU says of its units, by name.
     exchange : ExchangeInfo or None
         Its states, derivatives and capabilities as a model exchange FMU; None where it is none.
     """
@@ -130,6 +150,7 @@ class FMUDescription:
     identifier: str = ""
     token: str = field(default="", repr=False)
     log_categories: tuple[str, ...] = field(default=(), repr=False)
+    units: Mapping[str, UnitDefinition] = field(default_factory=dict, repr=False)
     exchange: ExchangeInfo | None = field(default=None, repr=False)
 
     @property
@@ -192,6 +213,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         identifier=getattr(first, "modelIdentifier", None) or "",
         token=model.guid or "",
         log_categories=tuple(c.name for c in model.logCategories),
+        units={u.name: _unit(u) for u in model.unitDefinitions},
         exchange=read_exchange(model, root, variables),
     )
 
@@ -226,7 +248,6 @@ def _checked_xml(archive: Archive) -> io.BytesIO:
 
 
 def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:
-    unit = variable.unit or getattr(variable.declaredType, "unit", None)
     settable = variable.variability != "constant" and (
         variable.causality == "input" or variable.initial in {"exact", "approx"}
     )
@@ -236,14 +257,32 @@ def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:
         variability=variable.variability,
         type=variable.type,
         start=_start(archive, variable),
-        unit=unit,
+        unit=_declared(variable, "unit"),
         description=variable.description,
         shape=tuple(variable.shape or ()),
         settable=settable,
         reference=variable.valueReference,
         clocked=bool(variable.clocks),
         alias=variable.alias is not None,
+        dimensions=tuple(int(d.start) if d.start is not None else d.variable.name for d in variable.dimensions),
+        items=tuple((item.name, int(item.value)) for item in getattr(variable.declaredType, "items", None) or ()),
+        relative=bool(_declared(variable, "relativeQuantity")),
     )
+
+
+def _declared(variable: ModelVariable, attribute: str) -> Any:
+    """Return what a variable says, or else its type."""
+    own = getattr(variable, attribute, None)
+    return getattr(variable.declaredType, attribute, None) if own is None else own
+
+
+def _unit(unit: Any) -> UnitDefinition:
+    base, meaning = unit.baseUnit, None
+    if base is not None:
+        powers = {name: int(getattr(base, symbol)) for symbol, name in zip(_SYMBOLS, BASE, strict=True)}
+        powers = {name: power for name, power in powers.items() if power}
+        meaning = Unit(powers, float(base.factor), float(base.offset), cycles="Hz" in unit.name)
+    return UnitDefinition(meaning, {d.name: (float(d.factor), float(d.offset)) for d in unit.displayUnits})
 
 
 def _feedthrough(model: ModelDescription) -> dict[str, tuple[str, ...] | None]:
@@ -256,19 +295,47 @@ def _feedthrough(model: ModelDescription) -> dict[str, tuple[str, ...] | None]:
 
 def _start(archive: Archive, variable: ModelVariable) -> Value | None:
     text: str | None = variable.start
-    if text is None or variable.shape:
-        return text
+    if text is None or (variable.shape and variable.type in {"String", "Binary"}):
+        return None
     try:
-        if variable.type in _FLOATS:
-            value = float(text)
-            return value if math.isfinite(value) else None
-        if variable.type == "Boolean":
-            return text in {"true", "1"}
-        if variable.type in {"String", "Binary"}:
-            return text
-        return int(text)
+        if not variable.shape:
+            return _number(variable.type, text)
+        values = tuple(_number(variable.type, part) for part in text.split())
+        return None if None in values else shaped(values, variable.shape)
     except ValueError:
+        what = f"{variable.type} of shape {tuple(variable.shape)}" if variable.shape else variable.type
         raise FMUError(
-            f"The variable {variable.name!r} of {archive.path} has the start value {text!r}, which is no {variable.type}; "
+            f"The variable {variable.name!r} of {archive.path} has the start value {text[:80]!r}, which is no {what}; "
             "export the FMU again."
         ) from None
+
+
+def _number(kind: str, text: str) -> Value | None:
+    if kind in _FLOATS:
+        value = float(text)
+        return value if math.isfinite(value) else None
+    if kind == "Boolean":
+        return text in {"true", "1"}
+    return text if kind in {"String", "Binary"} else int(text)
+
+
+def flattened(value: Value) -> tuple[Any, ...]:
+    """Return the elements of a value, row by row; of a scalar, the one."""
+    return tuple(x for row in value for x in flattened(row)) if isinstance(value, tuple) else (value,)
+
+
+def shaped(values: tuple[Any, ...], shape: tuple[int, ...]) -> Value:
+    """Return elements as tuples of tuples; a single one fills the array.
+
+    Raises
+    ------
+    ValueError
+        If there are too many or too few.
+    """
+    if len(values) == 1:
+        values = values * math.prod(shape)
+    if len(values) != math.prod(shape) or not values:
+        raise ValueError
+    for size in reversed(shape[1:]):
+        values = tuple(values[i : i + size] for i in range(0, len(values), size))
+    return values

@@ -9,10 +9,27 @@ from typing import Literal
 import numpy as np
 
 from bayesftc.cosim._fmi_description import FMUVariable, Value
+from bayesftc.cosim._fmi_groups import Group, element_names, groups, type_range
 from bayesftc.cosim._fmi_library import CallError, Library
 from bayesftc.cosim._fmi_messages import STATUS, Messages
 from bayesftc.cosim._fmi_states import SavedState, States
-from bayesftc.cosim._fmi_steps import DISCARD, EARLY, FATAL, GET, SET, STEP, TERMINATED, StepFunctions
+from bayesftc.cosim._fmi_steps import (
+    DISCARD,
+    EARLY,
+    ENDLESS,
+    EVENTS,
+    FATAL,
+    GET,
+    REACHED,
+    SET,
+    STEP,
+    TERMINATED,
+    TRIES,
+    UNFIT,
+    UNFIT_INPUT,
+    UNFIT_OUTPUT,
+    StepFunctions,
+)
 from bayesftc.cosim.errors import FMUError
 
 
@@ -44,15 +61,13 @@ class Instance(StepFunctions):
             self._healthy = False
             self.close()
             raise
-        super().__init__(
-            library.description.fmi_major,
-            library.addresses,
-            self._component,
-            [v.reference for v in inputs],
-            [v.reference for v in outputs],
-            float(step),
-            timing,
-        )
+        major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
+        into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
+        out = groups(outputs, major, "Get", find)
+        super().__init__(major, addresses, self._component, into, out, float(step), timing)
+        self._elements = element_names(list(inputs)), element_names(outputs)
+        if addresses.enter_event_mode:
+            self._first_events()
 
     def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
         library, name = self._library, self._name
@@ -80,6 +95,16 @@ class Instance(StepFunctions):
                 "its parameters and start values."
             ) from None
 
+    def _first_events(self) -> None:
+        """Leave the event mode in which initialization ends."""
+        status = self._settle()
+        if status:
+            what = self.explain(status)
+            self.close()
+            raise FMUError(
+                f"The FMU {self._library.description.name!r} could not be initialized as {self._name!r}: {what}"
+            )
+
     @property
     def can_save(self) -> bool:
         """See `bayesftc.cosim.block.External.can_save`."""
@@ -92,6 +117,8 @@ class Instance(StepFunctions):
     def restore(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.restore`."""
         self._states.restore(saved)
+        for group in self._groups[0]:
+            group.last.fill(np.nan)  # which discrete inputs it has now, nobody knows: they are set anew
         self._healthy = not self._fatal  # an FMU that has failed may be put back to where it had not
 
     def forget(self, saved: object) -> None:
@@ -103,19 +130,43 @@ class Instance(StepFunctions):
         self._healthy = False
         if status == TERMINATED:
             return f"The FMU asks to end the simulation (terminateSimulation). {self._messages.quoted()}"
+        said = self._messages.quoted()
+        reached = self._scratch.view(np.float64)[REACHED]
         if status == EARLY:
-            reached = self._scratch.view(np.float64)[3]
             return (
-                f"The FMU returned early from fmi3DoStep, at t = {reached:g} s, before the end of the step, which was "
-                f"not allowed; a smaller step may do. {self._messages.quoted()}"
+                f"The FMU returned early from fmi3DoStep, at t = {reached:g} s, before the end of the step, and comes no "
+                f"further; a smaller step may do. {said}"
             )
+        if status == ENDLESS:
+            return f"The FMU did not come to the end of the step, or of an event, in {TRIES} calls. {said}"
+        if status in {UNFIT_INPUT, UNFIT_OUTPUT}:
+            return self._misfit(status == UNFIT_INPUT)
         where, code = status // 100 * 100, status % 100
-        get, set_, step = self._library.step_functions
-        function = {GET: get, SET: set_, STEP: step}.get(where, "An FMI function")
+        names = {
+            GET: _either(self._groups[1]),
+            SET: _either(self._groups[0]),
+            STEP: f"fmi{self._major}DoStep",
+            EVENTS: "An FMI function of event mode",
+        }
+        function = names.get(where, "An FMI function")
         word = STATUS[code] if code < len(STATUS) else str(code)
         self._fatal = code == FATAL
         more = self._library.last_words(self._component) if where == STEP and code == DISCARD else ""
-        return " ".join(s for s in (f"{function} returned {word}.", more, self._messages.quoted()) if s)
+        return " ".join(s for s in (f"{function} returned {word}.", more, said) if s)
+
+    def _misfit(self, is_input: bool) -> str:
+        place = int(self._scratch[UNFIT])
+        name, variable = self._elements[0 if is_input else 1][place]
+        if not is_input:
+            return f"The output {name!r} is a whole number that a double cannot hold exactly (2**53 or more)."
+        low, high = type_range(variable, self._major)
+        wanted = (
+            f"a number up to {high:g}" if variable.type == "Float32" else f"a whole number from {low:.0f} to {high:.0f}"
+        )
+        return (
+            f"The input {name!r} is {variable.type} and must be {wanted}, which it is not; put a block before it that rounds or "
+            "limits."
+        )
 
     def close(self) -> None:
         """Free the instance; the binary stays loaded."""
@@ -131,3 +182,7 @@ class Instance(StepFunctions):
             except (CallError, FMUError):
                 pass  # it is over either way, and the results stand
         self._messages.close()
+
+
+def _either(side: Sequence[Group]) -> str:
+    return " or ".join(dict.fromkeys(group.name for group in side)) or "An FMI function"

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from bayesftc.cosim._fmi_archive import Archive, extract
-from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value
+from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, flattened
 from bayesftc.cosim._fmi_messages import STATUS, Messages, callback3, callbacks2
+from bayesftc.cosim._fmi_steps import Addresses
 from bayesftc.cosim.errors import FMUError, FMUPlatformError
 
 _STATUS_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
@@ -54,8 +55,6 @@ class Library(ABC):
     so instances are made and freed through the bound C functions, and the binary stays until the process ends.
     """
 
-    #: Names of the functions of a step: read reals, set reals, make a step.
-    step_functions: tuple[str, str, str]
     #: Names of the functions of saved states: get, set, free.
     state_functions: tuple[str, str, str]
     #: Names of the functions that make bytes of them: how many, to bytes, from bytes.
@@ -69,13 +68,13 @@ class Library(ABC):
         self._keep = keep  # a handle of our own: the binary stays even if someone closes fmpy's
         self.alive = 0
 
-    @cached_property
-    def addresses(self) -> tuple[int, int, int]:
-        """Addresses of the functions of a step."""
-        get, set_, step = (
-            ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0 for name in self.step_functions
-        )
-        return get, set_, step
+    def function_address(self, name: str) -> int:
+        """Return the address of an FMI function."""
+        return ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0
+
+    @abstractmethod
+    def step_addresses(self) -> Addresses:
+        """Return the addresses of the functions that a step of co-simulation may call."""
 
     @abstractmethod
     def create(self, name: str, messages: Messages) -> tuple[int, Any]:
@@ -117,7 +116,8 @@ class Library(ABC):
         for variable, value in values.items():
             function, c_type = self._setter(variable.type)
             reference = (ctypes.c_uint * 1)(variable.reference)
-            array = (c_type * 1)(value.encode() if isinstance(value, str) else value)
+            flat = [v.encode() if isinstance(v, str) else v for v in flattened(value)]
+            array = (c_type * len(flat))(*flat)
             try:
                 self._set(function, component, reference, array)
             except CallError as error:
@@ -140,7 +140,6 @@ class Library(ABC):
 class Library2(Library):
     """A binary of FMI 2."""
 
-    step_functions = ("fmi2GetReal", "fmi2SetReal", "fmi2DoStep")
     #: fmi2Type: co-simulation here.
     interface = 1
     state_functions = ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate")
@@ -169,6 +168,13 @@ class Library2(Library):
         self.call("fmi2EnterInitializationMode", component)
         self.set_values(component, inputs)
         self.call("fmi2ExitInitializationMode", component)
+
+    def step_addresses(self) -> Addresses:
+        """See `Library.step_addresses`."""
+        asks: tuple[int, ...] = ()
+        if self.description.capabilities.get("canHandleVariableCommunicationStepSize"):
+            asks = self.function_address("fmi2GetRealStatus"), self.function_address("fmi2GetBooleanStatus")
+        return Addresses(self.function_address("fmi2DoStep"), *asks)
 
     def terminate(self, component: int) -> None:
         """See `Library.terminate`."""
@@ -201,7 +207,6 @@ class Library2(Library):
 class Library3(Library):
     """A binary of FMI 3."""
 
-    step_functions = ("fmi3GetFloat64", "fmi3SetFloat64", "fmi3DoStep")
     state_functions = ("fmi3GetFMUState", "fmi3SetFMUState", "fmi3FreeFMUState")
     serial_functions = ("fmi3SerializedFMUStateSize", "fmi3SerializeFMUState", "fmi3DeserializeFMUState")
     byte = ctypes.c_ubyte
@@ -215,7 +220,8 @@ class Library3(Library):
         token = self.description.token.encode()
         component = self.call(
             "fmi3InstantiateCoSimulation", name.encode(), token, resources.encode(),
-            False, True, False, False, (ctypes.c_uint * 0)(), 0, messages.key, callback, fmi3IntermediateUpdateCallback(),
+            False, True, self._events, self._events or self._may_return_early, (ctypes.c_uint * 0)(), 0, messages.key,
+            callback, fmi3IntermediateUpdateCallback(),
         )  # fmt: skip
         if component:
             self._narrow_log("fmi3SetDebugLogging", component)
@@ -223,10 +229,31 @@ class Library3(Library):
 
     def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
         """See `Library.initialize`."""
-        self.set_values(component, start)
+        structure = {v: value for v, value in start.items() if v.causality == "structuralParameter"}
+        if structure:
+            self.call("fmi3EnterConfigurationMode", component)
+            self.set_values(component, structure)
+            self.call("fmi3ExitConfigurationMode", component)
+        self.set_values(component, {v: value for v, value in start.items() if v not in structure})
         self.call("fmi3EnterInitializationMode", component, False, 0.0, 0.0, False, 0.0)
         self.set_values(component, inputs)
         self.call("fmi3ExitInitializationMode", component)
+
+    @property
+    def _events(self) -> bool:
+        return bool(self.description.capabilities.get("hasEventMode"))
+
+    @property
+    def _may_return_early(self) -> bool:
+        return bool(self.description.capabilities.get("mightReturnEarlyFromDoStep"))
+
+    def step_addresses(self) -> Addresses:
+        """See `Library.step_addresses`."""
+        names = ["fmi3DoStep"]
+        if self._events:
+            names += ["fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode"]
+        do_step, *events = (self.function_address(name) for name in names)
+        return Addresses(do_step, 0, 0, *events)
 
     def terminate(self, component: int) -> None:
         """See `Library.terminate`."""
@@ -241,7 +268,7 @@ class Library3(Library):
         return f"fmi3Set{name}", ctypes.c_bool if kind == "Boolean" else _C_TYPES[name]
 
     def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
-        self.call(function, component, reference, 1, array, 1)
+        self.call(function, component, reference, 1, array, len(array))
 
 
 _lock = threading.RLock()

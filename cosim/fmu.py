@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from bayesftc.cosim._fmi_archive import Archive, open_archive
 from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, read_description
+from bayesftc.cosim._fmi_ports import choose, choose_tunable, late_outputs
+from bayesftc.cosim._fmi_values import as_floats, resolved, start_values, value_of
 from bayesftc.cosim._model_exchange_settings import checked_settings
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
@@ -22,7 +22,7 @@ from bayesftc.cosim.ports import Port
 
 @dataclass(frozen=True)
 class FMU(ExternalBlock):
-    """An FMU of FMI 2.0 or 3.0; its scalar Real (Float64) inputs and outputs become ports.
+    """An FMU of FMI 2.0 or 3.0; its inputs and outputs that are numbers become ports.
 
     The file is read and checked when the block is made; it is unpacked (once per machine) and its binary loaded (once per
     process) when a run begins, and each run has a new instance. Time starts at 0 and has no end.
@@ -32,11 +32,19 @@ class FMU(ExternalBlock):
     path : str or path
         The ``.fmu`` file.
     parameters : mapping, optional
-        Start values by name, in the variables' own units: parameters, and whatever else may be set before initialization
-        (an input's start value is its value while nothing is connected to it).
+        Start values by name: parameters, and whatever else may be set before initialization (an input's start value is its
+        value while nothing is connected to it). Numbers are in the variables' own units, or have one: ``"100 km/h"`` or
+        ``(30, "deg")``, with the FMU's own units and those of pint. Arrays are nested sequences, row by row; structural
+        parameters say how large arrays are; enumerations are names or numbers. After construction: plain values in the
+        variables' own units.
     inputs, outputs : sequence of str, optional
-        Names of the variables that become ports; all scalar Real ones by default. An input that is left out keeps its start
-        value. After construction these hold the ports.
+        Names of the variables that become ports; all numbers by default, for model exchange all Real (Float64) ones. Arrays
+        are vector and matrix ports; whole numbers, Booleans (0 or 1) and enumerations are converted exactly, and an input that
+        its type does not hold stops the run. An input that is left out keeps its start value. After construction these hold
+        the ports.
+    tunable : sequence of str, optional
+        Names of tunable parameters that become inputs, with their start value while nothing is connected: a source can change
+        them while the FMU runs.
     timing : {"plant", "direct", "sampled"}, optional
         ``"plant"``: the outputs at t_k are read before the step that the inputs at t_k take to t_k+1. ``"sampled"``: the FMU
         makes its step with the inputs at t_k and its outputs count at t_k, as a controller's do. ``"direct"``, for model
@@ -83,11 +91,12 @@ class FMU(ExternalBlock):
     """
 
     path: str | PathLike[str]
-    parameters: Mapping[str, Value] | None = field(default=None, kw_only=True, hash=False)
+    parameters: Mapping[str, Any] | None = field(default=None, kw_only=True, hash=False)
     inputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
     outputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
     timing: Literal["plant", "direct", "sampled"] | None = field(default=None, kw_only=True)
     name: str | None = field(default=None, kw_only=True)
+    tunable: Sequence[str] = field(default=(), kw_only=True)
     validate: bool = field(default=True, kw_only=True)
     kind: Literal["co-simulation", "model exchange"] | None = field(default=None, kw_only=True)
     solver: str | None = field(default=None, kw_only=True)
@@ -117,16 +126,22 @@ class FMU(ExternalBlock):
         own = "direct" if exchange else "plant"
         set_(self, "timing", asked or description.timing or own)
         set_(self, "name", self.name or "".join(description.name.lower().split()))
-        set_(self, "parameters", _start_values(archive, description, self.parameters or {}))
-        chosen = {side: _choose(archive, description, side, getattr(self, f"{side}s")) for side in ("input", "output")}
+        set_(self, "parameters", start_values(archive, description, self.parameters or {}))
+        set_(self, "tunable", tuple(self.tunable) if isinstance(self.tunable, list | tuple) else self.tunable)
+        variables = resolved(archive, description, self.parameters or {})
+        chosen = {
+            side: choose(archive, variables, side, self._without_tunable(f"{side}s"), exchange=exchange)
+            for side in ("input", "output")
+        }
+        chosen["input"] += choose_tunable(archive, variables, self.tunable, exchange=exchange)
         through = [description.feedthrough.get(v.name) for v in chosen["output"]]
         reaching = {v.name for v in chosen["input"] if any(names is None or v.name in names for names in through)}
         if asked is None and self.timing == "direct" and not reaching:
             set_(self, "timing", "plant")  # there it is the same
-        for side, variables in chosen.items():
-            set_(self, f"{side}s", tuple(self._port(v, reaching) for v in variables))
+        for side, ports in chosen.items():
+            set_(self, f"{side}s", tuple(self._port(v, reaching) for v in ports))
         if asked is None and self.timing == "plant" and not exchange:
-            late = _late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
+            late = late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
             if late:
                 warnings.warn(late, stacklevel=3)  # at the line that makes the block
 
@@ -165,7 +180,8 @@ class FMU(ExternalBlock):
         >>> arm.start_value("L1"), arm.start_value("L2")
         (1.0446, 0.8)
         """
-        starts = {v.name: v.start for v in self.description.variables} | dict(self.parameters or {})
+        variables = resolved(*self._read(), self.parameters or {})
+        starts: dict[str, Value | None] = {v.name: v.start for v in variables.values()} | dict(self.parameters or {})
         if name not in starts:
             raise UnknownNameError(
                 f"The FMU {Path(self.path).name} has no variable {name!r}; {did_you_mean(name, starts)}"
@@ -195,19 +211,29 @@ class FMU(ExternalBlock):
         from bayesftc.cosim._fmi_instance import Instance
         from bayesftc.cosim._fmi_library import load_library
 
-        return Instance(load_library(archive, description), name, step, timing, start, inputs, outputs)
+        kind: Literal["plant", "sampled"] = "sampled" if timing == "sampled" else "plant"
+        return Instance(load_library(archive, description), name, step, kind, start, inputs, outputs)
 
     def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value], list[FMUVariable]]:
         """Return the start values, the inputs with their start values, and the outputs, by variable."""
-        variables = {v.name: v for v in self.description.variables}
-        missing = [n for n in (*(p.name for p in self._ports), *(self.parameters or {})) if n not in variables]
+        given = self.parameters or {}
+        variables = resolved(*self._read(), given)
+        missing = [n for n in (*(p.name for p in self._ports), *given) if n not in variables]
         if missing:
             raise FMUError(
                 f"The FMU {self.path} was changed since it was read and has no {missing[0]!r} any more; read it again."
             )
-        inputs: dict[FMUVariable, Value] = {variables[p.name]: p.default or 0.0 for p in self._ports[: self._count]}
-        start = {variables[n]: value for n, value in (self.parameters or {}).items()}
+        into = [variables[p.name] for p in self._ports[: self._count]]
+        inputs = {variable: value_of(variable, given) for variable in into}
+        start = {variables[n]: value for n, value in given.items()}
         return start, inputs, [variables[p.name] for p in self._ports[self._count :]]
+
+    def _without_tunable(self, side: str) -> Sequence[str | Port] | None:
+        # A block that is made anew from its fields has its tunable parameters among the inputs.
+        wanted: Sequence[str | Port] | None = getattr(self, side)
+        if side == "outputs" or wanted is None or isinstance(wanted, str):
+            return wanted
+        return [item for item in wanted if not (isinstance(item, Port) and item.name in self.tunable)]
 
     @property
     def _ports(self) -> tuple[Port, ...]:
@@ -223,10 +249,10 @@ class FMU(ExternalBlock):
 
     def _port(self, variable: FMUVariable, reaching: Container[str]) -> Port:
         if variable.causality == "output":
-            return Port(variable.name, unit=variable.unit)
-        default = (self.parameters or {}).get(variable.name, variable.start)
+            return Port(variable.name, variable.shape, variable.unit)
+        default = as_floats(value_of(variable, self.parameters or {}))
         feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
-        return Port(variable.name, unit=variable.unit, feedthrough=feedthrough, default=float(default or 0.0))
+        return Port(variable.name, variable.shape, variable.unit, feedthrough, default)
 
 
 def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescription:
@@ -274,122 +300,6 @@ def _chosen_kind(archive: Archive, description: FMUDescription, asked: str | Non
             "can be used: export it for one of these."
         )
     return asked or usable[0]
-
-
-def _choose(
-    archive: Archive, description: FMUDescription, causality: str, wanted: Sequence[str | Port] | None
-) -> list[FMUVariable]:
-    """Return the variables that become ports of one side."""
-    candidates = {v.name: v for v in description.variables if v.causality == causality}
-    if wanted is None:
-        return [v for v in candidates.values() if v.is_real_scalar and not v.alias]
-    if isinstance(wanted, str):
-        raise ModelError(f"FMU has {causality}s={wanted!r}; give a list of names, as [{wanted!r}].")
-    chosen = []
-    for item in wanted:
-        name = item.name if isinstance(item, Port) else item
-        if name not in candidates:
-            other = next((v for v in description.variables if v.name == name), None)
-            hint = f"it is of causality {other.causality}." if other else did_you_mean(name, candidates)
-            raise UnknownNameError(f"The FMU {archive.path.name} has no {causality} {name!r}; {hint}")
-        variable = candidates[name]
-        if not variable.is_real_scalar:
-            what = f"an array of shape {variable.shape}" if variable.shape else f"of type {variable.type}"
-            what = "clocked" if variable.clocked else what
-            raise FMUError(
-                f"The {causality} {name!r} of the FMU {archive.path.name} is {what}; only scalar Real (Float64) variables can be "
-                f"ports: leave it out of {causality}s, or export it as scalars."
-            )
-        if variable in chosen:
-            raise ModelError(f"FMU has {name!r} twice among its {causality}s; name it once.")
-        chosen.append(variable)
-    return chosen
-
-
-def _late_outputs(
-    archive: Archive, description: FMUDescription, inputs: Sequence[Port], outputs: Sequence[Port]
-) -> str | None:
-    """Return the sentence that names the outputs which are declared to depend at once on inputs, or None.
-
-    FMI forbids to set inputs and read outputs without a step in between (FMI 2), so that no order of calls would show them.
-    Most plants whose exporter declares nothing have no such outputs; ``bayesftc inspect`` says that they do not say.
-    """
-    here = [port.name for port in inputs]
-    reached = {port.name: description.feedthrough.get(port.name) for port in outputs}
-    fed = {name: [u for u in through or () if u in here] for name, through in reached.items()}
-    declared = [f"{name} depends on {' and '.join(through)}" for name, through in fed.items() if through]
-    if not declared:
-        return None
-    return (
-        f"The FMU {archive.path.name} declares that at the same instant {', '.join(declared)}, but a plant's outputs at t_k are "
-        "read before its inputs of t_k are set, so such an output shows the inputs of the step before: give timing='sampled' if "
-        "the FMU is a controller or has no memory, or timing='plant' if this is as it should be."
-    )
-
-
-def _start_values(archive: Archive, description: FMUDescription, values: Mapping[str, Any]) -> dict[str, Value]:
-    """Check start values by name, causality and type; return them as plain Python numbers."""
-    variables = {v.name: v for v in description.variables}
-    checked: dict[str, Value] = {}
-    for name, value in values.items():
-        if name not in variables:
-            settable = [v.name for v in variables.values() if v.settable]
-            raise UnknownNameError(
-                f"The FMU {archive.path.name} has no variable {name!r}; {did_you_mean(name, settable)}"
-            )
-        variable = variables[name]
-        if not variable.settable:
-            raise FMUError(
-                f"{name!r} of the FMU {archive.path.name} cannot be set: it is {_a(variable.causality)} that the FMU computes "
-                f"({variable.variability}); set what it depends on."
-            )
-        if variable.shape or variable.causality == "structuralParameter" or variable.type in {"Binary", "Clock"}:
-            what = (
-                f"an array of shape {variable.shape}"
-                if variable.shape
-                else f"{_a(variable.causality)} of type {variable.type}"
-            )
-            raise FMUError(
-                f"{name!r} of the FMU {archive.path.name} is {what}, which cannot be set from here; leave it at its start value."
-            )
-        checked[name] = _converted(archive, variable, value)
-    return checked
-
-
-def _a(word: str) -> str:
-    return ("an " if word[0] in "aeiou" else "a ") + word
-
-
-def _converted(archive: Archive, variable: FMUVariable, value: Any) -> Value:
-    kind = variable.type
-    is_number = isinstance(value, Real) and not isinstance(value, bool)
-    if kind in {"Real", "Float64", "Float32"}:
-        if is_number and math.isfinite(value):
-            return float(value)
-        wanted = "a finite number"
-    elif kind == "Boolean":
-        if isinstance(value, bool):
-            return value
-        wanted = "True or False"
-    elif kind == "String":
-        if isinstance(value, str):
-            return value
-        wanted = "a text"
-    else:
-        low, high = _range(kind)
-        if is_number and isinstance(value, Integral) and low <= int(value) <= high:
-            return int(value)
-        wanted = f"a whole number from {low} to {high}"
-    raise FMUError(
-        f"{variable.name!r} of the FMU {archive.path.name} is {kind}, so it must be {wanted}, not {value!r}."
-    )
-
-
-def _range(kind: str) -> tuple[int, int]:
-    bits = {"Integer": 32, "Enumeration": 32}.get(kind) or int(kind.removeprefix("U").removeprefix("Int"))
-    if kind.startswith("U"):
-        return 0, 2**bits - 1
-    return -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
 
 
 __all__ = ["FMU", "FMUDescription", "FMUVariable", "describe"]

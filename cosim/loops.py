@@ -173,7 +173,7 @@ def _at_rest(diagram: Diagram, target: PortRef) -> PortRef:
             f"A fault is to befall {target.name}, which has no control, no noise and no start value; give it a source, as "
             f"closed_loop(noise={{{target.port.name!r}: cosim.Constant(0.0)}})."
         )
-    return diagram.add(Constant(target.port.default), f"{target.port.name}_start")["y"]
+    return diagram.add(Constant(float(np.ravel(target.port.default)[-1])), f"{target.port.name}_start")["y"]
 
 
 def _watch(diagram: Diagram, brain: Node, monitor: Node, seen_by: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import prod
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -29,8 +29,9 @@ class Port:
         For example ``"m/s"``; connections between different units are refused, None fits all.
     feedthrough : bool
         Of an input: whether an output at t_k depends on this input at t_k.
-    default : float or None
-        Of an input: its value while nothing is connected; None demands a connection.
+    default : float, tuple or None
+        Of an input: its value while nothing is connected, one for all elements or tuples of the port's shape; None demands a
+        connection.
     draw : {"normal", "uniform"} or None
         Of an input: while nothing is connected, the engine fills it at every step with standard normal numbers, or with
         numbers uniform in (0, 1).
@@ -40,7 +41,7 @@ class Port:
     shape: tuple[int, ...] = ()
     unit: str | None = None
     feedthrough: bool = True
-    default: float | None = None
+    default: float | tuple[Any, ...] | None = None
     draw: Literal["normal", "uniform"] | None = None
 
     def __post_init__(self) -> None:

@@ -27,7 +27,7 @@ _TOKEN = re.compile(
     r"|(?P<one>1(?![\d.]))|(?P<sign>[*.·/() ]))"
 )
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
-_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S.*)\Z", re.DOTALL)
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?=.*[^\W\d_]|.*[%°])(\S.*)\Z", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,22 @@ class Unit:
         """Return gain and offset that bring a value from this unit to another that fits."""
         gain, offset = self.factor / other.factor, (self.offset - other.offset) / other.factor
         return 1.0 if isclose(gain, 1.0, rel_tol=_SAME) else gain, offset
+
+
+@dataclass(frozen=True)
+class UnitDefinition:
+    """What an FMU says of one of its units.
+
+    Attributes
+    ----------
+    unit : Unit or None
+        Its meaning in SI; None where the FMU does not say.
+    displays : mapping of str to (float, float)
+        Factor and offset of each unit in which values may be shown: ``shown = factor * value + offset``.
+    """
+
+    unit: Unit | None = None
+    displays: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def parse(text: str) -> Unit | None:
@@ -189,6 +205,45 @@ def difference(source: str, target: str) -> str | None:
         return None
     more = f", offset={offset:.12g}" if offset else ""
     return f"; put Gain({factor:.12g}{more}) between them."
+
+
+def conversion(given: str, wanted: str, own: Mapping[str, UnitDefinition]) -> tuple[float, float] | str:
+    """Return how a number that a user gives in some unit becomes one in a variable's unit.
+
+    Parameters
+    ----------
+    given, wanted : str
+        The user's unit, and the variable's.
+    own : mapping of str to UnitDefinition
+        What the FMU says of its units: it counts first, before what pint knows.
+
+    Returns
+    -------
+    tuple of float, or str
+        Gain and offset; or why there are none, as the end of a sentence.
+    """
+    if _spelt(given) == _spelt(wanted):
+        return 1.0, 0.0
+    if wanted in own and given in own[wanted].displays:
+        factor, offset = own[wanted].displays[given]
+        return 1.0 / factor, -offset / factor
+    units = [_defined(name, own) or parse(name) for name in (given, wanted)]
+    for unit, name in zip(units, (given, wanted), strict=True):
+        if unit is None:
+            return f"what {name!r} means is not known"
+    assert units[0] is not None
+    assert units[1] is not None
+    return gain(units[0], units[1])
+
+
+def _defined(name: str, own: Mapping[str, UnitDefinition]) -> Unit | None:
+    if name in own:
+        return own[name].unit
+    for definition in own.values():
+        if name in definition.displays and definition.unit is not None:
+            base, (factor, offset) = definition.unit, definition.displays[name]
+            return replace(base, factor=base.factor / factor, offset=base.offset - base.factor * offset / factor)
+    return None
 
 
 def _spelt(unit: str) -> str:

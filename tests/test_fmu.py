@@ -391,7 +391,7 @@ def failing(request, tmp_path_factory):
         types = "void *c, double t, double h, _Bool n, _Bool *e, _Bool *q, _Bool *r, double *l"
         get = "int fmi3GetFloat64(void *, const unsigned *, unsigned long, double *, unsigned long);"
         read = "fmi3GetFloat64(c, &reference, 1, &mode, 1);"
-        special = "if (mode == 1010.0) { *q = 1; return 0; } if (mode == 1011.0) { *r = 1; *l = t + h / 2; return 0; }"
+        special = "if (mode == 1010.0) { *q = 1; return 0; } if (mode == 1011.0) { *r = 1; *l = t; return 0; }"
     fields = {
         "status": "int status",
         "original": f"int original({types});",
@@ -427,7 +427,7 @@ def failing(request, tmp_path_factory):
         (1003.0, r"DoStep returned Error\. It logged nothing\."),
         (1004.0, r"DoStep returned Fatal\."),
         (1010.0, r"asks to end the simulation"),
-        (1011.0, r"returned early from fmi3DoStep, at t = 0\.11 s"),
+        (1011.0, r"returned early from fmi3DoStep, at t = 0\.1 s, before the end of the step, and comes no further"),
     ],
 )
 def test_steps_that_fail_stop_the_run_and_keep_the_result(failing, engine, mode, sentence):

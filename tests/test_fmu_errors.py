@@ -28,11 +28,13 @@ EXTRA = {
     + _fmi2("on", 21, "parameter", "tunable", '<Boolean start="true"/>')
     + _fmi2("file", 22, "parameter", "fixed", '<String start="a"/>')
     + _fmi2("count", 23, "input", "discrete", '<Integer start="0"/>')
+    + _fmi2("label", 25, "input", "discrete", '<String start="a"/>')
     + _fmi2("pi", 24, "local", "constant", '<Real start="3.14"/>'),
     "3.0": """
       <Int8 name="n" valueReference="20" causality="parameter" variability="fixed" start="3"/>
       <Boolean name="on" valueReference="21" causality="parameter" variability="tunable" start="true"/>
       <String name="file" valueReference="22" causality="parameter" variability="fixed"><Start value="a"/></String>
+      <String name="label" valueReference="27" causality="input" variability="discrete"><Start value="a"/></String>
       <Int32 name="count" valueReference="23" causality="input" variability="discrete" start="0"/>
       <Float64 name="pi" valueReference="24" causality="local" variability="constant" start="3.14"/>
       <Float64 name="wide" valueReference="25" causality="input" start="1 2 3"><Dimension start="3"/></Float64>
@@ -231,7 +233,7 @@ def test_only_once_per_process(tmp_path):
 def test_names_and_types(tmp_path, fmi):
     path = with_extra(fmi, tmp_path)
     block = FMU(path)
-    assert [p.name for p in block.inputs] == ["force", "disturbance"]  # no integers, no arrays
+    assert [p.name for p in block.inputs] == ["force", "disturbance", "count", *(["wide"] if fmi == "3.0" else [])]
     good = FMU(path, parameters={"n": 7, "on": False, "file": "b", "count": 2, "m": 3})
     assert good.parameters == {"n": 7, "on": False, "file": "b", "count": 2, "m": 3.0}
     refused(
@@ -258,14 +260,14 @@ def test_names_and_types(tmp_path, fmi):
     refused(lambda: FMU(path, inputs=["frce"]), "has no input 'frce'; did you mean 'force'", error=UnknownNameError)
     refused(lambda: FMU(path, inputs=["v"]), "has no input 'v'; it is of causality output.", error=UnknownNameError)
     refused(lambda: FMU(path, outputs=["force"]), "has no output 'force'", error=UnknownNameError)
-    refused(lambda: FMU(path, inputs=["count"]), "only scalar Real (Float64) variables can be ports")
+    refused(lambda: FMU(path, inputs=["label"]), "is of type String; only numbers can be ports")
     refused(lambda: FMU(path, inputs="force"), "give a list of names, as ['force']", error=ModelError)
     refused(lambda: FMU(path, inputs=["force", "force"]), "'force' twice among its inputs", error=ModelError)
     refused(lambda: FMU(path, timing="fast"), "it must be 'plant', 'direct' or 'sampled'", error=ModelError)
     if fmi == "3.0":
-        assert next(v for v in describe(path).variables if v.name == "wide").shape == (3,)
-        refused(lambda: FMU(path, inputs=["wide"]), "'wide'", "an array of shape (3,)", "leave it out of inputs")
-        refused(lambda: FMU(path, parameters={"gains": 1.0}), "'gains'", "an array of shape (2,)")
+        assert FMU(path).port("wide").default == (1.0, 2.0, 3.0)
+        for gains in (1.0, [1.0], [[1.0, 2.0]], [1.0, 2.0, 3.0], "1 2"):
+            refused(lambda g=gains: FMU(path, parameters={"gains": g}), "'gains'", "must be given", error=FMUError)
 
 
 @pytest.mark.parametrize(("library", "prefix"), [(_fmi_library.Library2, "fmi2"), (_fmi_library.Library3, "fmi3")])

@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 
-from bayesftc.cosim import _fmi_kernels, _fmi_steps
+from bayesftc.cosim import _fmi_groups, _fmi_kernels, _fmi_steps, _fmi_typed_kernels
 
 
 def fake(returns, writes=()):
@@ -24,8 +24,8 @@ def fake(returns, writes=()):
         return returns["step"]
 
     return (
-        _fmi_steps._VALUES2(values),
-        _fmi_steps._VALUES3(values),
+        _fmi_groups.VALUES2(values),
+        _fmi_groups.VALUES3(values),
         _fmi_steps._STEP2(step2),
         _fmi_steps._STEP3(step3),
     )
@@ -55,18 +55,20 @@ STATUS = [
 def test_status_of_every_kind_in_both_engines(major, values, step, writes, expected):
     functions = fake({"values": values, "step": step}, writes)
     get, advance = (functions[0], functions[2]) if major == 2 else (functions[1], functions[3])
-    addresses = tuple(ctypes.cast(f, ctypes.c_void_p).value for f in (get, get, advance))
+    values_at, step_at = (ctypes.cast(f, ctypes.c_void_p).value for f in (get, advance))
+    addresses = _fmi_steps.Addresses(step_at)
+    into, out = (_fmi_groups.Group("", values_at, _fmi_groups.FLOAT64, [i], 0, 1) for i in range(2))
     u, y = np.zeros(1), np.zeros(1)
     entry = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
     for timing in ("plant", "sampled"):
-        steps = _fmi_steps.StepFunctions(major, addresses, 1, [0], [1], 0.01, timing)
+        steps = _fmi_steps.StepFunctions(major, addresses, 1, [into], [out], 0.01, timing)
         plain = steps.update if timing == "plant" else steps.output
         compiled = entry(steps.update_address if timing == "plant" else steps.output_address)
         assert len(steps.table) <= 32
         assert plain(u, y, 1.0) == expected
         assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == expected
     if values > 1:
-        steps = _fmi_steps.StepFunctions(major, addresses, 1, [0], [1], 0.01, "plant")
+        steps = _fmi_steps.StepFunctions(major, addresses, 1, [into], [out], 0.01, "plant")
         assert steps.output(u, y, 1.0) == 100 + values
         compiled = entry(steps.output_address)
         assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == 100 + values
@@ -74,6 +76,18 @@ def test_status_of_every_kind_in_both_engines(major, values, step, writes, expec
 
 
 def test_both_engines_have_the_same_codes():
-    for name in ("GET", "SET", "STEP", "EARLY", "TERMINATED"):
+    for name in (
+        "GET", "SET", "STEP", "EVENTS", "EARLY", "TERMINATED", "ENDLESS", "UNFIT_INPUT", "UNFIT_OUTPUT", "EVENT", "TERMINATE",
+        "RETURNED_EARLY", "REACHED", "ANSWER", "UNFIT", "UPDATE", "SCRATCH_WORDS", "TOLERANCE", "SMALLEST", "TRIES", "DISCARD",
+        "_LAST_TIME", "_TERMINATED",
+    ):  # fmt: skip
         assert getattr(_fmi_steps, name) == getattr(_fmi_kernels, name)
-    assert _fmi_steps._TOLERANCE == _fmi_kernels.TOLERANCE
+    assert _fmi_groups.EXACT == _fmi_typed_kernels.EXACT
+    codes = ("FLOAT64", "FLOAT32", "INT8", "UINT8", "INT16", "UINT16", "INT32", "UINT32", "INT64", "UINT64")
+    for i, name in enumerate(codes):
+        assert getattr(_fmi_typed_kernels, name) == i
+        assert np.dtype(name.lower()) == _fmi_groups.NumericType(i, 0.0, 0.0).dtype
+    group = _fmi_groups.Group("", 0, _fmi_groups.FLOAT64, [0], 0, 1)
+    assert len(group.words()) == _fmi_typed_kernels.GROUP_WORDS
+    steps = _fmi_steps.StepFunctions(2, _fmi_steps.Addresses(0), 0, [], [], 0.01, "plant")
+    assert len(steps.table) == _fmi_kernels.WORDS
