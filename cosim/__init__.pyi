@@ -20,6 +20,7 @@ from .errors import (
     ResultFileError as ResultFileError,
     ScenarioError as ScenarioError,
     SimulationError as SimulationError,
+    SSPError as SSPError,
     StepSizeError as StepSizeError,
     UnconnectedInputError as UnconnectedInputError,
     UnknownNameError as UnknownNameError,
@@ -57,4 +58,5 @@ from .sources import (
     Step as Step,
     Table as Table,
 )
+from .ssp import open_ssp as open_ssp, save_ssp as save_ssp
 from .state_space import StateSpace as StateSpace

@@ -40,6 +40,12 @@ class FMUVersionError(FMUError):
     exit_code = 14
 
 
+class SSPError(FMUError):
+    """An SSP that cannot be used, or a diagram that cannot be one."""
+
+    exit_code = 18
+
+
 class UnknownNameError(BayesFTCError, KeyError):
     """A variable, port, block or signal that does not exist."""
 
@@ -99,6 +105,36 @@ class SimulationError(BayesFTCError):
     def __init__(self, message: str, result: Result | None = None):
         super().__init__(message)
         self.result = result
+
+
+class FMUCrashed(SimulationError, FMUError):
+    """An isolated FMU whose process died, or had to be ended because a call did not come back.
+
+    Attributes
+    ----------
+    result : Result or None
+        The signals up to the last good step; None if it happened before the run.
+    step : int or None
+        The step at which it happened.
+    time : float or None
+        The simulated time at which it happened, in seconds.
+    log : tuple of str
+        What the FMU logged last.
+    """
+
+    exit_code = 17
+
+    def __init__(
+        self,
+        message: str,
+        result: Result | None = None,
+        *,
+        step: int | None = None,
+        time: float | None = None,
+        log: Iterable[str] = (),
+    ):
+        super().__init__(message, result)
+        self.step, self.time, self.log = step, time, tuple(log)
 
 
 class ResultFileError(BayesFTCError):

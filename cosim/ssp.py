@@ -1,0 +1,202 @@
+"""System structures of SSP 1.0: FMUs that are wired together, opened as a diagram and saved for other tools."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from math import isfinite
+from os import PathLike
+from pathlib import Path
+from typing import Literal
+
+from bayesftc.cosim import units
+from bayesftc.cosim._fmi_archive import extract, open_archive, read_entry
+from bayesftc.cosim._fmi_description import FMUDescription
+from bayesftc.cosim._ssp_flat import Feed, Flat, Path as Place, Variable, components
+from bayesftc.cosim._ssp_read import SSP_FILE, Component, Linear, Parameter, Structure, Value, read_structure
+from bayesftc.cosim._ssp_write import save_ssp
+from bayesftc.cosim._zip import LARGEST_XML, check_xml
+from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim.errors import SSPError, did_you_mean
+from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.mathblocks import Gain
+
+_KINDS: dict[str, Literal["co-simulation", "model exchange"] | None] = {
+    "any": None,
+    "CoSimulation": "co-simulation",
+    "ModelExchange": "model exchange",
+}
+
+
+def open_ssp(
+    path: str | PathLike[str],
+    *,
+    dt: float | str | Fraction | None = None,
+    variant: str = SSP_FILE.main,
+    validate: bool = True,
+) -> Diagram:
+    """Return the diagram that an .ssp or .ssd describes: its FMUs, with their parameters, connected.
+
+    Systems inside of systems are resolved: the FMU ``b`` of the system ``a`` is the block ``a.b``. Where units differ or a
+    connection has a linear transformation, a `Gain` stands between the two FMUs. What reaches the system from outside stays open:
+    such inputs keep their start values, and can be connected.
+
+    SSP leaves the algorithm to the tool. All FMUs are plants (their outputs at t_k are read before the step), so that
+    ``build("jacobi")`` gives what other tools compute that step all FMUs side by side; the default is Gauss-Seidel.
+
+    Parameters
+    ----------
+    path : str or path
+        An ``.ssp`` file, or an ``.ssd`` with the files that it refers to beside it or in folders below.
+    dt : float, str or Fraction, optional
+        The base step in seconds, which SSP has no word for; by default what `save_ssp` has noted, else the step size that all
+        FMUs name in their default experiment.
+    variant : str
+        Which ``.ssd`` of an ``.ssp`` to open.
+    validate : bool
+        False to accept files that break the schemas of SSP and FMI, at your own risk.
+
+    Returns
+    -------
+    Diagram
+        Not built yet: controllers, sensors and faults can be added.
+
+    Raises
+    ------
+    SSPError
+        If the file is missing, damaged or hostile, breaks the rules of SSP 1.0, or has what cannot be a diagram (signal
+        dictionaries, components that are no FMUs, mappings that are not linear).
+    FMUError
+        If one of its FMUs cannot be used.
+
+    Warns
+    -----
+    UserWarning
+        If values are bound to names that do not exist: SSP demands to ignore them.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim, fmus
+    >>> diagram = cosim.Diagram(dt=0.02)
+    >>> lead = diagram.add(cosim.FMU(fmus.path("CruiseControl"), parameters={"force": 100.0}), "lead")
+    >>> follower = diagram.add(cosim.FMU(fmus.path("CruiseControl")), "follower")
+    >>> diagram.connect(lead["v"], follower["disturbance"])
+    >>> file = cosim.save_ssp(diagram, "two_cars.ssp")
+    >>> cosim.open_ssp("two_cars.ssp").build("jacobi")
+    <Diagram of 2 blocks at 0.02 s: lead, follower>
+    """
+    path = Path(path).expanduser().absolute()
+    where, folder, resource = _located(path, variant)
+    structure = read_structure(resource(where), where, resource, validate=validate)
+    files = {p: folder / c.source for p, c in components(structure.system)}
+    if not files:
+        raise SSPError(f"{where} of {path} has no components; there is nothing to run.")
+    for place, file in files.items():
+        if not file.is_file():
+            raise SSPError(f"The component {'.'.join(place)!r} of {where} refers to {file.name}, which is not there.")
+    descriptions = {file: describe(file, validate=validate) for file in dict.fromkeys(files.values())}
+    variables = {place: _variables(descriptions[file]) for place, file in files.items()}
+    flat = Flat(structure, variables, where)
+    flat.warn_of_unknown()
+    diagram = Diagram(_step(dt, structure, list(descriptions.values()), where))
+    nodes = {}
+    for place, component in flat.components.items():
+        values = {p.name: _value(p, flat, variables[place][p.name], place) for p in flat.values(place).values()}
+        block = _fmu(files[place], component, values, validate)
+        nodes[place] = diagram.add(block, "_".join(".".join(place).split()))
+    for place, node in nodes.items():
+        for name, feed in flat.feeds(place):
+            _connect(diagram, nodes[feed.component], feed, node, name, where)
+    return diagram
+
+
+def _located(path: Path, variant: str) -> tuple[str, Path, Callable[[str], bytes]]:
+    """Return the name of the .ssd, the folder that its sources are relative to, and what reads a file in it."""
+    if path.suffix.lower() == ".ssd":
+        return path.name, path.parent, lambda name: _beside(path, name)
+    archive = open_archive(path, SSP_FILE)
+    if variant not in archive.names:
+        known = [name for name in archive.names if name.endswith(".ssd")]
+        raise SSPError(f"{path} has no {variant!r}; {did_you_mean(variant, known)}")
+
+    def resource(name: str) -> bytes:
+        if name not in archive.names:
+            raise SSPError(f"{variant} of {path} refers to {name!r}, which is not in the file.")
+        return read_entry(archive, name)
+
+    resource(variant)  # whatever it holds is checked before anything is unpacked
+    return variant, extract(archive, variant) / Path(variant).parent, resource
+
+
+def _beside(path: Path, name: str) -> bytes:
+    file = path.parent / name
+    try:
+        if file.stat().st_size > LARGEST_XML:
+            raise SSPError(f"{file} is too large to be read.")
+        content = file.read_bytes()
+    except OSError as error:
+        raise SSPError(f"{file} cannot be read ({error.strerror}); check the path.") from None
+    return check_xml(content, str(file), SSP_FILE)
+
+
+def _variables(description: FMUDescription) -> dict[str, Variable]:
+    return {v.name: Variable(v.causality, v.unit) for v in description.variables}
+
+
+def _step(
+    dt: float | str | Fraction | None, structure: Structure, descriptions: list[FMUDescription], where: str
+) -> float | str | Fraction:
+    if dt is not None:
+        return dt
+    if structure.step is not None:
+        return structure.step
+    own = {d.default_experiment.get("stepSize") for d in descriptions}
+    step = own.pop()
+    if own or step is None:
+        raise SSPError(
+            f"{where} does not say at which step to run it, nor do its FMUs agree on one; give dt=... in seconds."
+        )
+    return step
+
+
+def _fmu(file: Path, component: Component, values: dict[str, Value], validate: bool) -> FMU:
+    kind = _KINDS[component.implementation]
+    block = FMU(file, parameters=values, validate=validate, kind=kind)
+    if block.kind == "model exchange":
+        return block
+    return FMU(file, parameters=values, validate=validate, kind=kind, timing="plant")
+
+
+def _value(parameter: Parameter, flat: Flat, variable: Variable, place: Place) -> Value:
+    """Return a bound value in the variable's own unit."""
+    value = parameter.value
+    if parameter.type != "Real" or isinstance(value, str):
+        return value
+    target = variable.unit if parameter.converts else None
+    what = f"The value of {'.'.join((*place, parameter.name))!r}"
+    return parameter.then(flat.convert(parameter.unit, target, what, parameter.meaning)(value))
+
+
+def _connect(diagram: Diagram, source: Node, feed: Feed, target: Node, name: str, where: str) -> None:
+    for node, port, ports in ((source, feed.output, source.block.outputs), (target, name, target.block.inputs)):
+        if port not in {p.name for p in ports}:
+            raise SSPError(
+                f"{where} connects {node.name}.{port}, which cannot be a port: only real variables can be connected here."
+            )
+    output, input_ = source[feed.output], target[name]
+    between = (output.port.unit, input_.port.unit)
+    differ = None not in between and units.difference(*between) is not None  # type: ignore[arg-type]
+    if feed.transformation == Linear() and not differ:
+        diagram.connect(output, input_)
+        return
+    factor, offset = feed.transformation.factor, feed.transformation.offset
+    if not (isfinite(factor) and isfinite(offset)):
+        raise SSPError(f"{where} transforms {output.name} on its way to {input_.name} by what is not finite.")
+    if len(output) > 1:
+        raise SSPError(f"{where} transforms {output.name}, an array, on its way to {input_.name}; do so in the FMU.")
+    gain = diagram.add(Gain(factor, offset=offset), f"{target.name}.{name}.transformation")
+    diagram.connect(output, gain["u"])
+    diagram.connect(gain["y"], input_)
+
+
+__all__ = ["open_ssp", "save_ssp"]
