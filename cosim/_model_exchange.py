@@ -197,11 +197,13 @@ class ModelEquations:
 
         def place() -> None:
             model.set_time(float(t))
-            if self._jumps and not np.array_equal(u, model.inputs):  # discrete inputs change in event mode only
-                model.event(u)
+            if self._jumps:  # discrete inputs change in event mode only
+                if not np.array_equal(u, model.inputs):
+                    model.event(u)
+            else:
+                model.write_inputs(u)
             model.x[:] = x
             model.write_states()
-            model.write_inputs(u)
 
         self._try(place)
 
@@ -218,8 +220,8 @@ class ModelEquations:
             model = self._model
             what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(
-                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {what}. {model.messages.quoted()} "
-                "Evaluate it where its equations hold."
+                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {what}; evaluate it where its equations "
+                f"hold. {model.messages.quoted()}"
             ) from None
 
 

@@ -1,0 +1,465 @@
+"""Model exchange FMUs as blocks: against closed forms, scipy and fmpy; events of all kinds; saved states; what goes wrong."""
+
+import math
+import pickle
+import shutil
+import subprocess
+import zipfile
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim
+from bayesftc.cosim._model_exchange import ModelEquations
+from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError
+from bayesftc.cosim.fmu import FMU
+
+FMI = ("2.0", "3.0")
+HERE = Path(__file__).parent / "exchange"
+
+X, P = ("local", "continuous", "calculated"), ("parameter", "fixed", "exact")
+U, D = ("input", "continuous", None), ("input", "discrete", None)
+Y, N = ("output", "continuous", "calculated"), ("output", "discrete", "calculated")
+# Of each model: variables as (name, value reference, kind, start), states by derivative, event indicators, dependencies of
+# outputs on inputs, and whether it wants completed steps. What the models are is at the top of models.c.
+MODELS = {
+    "ball": ([("h", 0, Y, None), ("v", 1, X, None), ("der(h)", 2, X, None), ("der(v)", 3, X, None), ("g", 10, P, 9.81),
+              ("e", 11, P, 0.7), ("vmin", 12, P, 0.1)], {"der(h)": "h", "der(v)": "v"}, 1, {"h": []}, False),
+    "heater": ([("T", 0, X, None), ("der(T)", 2, X, None), ("Ta", 4, U, 10.0), ("on", 6, N, None), ("y", 7, Y, None),
+                ("low", 10, P, 19.0), ("high", 11, P, 21.0), ("P", 12, P, 20.0), ("tau", 13, P, 5.0)],
+               {"der(T)": "T"}, 2, {"on": [], "y": ["Ta"]}, False),
+    "pulse": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("period", 10, P, 0.1)], {"der(x)": "x"}, 0, {"x": []}, False),
+    "relay": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("u", 4, U, 0.0)], {"der(x)": "x"}, 1, {"x": []}, False),
+    "counter": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("n", 6, N, None)], {"der(x)": "x"}, 0, {"x": [], "n": []}, True),
+    "gate": ([("u", 4, U, 0.0), ("d", 5, D, 0.0), ("n", 6, N, None), ("y", 7, Y, None)], {}, 0, {"n": [], "y": None}, False),
+    "clock": ([("n", 6, N, None)], {}, 0, {"n": []}, False),
+} | {
+    name: ([("x", 0, Y, None), ("der(x)", 2, X, None)], {"der(x)": "x"}, 0, {"x": []}, False)
+    for name in ("endless", "ends", "nan", "fails", "past")
+}  # fmt: skip
+
+
+def description2(model, save):
+    variables, derivatives, indicators, through, steps = MODELS[model]
+    index = {name: i for i, (name, *_) in enumerate(variables, 1)}
+    rows = []
+    for name, reference, (causality, variability, initial), start in variables:
+        initial = f' initial="{initial}"' if initial else ""
+        real = (f' start="{start}"' if start is not None else "") + (
+            f' derivative="{index[derivatives[name]]}"' if name in derivatives else ""
+        )
+        rows.append(
+            f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
+            f'variability="{variability}"{initial}><Real{real}/></ScalarVariable>'
+        )
+
+    def unknown(name, names):
+        says = "" if names is None else f' dependencies="{" ".join(str(index[n]) for n in names)}"'
+        return f'<Unknown index="{index[name]}"{says}/>'
+
+    outputs = "".join(unknown(name, names) for name, names in through.items())
+    derived = "".join(f'<Unknown index="{index[name]}"/>' for name in derivatives)
+    first = {name for name, _, kind, _ in variables if kind[2] == "calculated"}
+    unknowns = "".join(f'<Unknown index="{index[name]}"/>' for name in sorted(first, key=index.get))
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="{model}" guid="{model}" '
+        f'numberOfEventIndicators="{indicators}"><ModelExchange modelIdentifier="models" '
+        f'completedIntegratorStepNotNeeded="{str(not steps).lower()}" canGetAndSetFMUstate="{save}" '
+        f'canSerializeFMUstate="{save}"/><LogCategories><Category name="logStatusError"/></LogCategories>'
+        f"<ModelVariables>{''.join(rows)}</ModelVariables><ModelStructure><Outputs>{outputs}</Outputs>"
+        f"{f'<Derivatives>{derived}</Derivatives>' if derived else ''}"
+        f"<InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure></fmiModelDescription>"
+    )
+
+
+def description3(model, save):
+    variables, derivatives, indicators, through, steps = MODELS[model]
+    reference = {name: number for name, number, *_ in variables}
+    rows = ['<Float64 name="time" valueReference="99" causality="independent" variability="continuous"/>']
+    for name, number, (causality, variability, initial), start in variables:
+        more = (f' initial="{initial}"' if initial else "") + (f' start="{start}"' if start is not None else "")
+        more += f' derivative="{reference[derivatives[name]]}"' if name in derivatives else ""
+        rows.append(
+            f'<Float64 name="{name}" valueReference="{number}" causality="{causality}" variability="{variability}"{more}/>'
+        )
+    rows += [
+        f'<Float64 name="z{i}" valueReference="{80 + i}" causality="local" variability="continuous" initial="calculated"/>'
+        for i in range(indicators)
+    ]
+
+    def unknown(kind, name, names=None):
+        says = "" if names is None else f' dependencies="{" ".join(str(reference[n]) for n in names)}"'
+        return f'<{kind} valueReference="{reference[name]}"{says}/>'
+
+    structure = "".join(unknown("Output", name, names) for name, names in through.items())
+    structure += "".join(unknown("ContinuousStateDerivative", name) for name in derivatives)
+    structure += "".join(unknown("InitialUnknown", name) for name, _, kind, _ in variables if kind[2] == "calculated")
+    structure += "".join(f'<EventIndicator valueReference="{80 + i}"/>' for i in range(indicators))
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="3.0" modelName="{model}" '
+        f'instantiationToken="{model}"><ModelExchange modelIdentifier="models" '
+        f'needsCompletedIntegratorStep="{str(steps).lower()}" canGetAndSetFMUState="{save}" canSerializeFMUState="{save}"/>'
+        f'<LogCategories><Category name="logStatusError"/></LogCategories><ModelVariables>{"".join(rows)}</ModelVariables>'
+        f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+    )
+
+
+@pytest.fixture(scope="session")
+def binary(tmp_path_factory):
+    import inspect
+
+    import fmpy
+    from fmpy.fmi3 import FMU3Model
+
+    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
+    if compiler is None:
+        pytest.skip("there is no C compiler to build FMUs with")
+    folder = tmp_path_factory.mktemp("models")
+    text = (HERE / "models.c").read_text()
+    absent = [n for n, _ in inspect.getmembers(FMU3Model) if n.startswith("fmi3") and f" {n}(" not in text]
+    (folder / "absent.c").write_text("".join(f"int {name}(void) {{ return 3; }}\n" for name in absent))
+    headers = Path(fmpy.__file__).parent / "c-code"
+    library = folder / f"models{fmpy.sharedLibraryExtension}"
+    flags = ["-shared", "-fPIC", "-O2", "-w", "-ffp-contract=off", f"-I{headers}"]
+    subprocess.run(
+        [compiler, *flags, str(HERE / "models.c"), str(folder / "absent.c"), "-o", str(library), "-lm"], check=True
+    )
+    return library
+
+
+@pytest.fixture(scope="session")
+def built(binary, tmp_path_factory):
+    """Return the path of a test FMU, built at its first use."""
+    import fmpy
+
+    folder, ready = tmp_path_factory.mktemp("fmus"), {}
+
+    def path(model, fmi="2.0", save="true"):
+        if (model, fmi, save) not in ready:
+            target = folder / f"{model}{fmi[0]}{save}.fmu"
+            platform = fmpy.platform if fmi == "2.0" else fmpy.platform_tuple
+            with zipfile.ZipFile(target, "w") as archive:
+                text = (description2 if fmi == "2.0" else description3)(model, save)
+                archive.writestr("modelDescription.xml", text)
+                archive.write(binary, f"binaries/{platform}/{binary.name}")
+            ready[model, fmi, save] = target
+        return ready[model, fmi, save]
+
+    return path
+
+
+@pytest.fixture(scope="session")
+def pendulum(tmp_path_factory):
+    """Return a pendulum that CasADi has exported: q'' = -9.81 sin q - 0.1 q' + u, y = q + 0.5 u, q(0) = 0.5."""
+    import os
+
+    import fmpy
+
+    ca = pytest.importorskip("casadi")
+    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
+    if compiler is None:
+        pytest.skip("there is no C compiler to build FMUs with")
+    dae = ca.DaeBuilder("pendulum")
+    q, w, u, y = dae.add("q"), dae.add("w"), dae.add("u", "input"), dae.add("y", "output")
+    for name, value in (("q", w), ("w", -9.81 * ca.sin(q) - 0.1 * w + u)):
+        dae.eq(dae.der(dae.var(name)), value)
+    dae.eq(y, q + 0.5 * u)
+    dae.set_start("q", 0.5)
+    folder, here = tmp_path_factory.mktemp("casadi"), os.getcwd()
+    os.chdir(folder)  # it writes where one is
+    try:
+        files = dae.export_fmu()
+    finally:
+        os.chdir(here)
+    library = folder / f"pendulum{fmpy.sharedLibraryExtension}"
+    sources = [str(folder / name) for name in files if name.endswith(".c")]
+    headers = [f"-I{Path(fmpy.__file__).parent / 'c-code'}", f"-I{folder}"]
+    subprocess.run(
+        [compiler, "-shared", "-fPIC", "-O2", "-w", *headers, *sources, "-o", str(library), "-lm"], check=True
+    )
+    target = folder / "pendulum.fmu"
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, place in files.items():
+            archive.write(folder / name, place.removeprefix("./"))
+        archive.write(library, f"binaries/{fmpy.platform_tuple}/{library.name}")
+    return target
+
+
+def alone(path, dt, **options):
+    diagram = cosim.Diagram(dt=dt)
+    diagram.add(FMU(path, **options), "p")
+    return diagram
+
+
+# --- against closed forms, scipy and fmpy ---------------------------------------------------------------------------------------
+
+
+def ball_height(times, g=9.81, e=0.7, vmin=0.1):
+    """Return the height of a ball dropped from 1 m, from bounce to bounce."""
+    start, v, h0, heights = 0.0, 0.0, 1.0, []
+    for t in times:
+        while True:
+            if h0 is None:
+                heights.append(0.0)
+                break
+            end = start + (v + math.sqrt(v * v + 2 * g * h0)) / g
+            if t < end:
+                s = t - start
+                heights.append(h0 + v * s - g * s * s / 2)
+                break
+            v, h0, start = e * (g * (end - start) - v), 0.0, end
+            h0 = None if v < vmin else h0
+    return np.array(heights)
+
+
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize("solver", ["cvode", "scipy:RK45"])
+def test_a_bouncing_ball_to_its_rest(built, fmi, solver, run_both):
+    result = run_both(alone(built("ball", fmi), "1/50", solver=solver, rtol=1e-9), 4)
+    np.testing.assert_allclose(result["p.h"], ball_height(result.time), atol=3e-6)
+    assert result["p.h"][-1] == 0.0
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_a_switched_heater_with_an_input_and_feedthrough(built, fmi, run_both):
+    diagram = cosim.Diagram(dt=0.25)
+    heater = diagram.add(FMU(built("heater", fmi), rtol=1e-9), "p")
+    outside = diagram.add(cosim.Step(time=10, before=10.0, after=5.0), "outside")
+    diagram.connect(outside["y"], heater["Ta"])
+    result = run_both(diagram, 40)
+    T, on, temperatures, states = 15.0, 1.0, [15.0], [1.0]
+    for k in range(160):
+        Ta, left = (10.0 if k * 0.25 < 10 else 5.0), 0.25
+        while True:
+            limit, goal = Ta + 20.0 * on, 21.0 if on else 19.0
+            ratio = (goal - limit) / (T - limit)
+            time = -5.0 * math.log(ratio) if 0 < ratio < 1 else math.inf
+            if time >= left:
+                T = limit + (T - limit) * math.exp(-left / 5.0)
+                break
+            T, on, left = goal, 1.0 - on, left - time
+        temperatures.append(T)
+        states.append(on)
+    assert 6 < np.abs(np.diff(states)).sum() < 40
+    np.testing.assert_allclose(
+        result["p.y"] - result["outside.y"], temperatures, atol=2e-5
+    )  # the input of the same instant
+    np.testing.assert_array_equal(result["p.on"], states)
+
+
+def test_time_events_as_running_sums_on_and_off_the_grid(built, run_both):
+    for dt in ("0.1", "0.03"):  # 0.1 + 0.1 + 0.1 is not 0.3: an event just after a communication point
+        result = run_both(alone(built("pulse"), dt, parameters={"period": 0.1}, rtol=1e-9), 3)
+        phase = np.mod(result.time + 1e-9, 0.2) - 1e-9
+        np.testing.assert_allclose(result["p.x"], np.where(phase < 0.1, phase, 0.2 - phase), atol=1e-8)
+
+
+def test_step_events_and_a_model_without_states(built, run_both):
+    result = run_both(alone(built("counter"), 0.25), 10)
+    np.testing.assert_allclose(result["p.x"] + result["p.n"], result.time, atol=1e-9)
+    assert result["p.n"][-1] in {9.0, 10.0}
+    ticks = run_both(alone(built("clock", "3.0"), 0.5), 5)
+    np.testing.assert_array_equal(ticks["p.n"], np.floor(ticks.time))
+
+
+def test_discrete_inputs_change_in_event_mode_and_only_where_inputs_change(built, run_both):
+    diagram = cosim.Diagram(dt=1)
+    gate = diagram.add(FMU(built("gate"), timing="direct"), "p")
+    diagram.connect(diagram.add(cosim.Step(time=3, after=2.0), "u")["y"], gate["u"])
+    diagram.connect(diagram.add(cosim.Step(time=5, after=7.0), "d")["y"], gate["d"])
+    result = run_both(diagram, 8)
+    np.testing.assert_array_equal(result["p.y"], 2 * result["d.y"] + result["u.y"])
+    np.testing.assert_array_equal(result["p.n"], 1.0 + (result.time >= 3) + (result.time >= 5))
+
+
+@pytest.mark.parametrize(("solver", "bound"), [("cvode", 3e-5), ("scipy:RK45", 1e-7), ("scipy:LSODA", 3e-5)])
+def test_a_pendulum_of_casadi_against_scipy(pendulum, solver, bound, run_both):
+    from scipy.integrate import solve_ivp
+
+    def swing(t, x, u):
+        return [x[1], -9.81 * np.sin(x[0]) - 0.1 * x[1] + u]
+
+    diagram = cosim.Diagram(dt=0.05)
+    plant = diagram.add(FMU(pendulum, solver=solver, rtol=1e-8), "p")
+    push = diagram.add(cosim.Sine(amplitude=2.0, period=3.0), "u")
+    diagram.connect(push["y"], plant["u"])
+    result = run_both(diagram, 5)
+    x, held, expected = np.array([0.5, 0.0]), result["u.y"], []
+    for k, u in enumerate(held):
+        expected.append(x[0] + 0.5 * u)
+        if k < len(held) - 1:
+            x = solve_ivp(swing, (0, 0.05), x, args=(u,), rtol=1e-11, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(result["p.y"], expected, atol=bound)
+
+
+@pytest.mark.parametrize("model", ["ball", "heater", "pulse"])
+@pytest.mark.parametrize("fmi", FMI)
+def test_the_same_as_fmpy(built, model, fmi):
+    import fmpy
+
+    name = {"ball": "h", "heater": "y", "pulse": "x"}[model]
+    dt, end = {"ball": ("0.01", 1.5), "heater": ("0.25", 20), "pulse": ("1/32", 2)}[model]
+    start = {"ball": {}, "heater": {"Ta": 10.0}, "pulse": {"period": 0.125}}[model]  # with 0.1, CVODE in fmpy gives up
+    ours = alone(built(model, fmi), dt, rtol=1e-9, parameters=start).simulate(end, engine="interpreted")[f"p.{name}"]
+    theirs = fmpy.simulate_fmu(
+        str(built(model, fmi)), fmi_type="ModelExchange", stop_time=end, output_interval=float(Fraction(dt)),
+        relative_tolerance=1e-9, output=[name], start_values=start, record_events=False,
+    )[name]  # fmt: skip
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
+
+
+# --- equations ------------------------------------------------------------------------------------------------------------------
+
+
+def test_equations_and_jacobians(pendulum, built):
+    x, u = np.array([0.3, 0.1]), np.array([2.0])
+    A = [[0.0, 1.0], [-9.81 * math.cos(0.3), -0.1]]
+    with ModelEquations(pendulum) as model:
+        assert (model.state_names, model.input_names, model.output_names) == (("q", "w"), ("u",), ("y",))
+        np.testing.assert_array_equal(model.x0, [0.5, 0.0])
+        for equations in (model, pickle.loads(pickle.dumps(model))):
+            np.testing.assert_allclose(equations.derivatives(x, u), [0.1, -9.81 * math.sin(0.3) - 0.01 + 2], rtol=1e-15)
+            np.testing.assert_allclose(equations.outputs(x, u), [1.3])
+        assert model.has_directional_derivatives
+        for exact in (True, False):
+            model.has_directional_derivatives = exact
+            for found, known in zip(model.jacobians(x, u), (A, [[0.0], [1.0]], [[1.0, 0.0]], [[0.5]]), strict=True):
+                np.testing.assert_allclose(found, known, atol=1e-14 if exact else 1e-9)
+        with pytest.raises(ModelError, match="x has the shape \\(3,\\); the FMU 'pendulum' wants 2 numbers: q, w"):
+            model.derivatives([1, 2, 3], u)
+    with pytest.raises(FMUError, match="are closed"):
+        model.outputs(x, u)
+    with ModelEquations(FMU(built("heater"), parameters={"P": 30.0})) as heater:
+        assert heater.derivatives([15.0], [10.0]) == [5.0]
+        assert heater.derivatives([25.0], [10.0]) == [3.0]  # no event has happened: it is on
+        assert heater.settle([25.0], [10.0]) == [25.0]
+        assert heater.derivatives([25.0], [10.0]) == [-3.0]
+        np.testing.assert_allclose(heater.jacobians([25.0], [10.0]).A, [[-0.2]], rtol=1e-9)
+    with ModelEquations(built("gate")) as gate:
+        assert gate.outputs([], [1.0, 3.0])[1] == 7.0
+    with (
+        ModelEquations(built("fails")) as fails,
+        pytest.raises(FMUError, match=r"fmi2GetDerivatives returned Error.*valve is stuck"),
+    ):
+        fails.derivatives([0.0], [], 0.5)
+
+
+# --- saved states ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["ball", "heater", "pulse", "counter", "clock", "pendulum"])
+def test_a_run_that_was_saved_and_restored_has_the_same_bits(model, built, pendulum, same_bits):
+    block = FMU(pendulum if model == "pendulum" else built(model, "3.0"))
+    u = np.array([p.default for p in block.inputs])
+
+    def steps(instance, begin, end):
+        rows = []
+        for k in range(begin, end):
+            y = np.zeros(len(block.outputs))
+            assert instance.output(u + 0.1 * k, y, k / 10) == 0
+            assert instance.update(u + 0.1 * k, y, k / 10) == 0
+            rows.append(y)
+        return rows
+
+    one, other = (block.instantiate(Fraction(1, 10), name) for name in ("one", "other"))
+    whole = steps(one, 0, 20)
+    same_bits(steps(other, 0, 9), whole[:9])
+    assert other.can_save
+    saved = other.save()
+    for _ in range(2):
+        same_bits(steps(other, 9, 20), whole[9:])
+        other.restore(saved)
+    copy = pickle.loads(pickle.dumps(saved))
+    one.restore(copy)  # of another instance, by bytes
+    same_bits(steps(one, 9, 20), whole[9:])
+    with pytest.raises(FMUError, match="no saved state of the FMU"):
+        one.restore("rubbish")
+    other.forget(saved)
+    for instance in (one, other):
+        instance.close()
+
+
+def test_an_fmu_with_discrete_states_that_cannot_save(built):
+    instance = FMU(built("ball", save="false")).instantiate(Fraction(1, 10), "ball")
+    assert not instance.can_save
+    with pytest.raises(FMUError, match="cannot save its state"):
+        instance.save()
+    instance.close()
+
+
+# --- what goes wrong ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["cvode", "scipy:RK45"])
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize(
+    ("model", "sentence", "kept"),
+    [
+        ("endless", r"Its event iteration does not end: after 1000 turns at t = 0\.5 s", 5),
+        ("ends", r"asks to end the simulation \(terminateSimulation\)\. Its log says: the tank is empty", 4),
+        ("nan", r"The derivative 'der\(x\)' came out NaN or infinite at t = 0\.3", 4),
+        ("fails", r"(Derivatives|StateDerivatives) returned Error.* Its log says: the valve is stuck", 4),
+        ("past", r"Its events do not end at t = 0\.2 s: 100 came one after the other.*hysteresis", 2),
+        ("relay", r"Its events do not end at t = 0\.25.* s: 100 came one after the other.*hysteresis", 3),
+    ],
+)
+def test_runs_that_cannot_go_on_say_why_and_keep_what_was(model, sentence, kept, solver, fmi, built):
+    engine = "compiled" if solver == "cvode" else "interpreted"
+    diagram = alone(built(model, fmi), 0.1, solver=solver)
+    with pytest.raises(cosim.SimulationError, match=r"(?s)The run stopped at t = 0\.\d s.*" + sentence) as caught:
+        diagram.simulate(1, engine=engine)
+    assert len(caught.value.result.time) == kept
+
+
+def test_a_solver_that_gives_up_says_so(built, monkeypatch):
+    from bayesftc.cosim import _model_exchange_cvode, _model_exchange_scipy
+
+    for module in (_model_exchange_cvode, _model_exchange_scipy):
+        monkeypatch.setattr(module, "INTERNAL_STEPS", 3)
+    for solver, sentence in (
+        ("cvode", "CVODE gives up at t = .*steps of its own"),
+        ("scipy:RK23", "RK23 of scipy needed more"),
+    ):
+        with pytest.raises(cosim.SimulationError, match=sentence):
+            alone(built("heater"), 5, solver=solver, rtol=1e-10).simulate(5, engine="interpreted")
+
+
+def test_settings(built):
+    path = built("pulse")
+    block = FMU(path)
+    assert (block.kind, block.solver, block.rtol, block.atol, block.timing) == (
+        "model exchange",
+        "cvode",
+        1e-6,
+        None,
+        "plant",
+    )
+    assert FMU(built("heater")).timing == "direct"
+    assert [p.feedthrough for p in FMU(built("heater"), outputs=["on"]).inputs] == [False]
+    assert [p.feedthrough for p in FMU(built("heater"), timing="plant").inputs] == [False]
+    assert pickle.loads(pickle.dumps(block)) == block
+    for settings, sentence in (
+        ({"solver": "euler"}, "must be one of cvode, scipy:RK23"),
+        ({"rtol": 0.0}, "a positive number"),
+        ({"rtol": 2.0}, "must be below 1"),
+        ({"atol": math.nan}, "a positive number"),
+    ):
+        with pytest.raises(ModelError, match=sentence):
+            FMU(path, **settings)
+    with pytest.raises(FMUVersionError, match="cannot be used for co-simulation"):
+        FMU(path, kind="co-simulation")
+
+
+def test_direct_feedthrough_in_a_loop_is_an_algebraic_loop(built):
+    def loop(**options):
+        diagram = cosim.Diagram(dt=1)
+        plant, gain = diagram.add(FMU(built("heater"), **options), "p"), diagram.add(cosim.Gain(-0.5), "k")
+        diagram.connect(plant["y"], gain["u"])
+        diagram.connect(gain["y"], plant["Ta"])
+        return diagram
+
+    with pytest.raises(cosim.AlgebraicLoopError, match="p feeds it through"):
+        loop().build()
+    assert len(loop(timing="plant").simulate(3, engine="interpreted").time) == 4
