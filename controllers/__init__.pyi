@@ -1,5 +1,6 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
+from ._pulse_responses import PoorFitWarning as PoorFitWarning
 from ._rate import Calibration as Calibration, RateLearner as RateLearner
 from ._resolution import find_resolution as find_resolution
 from .active_inference import UnbiasedActiveInference as UnbiasedActiveInference
@@ -14,6 +15,7 @@ from .baselines import EFFDI as EFFDI, SERFDI as SERFDI
 from .bayesian import BayesianController as BayesianController, UnstableLoopWarning as UnstableLoopWarning
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
+from .design import design as design
 from .detectability import Detectability as Detectability, detectability as detectability
 from .estimator import StateEstimator as StateEstimator
 from .explicit import ExplicitDetection as ExplicitDetection

@@ -70,7 +70,8 @@ class LQGController(BayesianController):
     common factor of both precisions changes nothing; it is taken so small that what the belief does not know does not weigh.
 
     Fewer goals than controls leave freedom: then u_ss is the cheapest one. Estimated disturbances
-    (`LinearModel.with_disturbance`) and faults of actuators that the precision learner finds count in (x_ss, u_ss), so that they leave no steady error.
+    (`LinearModel.with_disturbance`) and faults of actuators that the precision learner finds count in (x_ss, u_ss), so that they
+    leave no steady error.
 
     Ports are those of `BayesianController`, with one element of ``goal`` for each goal; an element that is NaN keeps its last
     value, at first what the output is at the initial mean.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -188,6 +188,90 @@ class LinearModel:
             )
         C = np.tile(linear.C, (sensors // outputs, 1))
         return cls(linear.A, linear.B, C, process_covariance, sensor_covariance, step)
+
+    @classmethod
+    def from_fmu(
+        cls,
+        fmu: Any,
+        *,
+        measured: str | Sequence[str],
+        actuated: str | Sequence[str],
+        dt: float | str | Fraction | None = None,
+        at: Mapping[str, float] | None = None,
+        order: int | None = None,
+        noise: Mapping[str, float] | None = None,
+        sensors: int | None = None,
+        sensor_std: float | Sequence[float] = 0.01,
+        disturbance: Matrix | None = None,
+    ) -> LinearModel:
+        """Return the model of an FMU about a steady state, in the FMU's own values.
+
+        *Model exchange* (also where the file can do both): the state at which the derivatives are zero is sought from the start
+        values, with the inputs held or, if there is none, with the actuated ones free; there the FMU's directional derivatives
+        are taken, or central differences where it has none, and sampled exactly (zero-order hold). States are the FMU's.
+
+        *Co-simulation*, whose states nobody sees: the FMU is run from its start until its outputs stay where they are; from
+        there it answers short pulses of each input, up and down, of several sizes, of which those count that agree best. The
+        eigensystem realisation of the responses (python-control's `era`) is the model; its order is the number of singular values
+        above what the responses are uncertain by. Each experiment starts from a saved state, or in a new instance where the FMU
+        saves none. States are balanced and mean nothing by themselves; a mode that no input moves is not in it.
+
+        A plant that never rests needs a recording instead: `identify`.
+
+        Parameters
+        ----------
+        fmu : FMU or path
+            The plant; its parameters say where it starts.
+        measured, actuated : str or sequence of str
+            Names of the outputs that sensors read, and of the inputs that the controller drives.
+        dt : float, str or Fraction, optional
+            Sample time in seconds; by default the step size that the FMU recommends.
+        at : mapping of input to float, optional
+            Inputs at the operating point; by default their start values.
+        order : int, optional
+            Number of states, for a model by pulse responses (asked also of an FMU for model exchange if it is given).
+        noise : mapping of input to float, optional
+            Where process noise comes in, and its standard deviation in each sample: any inputs of the FMU. By default the
+            actuated ones, with 5 % of their value at the operating point or of 1, whichever is larger.
+        sensors : int, optional
+            Number of sensors, a multiple of the measured outputs: sensor i reads output i modulo their number. By default one
+            each.
+        sensor_std : number or vector
+            Standard deviation of the sensors' noise: of all, of those of each output, or of each sensor.
+        disturbance : number, vector or matrix, optional
+            Estimate an unknown load on each control as well, a walk of this covariance in each sample: see `with_disturbance`.
+
+        Raises
+        ------
+        ModelError
+            If there is no steady state, or an output depends at once on an input.
+        FMUError
+            If the FMU fails.
+
+        Warns
+        -----
+        PoorFitWarning
+            If the model does not reproduce the responses of which it was made.
+
+        Examples
+        --------
+        >>> from bayesftc import fmus
+        >>> from bayesftc.controllers import LinearModel
+        >>> model = LinearModel.from_fmu(fmus.path("PositionServo"), measured="angle", actuated="voltage")
+        >>> sorted(np.linalg.eigvals(model.A).round(6).tolist())
+        [0.82853, 0.968606, 1.0]
+        """
+        from bayesftc.controllers.linearization import linearize, names_of
+
+        linear = linearize(fmu, measured=measured, actuated=actuated, noise=noise, dt=dt, at=at, order=order)
+        return linear.model(
+            names_of(measured, "measured"),
+            names_of(actuated, "actuated"),
+            noise=noise,
+            sensors=sensors,
+            sensor_std=sensor_std,
+            disturbance=disturbance,
+        )
 
     def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:
         """Return the model extended by an unknown disturbance on each control, which the controller then estimates.

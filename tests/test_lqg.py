@@ -143,7 +143,7 @@ def test_a_constant_load_leaves_no_steady_error():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: (np.diag([1.05, 0.5]), [[0], [1]], np.eye(2), {}), r"no control moves the mode with the eigenvalue 1\.05, which grows"),
+        (lambda: (np.diag([1.05, 0.5]), [[0], [1]], np.eye(2), {}), r"no control moves .* eigenvalue 1\.05, which grows"),
         (lambda: (np.diag([1.05, 0.5]), np.eye(2), [[0, 1]], {}), r"no sensor sees the mode with the eigenvalue 1\.05"),
         (lambda: (np.diag([0.9, 0.5]), [[1], [1]], np.eye(2), {}), "There are 2 goals but 1 controls"),
         (lambda: ([[0, 0], [1, 0]], [[1], [0]], [[1, -1]], {}), "zero at 1"),

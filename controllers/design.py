@@ -1,0 +1,178 @@
+"""A fault-tolerant controller in one call: from a plant, what is measured, what is actuated, and what is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
+from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable
+from bayesftc.controllers.linearization import Names, linearize, names_of
+from bayesftc.controllers.lqg import LQGController
+from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.precision import PrecisionLearner
+from bayesftc.controllers.switching import SwitchingPrecision
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
+
+
+def design(
+    plant: Any,
+    *,
+    goal: Names | Sequence[int] | Matrix | None = None,
+    measured: Names | None = None,
+    actuated: Names | None = None,
+    dt: float | str | Fraction | None = None,
+    at: Mapping[str, float] | None = None,
+    order: int | None = None,
+    sensors: int | None = None,
+    sensor_std: float | Sequence[float] = 0.01,
+    noise: Mapping[str, float] | None = None,
+    disturbance: Matrix | None = None,
+    acceptable_error: float | Sequence[float] = 0.1,
+    acceptable_control: float | Sequence[float] | None = None,
+    goal_covariance: Matrix | None = None,
+    control_covariance: Matrix | None = None,
+    precision: PrecisionLearner | None = None,
+    belief: Literal["filtered", "joint"] = "filtered",
+    u_min: float | Sequence[float] = float("-inf"),
+    u_max: float | Sequence[float] = float("inf"),
+    u_rate: float | Sequence[float] = float("inf"),
+) -> LQGController:
+    """Return a fault-tolerant controller for a plant, a block that drops into `bayesftc.cosim.closed_loop`.
+
+    A linear model of the plant about a steady state is made (`LinearModel.from_fmu` says how), and a controller that leads the
+    goal outputs to the goal as the linear quadratic regulator does (`LQGController`), from redundant sensors that may fail
+    (`precision`). ``print(controller.describe())`` shows the closed-loop poles.
+
+    Parameters
+    ----------
+    plant : FMU, path, system of python-control, StateSpace or LinearModel
+        What is to be controlled. Nonlinear systems are linearised at a steady state.
+    goal : str or sequence of str
+        Names of the plant's outputs that get a goal, measured or not; by default the measured ones. Of a `LinearModel`: numbers
+        of sensors whose quantity it is, or a matrix as in `LQGController`; by default each distinct output.
+    measured, actuated : str or sequence of str
+        Names of the outputs that sensors read, and of the inputs that the controller drives. Not for a `LinearModel`.
+    dt : float, str or Fraction, optional
+        Sample time in seconds; by default that of the model or the FMU.
+    at, order, sensors, sensor_std, noise, disturbance
+        See `LinearModel.from_fmu`. Not for a `LinearModel`. A `disturbance` is worth while where the plant is not quite the
+        model, or bears loads: without it these leave a steady error.
+    acceptable_error : number or vector
+        For Bryson's rule: the error of each goal output, in its unit, that costs as much as...
+    acceptable_control : number or vector, optional
+        ...this deviation of each control from what holds the goal. By default half of what the limits leave it, or else 1.
+    goal_covariance, control_covariance : number, vector or matrix, optional
+        Inverses of the costs, instead of the squares of the acceptable ones.
+    precision : PrecisionLearner, optional
+        How far each sensor is trusted; by default `SwitchingPrecision`.
+    belief, u_min, u_max, u_rate
+        See `BayesianController`.
+
+    Raises
+    ------
+    ModelError
+        If no steady state is found, the goals cannot be held, or a mode that does not die out is moved by no control or seen by
+        no sensor (it is named by its eigenvalue).
+    UnknownNameError
+        If the plant has no such variable.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers, cosim, fmus
+    >>> servo = cosim.FMU(fmus.path("PositionServo"))
+    >>> controller = controllers.design(servo, measured="angle", actuated="voltage", sensors=2)
+    >>> loop = cosim.closed_loop(
+    ...     servo, controller, control="voltage", measured="angle", sensors=cosim.Sensors(2, 0.01), reference=1.0
+    ... )
+    """
+    if isinstance(plant, LinearModel):
+        given: dict[str, object] = {
+            "measured": measured, "actuated": actuated, "dt": dt, "at": at, "order": order, "sensors": sensors, "noise": noise,
+            "disturbance": disturbance,
+        }  # fmt: skip
+        for name, value in given.items():
+            if value is not None:
+                raise ModelError(f"A LinearModel says itself what {name}= would; leave it out.")
+        model, H, mean = plant, _goal_rows(plant, goal), np.zeros(plant.states - plant.disturbances)
+    else:
+        if measured is None or actuated is None:
+            raise ModelError(
+                "design() needs measured= and actuated=, the names of the plant's outputs and inputs that it is to use."
+            )
+        seen, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
+        wanted = seen if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
+        linear = linearize(plant, measured=seen, actuated=driven, others=wanted, noise=noise, dt=dt, at=at, order=order)
+        model = linear.model(seen, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance)
+        rows, mean = linear.rows(wanted), linear.start
+        H = np.zeros((len(rows), model.states))
+        H[:, : len(mean)] = linear.C[rows]
+        if model.constant:
+            H[:, -1] = linear.y[rows] - linear.C[rows] @ linear.x
+    refuse_unstabilisable(model)
+    refuse_undetectable(model)
+    p = model.controls
+    low, high = as_vector("u_min", u_min, p, finite=False), as_vector("u_max", u_max, p, finite=False)
+    if goal_covariance is None:
+        goal_covariance = _squares("acceptable_error", acceptable_error, len(H))
+    if control_covariance is None:
+        span = np.where(np.isfinite(high - low), (high - low) / 2, 1.0)
+        control_covariance = _squares(
+            "acceptable_control", span if acceptable_control is None else acceptable_control, p
+        )
+    return LQGController(
+        model,
+        precision=SwitchingPrecision() if precision is None else precision,
+        goal_on=H,
+        goal_covariance=goal_covariance,
+        control_covariance=control_covariance,
+        belief=belief,
+        u_min=low,  # type: ignore[arg-type]
+        u_max=high,  # type: ignore[arg-type]
+        u_rate=u_rate,  # type: ignore[arg-type]
+        initial_mean=mean,  # type: ignore[arg-type]
+        initial_covariance=_initial(model),
+    )
+
+
+def _squares(name: str, value: object, size: int) -> Floats:
+    vector = as_vector(name, value, size)
+    if (vector <= 0).any():
+        raise ModelError(f"{name} is {vector.tolist()}; it must be positive.")
+    return vector**2
+
+
+def _goal_rows(model: LinearModel, goal: Any) -> Floats:
+    """Return what the goals are of the state of a given model."""
+    quantities = model.quantities
+    if goal is None:
+        return np.asarray(quantities[sorted(np.unique(quantities, axis=0, return_index=True)[1])])
+    rows = np.asarray(goal)
+    if rows.dtype.kind in "US":
+        raise ModelError(
+            "The outputs of a LinearModel have no names; give goal= as numbers of sensors, or as a matrix."
+        )
+    if rows.ndim == 2:
+        return np.asarray(rows, dtype=np.float64)
+    numbers = np.atleast_1d(rows)
+    if numbers.dtype.kind not in "iu" or (numbers < 0).any() or (numbers >= model.sensors).any():
+        raise ModelError(f"goal={goal!r} must be numbers of sensors, from 0 to {model.sensors - 1}.")
+    return np.asarray(quantities[numbers])
+
+
+def _initial(model: LinearModel) -> Floats:
+    """Return a first belief: ten times as uncertain as it will be of the next sample."""
+    from scipy.linalg import solve_discrete_are
+
+    moving = model.moving
+    A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
+    # A mode that no noise moves has no steady covariance of its own; a trace of noise on all states gives it one.
+    spread = 1e-9 * max(float(np.trace(Q)), 1e-12)
+    start = np.zeros((model.states, model.states))
+    n = moving.states
+    start[:n, :n] = 10.0 * solve_discrete_are(A.T, C.T, Q + spread * np.eye(n), R)
+    return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)

@@ -1,0 +1,202 @@
+"""A controller from nothing but a plant: linear models of FMUs and of python-control systems, and the call that uses them."""
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from bayesftc import controllers, cosim, fmus
+from bayesftc.controllers import LinearModel, PoorFitWarning, design
+from bayesftc.controllers.linearization import linearize
+from bayesftc.cosim._fmi_instance import Instance
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
+
+
+def pendulum_at(angle, m=0.2, M=0.5, length=0.3, inertia=0.006, c=0.1, b=1e-3, g=9.81):
+    """The pendulum on a cart for small deviations from standing, from the textbook's linear equations."""
+    mass = np.array([[M + m, m * length], [m * length, inertia + m * length**2]])
+    A = np.zeros((4, 4))
+    A[:2, 2:] = np.eye(2)
+    A[2:] = np.linalg.solve(mass, np.array([[0, 0, -c, 0], [0, m * g * length, 0, -b]]))
+    B = np.concatenate([np.zeros(2), np.linalg.solve(mass, [1.0, 0.0])])[:, None]
+    return A, B
+
+
+# dx/dt = A x + B u by hand, C, and what is asked of the FMU.
+SPRING = [[0, 0, 1, 0], [0, 0, 0, 1], [-100, 100, -1, 1], [100, -100, 1, -1]]
+GATE = 0.6
+PLANTS = {
+    "PositionServo": (
+        [[0, 1, 0], [0, -2, 10], [0, -2, -20]], [[0], [0], [20]], [[1, 0, 0]], ["angle"], ["voltage"], 0.01
+    ),
+    "TwoMasses": (SPRING, [[0], [0], [1], [0]], [[1, 0, 0, 0], [0, 1, 0, 0]], ["x1", "x2"], ["force1"], 0.02),
+    "CartPendulum": (*pendulum_at(0.0), np.eye(4)[:2], ["position", "angle"], ["force"], 0.02),
+    "HydroTurbine": (
+        [[-5, 0], [2 / GATE, -2 / GATE]], [[5], [0]], [[-2, 3]], ["power"], ["command"], 0.05
+    ),
+}  # fmt: skip
+
+
+def responses(A, B, C, count):
+    """C B, C A B, C A A B, ..."""
+    rows, state = [], np.asarray(B, float)
+    for _ in range(count):
+        rows.append(C @ state)
+        state = A @ state
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_an_fmu_for_co_simulation_is_known_by_its_answers(name):
+    A, B, C, measured, actuated, dt = PLANTS[name]
+    model = LinearModel.from_fmu(fmus.path(name), measured=measured, actuated=actuated, sensors=2 * len(measured))
+    moving = model.moving
+    assert float(model.step) == dt
+    assert moving.states == len(A)
+    assert model.sensors == 2 * len(measured)
+    whole = expm(dt * np.block([[np.asarray(A, float), np.asarray(B, float)], [np.zeros((1, len(A) + 1))]]))
+    n = len(A)
+    expected = responses(whole[:n, :n], whole[:n, n:], np.asarray(C, float), 40)
+    found = responses(*(moving.matrix(name) for name in "ABC"), 40)
+    # The derivative of a nonlinear plant costs half of the digits.
+    np.testing.assert_allclose(found[:, : len(measured)], expected, atol=1e-7 * np.abs(expected).max())
+    np.testing.assert_array_equal(found[:, : len(measured)], found[:, len(measured) :])
+    assert model.constant == (name == "HydroTurbine")
+    if model.constant:  # in values: power = command in steady state
+        steady = np.linalg.solve(np.eye(n) - moving.matrix("A"), moving.matrix("B") * GATE + model.matrix("A")[:n, n:])
+        assert model.matrix("C")[0] @ [*steady[:, 0], 1.0] == pytest.approx(GATE, abs=1e-9)
+
+
+def test_an_fmu_that_saves_no_state_is_made_anew_for_each_experiment(monkeypatch):
+    settings = {"measured": "power", "actuated": "command", "at": {"command": 0.8}}
+    saved = linearize(fmus.path("HydroTurbine"), **settings)  # it must first come to 0.8
+    monkeypatch.setattr(Instance, "can_save", property(lambda self: False))
+    anew = linearize(fmus.path("HydroTurbine"), **settings)
+    for name in "ABCuy":
+        np.testing.assert_array_equal(getattr(anew, name), getattr(saved, name))
+    assert saved.y[0] == pytest.approx(0.8, abs=1e-6)
+    # Where it starts: by its own equations at a gate and a flow of 0.6, linearised at 0.8.
+    assert saved.y[0] + (saved.C @ saved.start).item() == pytest.approx(0.6, abs=0.05)
+
+
+def test_a_plant_that_never_rests_is_said():
+    with pytest.raises(ModelError, match=r"no steady state.*still change after.*LinearModel\.identify"):
+        LinearModel.from_fmu(fmus.path("PositionServo"), measured="angle", actuated="voltage", at={"voltage": 1.0})
+
+
+def test_a_plant_that_comes_to_rest_elsewhere_is_linearised_there():
+    falls = cosim.FMU(fmus.path("CartPendulum"), parameters={"angle_0": 0.1, "b": 0.02})
+    with pytest.warns(UserWarning, match=r"left alone for .* where it came to rest"):
+        found = linearize(falls, measured=["position", "angle"], actuated="force")
+    assert found.y[1] == pytest.approx(np.pi, abs=1e-6)
+    assert np.abs(np.linalg.eigvals(found.A)).max() <= 1 + 1e-7  # hanging, and the cart wherever it is
+
+
+def test_too_low_an_order_is_said():
+    with pytest.warns(PoorFitWarning, match="order 2 misses"):
+        model = LinearModel.from_fmu(fmus.path("TwoMasses"), measured=["x1", "x2"], actuated="force1", order=2)
+    assert model.states == 2
+    with pytest.raises(ModelError, match="give from 1 to"):
+        LinearModel.from_fmu(fmus.path("TwoMasses"), measured=["x1", "x2"], actuated="force1", order=0)
+
+
+def test_process_noise_comes_in_where_it_is_said():
+    model = LinearModel.from_fmu(
+        fmus.path("PositionServo"), measured="angle", actuated="voltage", noise={"load": 0.1}, sensor_std=[0.02]
+    )
+    both = linearize(fmus.path("PositionServo"), measured="angle", actuated=["voltage", "load"])
+    Q = model.matrix("process_covariance")
+    np.testing.assert_allclose(np.linalg.eigvalsh(Q)[:-1], 0.0, atol=1e-15)
+    # The output's variance after some steps, which no choice of states changes.
+    C, A, load = model.matrix("C"), model.matrix("A"), both.B[:, 1]
+    ours = sum((C @ np.linalg.matrix_power(A, k) @ Q @ np.linalg.matrix_power(A, k).T @ C.T).item() for k in range(20))
+    theirs = sum((0.1 * both.C @ np.linalg.matrix_power(both.A, k) @ load).item() ** 2 for k in range(20))
+    assert ours == pytest.approx(theirs, rel=1e-5)
+    assert model.matrix("sensor_covariance").item() == pytest.approx(4e-4)
+
+
+def test_systems_of_python_control():
+    A, B, C, *_ = PLANTS["CartPendulum"]
+    linear = control.ss(A, B, C, 0, inputs=["force"], outputs=["position", "angle"])
+    controller = design(
+        linear, measured=["position", "angle"], actuated="force", goal="position", dt=0.02, acceptable_error=0.2
+    )
+    sampled = control.sample_system(linear, 0.02)
+    gain, _, _ = control.dlqr(sampled.A, sampled.B, np.diag([25.0, 0, 0, 0]), np.eye(1))
+    np.testing.assert_allclose(controller.regulator.gain, gain, rtol=1e-7)
+
+    def swing(t, x, u, params):
+        return [x[1], u[0] - 9.81 * np.sin(x[0]) - 0.5 * x[1]]
+
+    hanging = control.NonlinearIOSystem(swing, lambda t, x, u, p: x[:1], inputs=["u"], outputs=["angle"], states=2)
+    found = linearize(hanging, measured="angle", actuated="u", dt=0.05, at={"u": 9.81 / 2})
+    np.testing.assert_allclose(found.x, [np.pi / 6, 0.0], atol=1e-8)
+    local = [[0, 1], [-9.81 * np.cos(np.pi / 6), -0.5]]
+    np.testing.assert_allclose(found.A, expm(0.05 * np.array(local)), atol=1e-5)
+    controller = design(hanging, measured="angle", actuated="u", dt=0.05, at={"u": 9.81 / 2})
+    np.testing.assert_array_equal(controller.initial_mean, [0.0, 0.0, 1.0])  # where it starts, and the constant
+
+
+def test_of_a_linear_model_the_sensors_have_numbers():
+    model = LinearModel([[1, 0.1], [0, 1]], [[0.005], [0.1]], [[1, 0], [1, 0], [0, 1]], [1e-6, 1e-6], 1e-4, dt=0.1)
+    controller = design(model, goal=[1])
+    np.testing.assert_array_equal(controller.goal_matrix, [[1, 0]])
+    np.testing.assert_array_equal(design(model, goal=[[1, 0]]).goal_matrix, [[1, 0]])
+    assert isinstance(controller.precision, controllers.SwitchingPrecision)
+    with pytest.raises(ModelError, match="2 goals but 1 controls"):
+        design(model)
+    with pytest.raises(ModelError, match="numbers of sensors, from 0 to 2"):
+        design(model, goal=[3])
+    with pytest.raises(ModelError, match="no names"):
+        design(model, goal="angle")
+    with pytest.raises(ModelError, match="leave it out"):
+        design(model, measured="angle")
+
+
+def test_a_redundant_sensor_fails_and_the_servo_stays():
+    """One call makes it; a frozen sensor then costs a controller with fixed precisions its goal, and not this one."""
+    servo = cosim.FMU(fmus.path("PositionServo"))
+    far = {}
+    for precision in (None, controllers.FixedPrecision()):
+        controller = design(servo, measured="angle", actuated="voltage", sensors=2, precision=precision)
+        loop = cosim.closed_loop(
+            servo,
+            controller,
+            control="voltage",
+            measured="angle",
+            sensors=cosim.Sensors(count=2, std=0.01),
+            faults=[cosim.Injection(sensor=0, start=1.0, stop=3.0, magnitude=0.5)],
+            reference=1.0,
+        )
+        result = loop.simulate(3.0, seed=1, engine="interpreted")
+        far[precision] = np.sqrt(np.mean((result["plant.angle"][200:300] - 1.0) ** 2))
+        if precision is None:
+            assert result["controller.fault_probability"][150:300, 0].min() > 0.9
+            assert result["controller.fault_probability"][150:300, 1].max() < 0.1
+    assert far[None] < 0.02
+    assert min(far.values()) < 0.1 * max(far.values())
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "words"),
+    [
+        ({"measured": "angel"}, UnknownNameError, "did you mean 'angle'"),
+        ({"actuated": []}, ModelError, "actuated=.*at least one variable"),
+        ({"measured": ["angle", "angle"]}, ModelError, "each once"),
+        ({"measured": None}, ModelError, "needs measured= and actuated="),
+        ({"measured": "speed"}, None, None),
+        ({"sensors": 0}, ModelError, "at least 1"),
+        ({"at": {"volts": 1.0}}, UnknownNameError, "volts"),
+        ({"acceptable_error": 0.0}, ModelError, "must be positive"),
+        ({"goal": ["angle", "speed"]}, ModelError, "2 goals but 1 controls"),
+        ({"dt": "soon"}, StepSizeError, "soon"),
+    ],
+)  # fmt: skip
+def test_wrong_settings_are_said_in_a_sentence(settings, error, words):
+    make = {"plant": fmus.path("PositionServo"), "measured": "angle", "actuated": "voltage"} | settings
+    plant = make.pop("plant")
+    if error is None:  # the speed alone is a plant of its own, in which the angle has no place
+        assert design(plant, **make).model.states == 2
+        return
+    with pytest.raises(error, match=words):
+        design(plant, **make)
