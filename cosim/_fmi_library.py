@@ -133,6 +133,8 @@ class Library(ABC):
         # The log is on while the instance is made, so that a refusal says why. Afterwards only problems are wanted:
         # a message costs more than a thousand steps.
         wanted = [c.encode() for c in _STATUS_CATEGORIES if c in self.description.log_categories]
+        if (self.description.generation_tool or "").startswith("PythonFMU"):
+            wanted = [b""]  # it declares categories, but its own errors are of none of them
         with suppress(CallError):  # it then says more or less than asked for, which harms nothing
             self.call(function, component, bool(wanted), len(wanted), (ctypes.c_char_p * len(wanted))(*wanted))
 
