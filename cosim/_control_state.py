@@ -26,17 +26,19 @@ def state_places(schedule: Schedule) -> list[tuple[int, str]]:
     found: list[tuple[int, str]] = []
     for i, (node, slots) in enumerate(zip(schedule.nodes, schedule.slots, strict=True)):
         carried = set() if is_external(node) else _carried(schedule, i)
-        if node.every > 1:
-            begin = slots.start["outputs"]
-            carried |= set(range(begin, begin + sum(port.size for port in node.block.outputs)))
+        outputs = slots.start["outputs"]
+        held = set(
+            range(outputs, outputs + sum(port.size for port in node.block.outputs) if node.every > 1 else outputs)
+        )
         for name, (section, _, shape) in slots.sections.items():
             if name in {"inputs", "outputs"}:
                 continue  # the same places as those of the ports
             begin, size = slots.offset(name), int(np.prod(shape))
             for j in range(size if section in {"state", "outputs"} else 0):
-                if begin + j in carried:
-                    index = ",".join(map(str, np.unravel_index(j, shape)))
-                    found.append((begin + j, f"{node.name}.{name}" + (f"[{index}]" if size > 1 else "")))
+                if begin + j in carried | held:
+                    index = f"[{','.join(map(str, np.unravel_index(j, shape)))}]" if size > 1 else ""
+                    kept = "_held" if begin + j in held else ""
+                    found.append((begin + j, f"{node.name}.{name}{kept}{index}"))
     return found
 
 
