@@ -30,7 +30,8 @@ from bayesftc.cosim._fmi_steps import (
     UNFIT_OUTPUT,
     StepFunctions,
 )
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.errors import FMUError, StepSizeError
+from bayesftc.cosim.timebase import show
 
 
 class Instance(StepFunctions):
@@ -52,6 +53,7 @@ class Instance(StepFunctions):
         inputs: dict[FMUVariable, Value],
         outputs: Sequence[FMUVariable],
     ):
+        _check_step(library, name, step)
         self._library, self._name = library, name
         self._messages = Messages(name)
         self._component, self._healthy, self._fatal = 0, True, False
@@ -75,13 +77,18 @@ class Instance(StepFunctions):
         if library.alive and library.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
             raise FMUError(
                 f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
-                "after the other, or in separate processes."
+                "after the other, or each in a process of its own with FMU(..., isolate=True)."
             )
         component, self._callbacks = library.create(name, self._messages)
         if not component:
+            tool = library.description.generation_tool or "the tool that exported it"
+            needs = (
+                f"It needs {tool} to run (needsExecutionTool): install it here, or export the FMU without that need."
+                if library.description.capabilities.get("needsExecutionTool")
+                else "If it needs a tool or a licence, check that it is there."
+            )
             raise FMUError(
-                f"The FMU {model!r} refused to be instantiated as {name!r}. {self._messages.quoted()} If it needs a tool or "
-                "a licence, check that it is there."
+                f"The FMU {model!r} refused to be instantiated as {name!r}. {self._messages.quoted()} {needs}"
             )
         self._component = component
         library.alive += 1
@@ -182,6 +189,16 @@ class Instance(StepFunctions):
             except (CallError, FMUError):
                 pass  # it is over either way, and the results stand
         self._messages.close()
+
+
+def _check_step(library: Library, name: str, step: Fraction) -> None:
+    fixed = library.description.capabilities.get("fixedInternalStepSize")
+    size = float(fixed) if fixed else 0.0
+    if size > 0.0 and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size:
+        raise StepSizeError(
+            f"The FMU {library.description.name!r} makes steps of {size:g} s only (fixedInternalStepSize), but {name!r} is to "
+            f"make steps of {show(step)} s: choose dt, or every=, so that its step is a whole multiple of {size:g} s."
+        )
 
 
 def _either(side: Sequence[Group]) -> str:

@@ -1,0 +1,440 @@
+"""FMUs with arrays, ports of every type, tunable parameters, units, events, early returns and discarded steps.
+
+The FMUs are compiled here, from ``breadth/``; fmpy's own simulation of the same files is the oracle.
+"""
+
+import dataclasses
+import pickle
+import re
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim
+from bayesftc.cosim import ops
+from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError, UnknownNameError
+from bayesftc.cosim.fmu import FMU, describe
+
+SOURCES = Path(__file__).parent / "breadth"
+ENGINES = ("compiled", "interpreted")
+
+DESCRIPTION = {
+    "3": """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="Breadth" instantiationToken="{b}">
+  <CoSimulation modelIdentifier="Breadth" canHandleVariableCommunicationStepSize="true" FLAGS/>
+  <UnitDefinitions>
+    <Unit name="Grad/s"><BaseUnit rad="1" s="-1" factor="0.015707963267948967"/></Unit>
+    <Unit name="K"><BaseUnit K="1"/><DisplayUnit name="Rankine" factor="1.8"/></Unit>
+  </UnitDefinitions>
+  <TypeDefinitions>
+    <EnumerationType name="Mode"><Item name="off" value="1"/><Item name="on" value="2"/></EnumerationType>
+  </TypeDefinitions>
+  <ModelVariables>
+    <UInt64 name="n" valueReference="1" causality="structuralParameter" variability="fixed" start="2"/>
+    <Float64 name="u" valueReference="2" causality="input" start="0"><Dimension valueReference="1"/></Float64>
+    <Float64 name="K" valueReference="3" causality="parameter" variability="fixed" start="1 0 0 1" unit="Grad/s">
+      <Dimension valueReference="1"/><Dimension valueReference="1"/></Float64>
+    <Float64 name="x0" valueReference="4" causality="parameter" variability="fixed" start="0" unit="K">
+      <Dimension valueReference="1"/></Float64>
+    <Float64 name="y" valueReference="5" causality="output"><Dimension valueReference="1"/></Float64>
+    <Float64 name="k" valueReference="6" causality="parameter" variability="tunable" start="1"/>
+    <Float64 name="total" valueReference="7" causality="output"/>
+    <Float64 name="stall" valueReference="8" causality="parameter" variability="fixed" start="0"/>
+    <Int32 name="count" valueReference="9" causality="output"/>
+    <Int32 name="next" valueReference="10" causality="input" start="1"/>
+    <Int8 name="byte" valueReference="11" causality="input" start="0"/>
+    <Int8 name="byte_out" valueReference="12" causality="output"/>
+    <Int64 name="wide" valueReference="13" causality="input" start="0"/>
+    <Int64 name="twice" valueReference="14" causality="output"/>
+    <Boolean name="flag" valueReference="15" causality="input" start="false"/>
+    <Boolean name="flag_out" valueReference="16" causality="output"/>
+    <Enumeration declaredType="Mode" name="mode" valueReference="17" causality="input" start="1"/>
+    <Enumeration declaredType="Mode" name="mode_out" valueReference="18" causality="output"/>
+    <Float32 name="single" valueReference="19" causality="input" start="0"/>
+    <Float32 name="single_out" valueReference="20" causality="output"/>
+    <UInt16 name="word" valueReference="21" causality="input" start="0"/>
+    <UInt16 name="word_out" valueReference="22" causality="output"/>
+    <String name="label" valueReference="23" causality="parameter" variability="fixed"><Start value="none"/></String>
+    <Int32 name="length" valueReference="24" causality="output"/>
+    <Float64 name="numbers" valueReference="25" causality="input" start="1.5 2.5"><Dimension start="2"/></Float64>
+    <Float64 name="time" valueReference="99" causality="independent" variability="continuous"/>
+  </ModelVariables>
+  <ModelStructure>OUTPUTS</ModelStructure>
+</fmiModelDescription>""".replace(
+        "OUTPUTS",
+        "".join(f'<Output valueReference="{r}" dependencies=""/>' for r in (5, 7, 9, 12, 14, 16, 18, 20, 22, 24)),
+    ),
+    "2": """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="Breadth" guid="{b}">
+  <CoSimulation modelIdentifier="Breadth" FLAGS/>
+  <TypeDefinitions><SimpleType name="Mode"><Enumeration><Item name="off" value="1"/><Item name="on" value="2"/>
+  </Enumeration></SimpleType></TypeDefinitions>
+  <ModelVariables>
+    <ScalarVariable name="u" valueReference="0" causality="input"><Real start="0"/></ScalarVariable>
+    <ScalarVariable name="k" valueReference="1" causality="parameter" variability="tunable"><Real start="1"/></ScalarVariable>
+    <ScalarVariable name="x" valueReference="2" causality="output"><Real/></ScalarVariable>
+    <ScalarVariable name="most" valueReference="3" causality="parameter" variability="fixed"><Real start="1e9"/></ScalarVariable>
+    <ScalarVariable name="reach" valueReference="4" causality="parameter" variability="fixed"><Real start="0"/></ScalarVariable>
+    <ScalarVariable name="steps" valueReference="5" causality="output" variability="discrete"><Integer/></ScalarVariable>
+    <ScalarVariable name="count" valueReference="6" causality="input" variability="discrete"><Integer start="0"/></ScalarVariable>
+    <ScalarVariable name="count_out" valueReference="7" causality="output" variability="discrete"><Integer/></ScalarVariable>
+    <ScalarVariable name="flag" valueReference="8" causality="input" variability="discrete"><Boolean start="0"/></ScalarVariable>
+    <ScalarVariable name="flag_out" valueReference="9" causality="output" variability="discrete"><Boolean/></ScalarVariable>
+    <ScalarVariable name="mode" valueReference="10" causality="input" variability="discrete">
+      <Enumeration declaredType="Mode" start="1"/></ScalarVariable>
+    <ScalarVariable name="mode_out" valueReference="11" causality="output" variability="discrete">
+      <Enumeration declaredType="Mode"/></ScalarVariable>
+    <ScalarVariable name="lie" valueReference="12" causality="parameter" variability="fixed"><Real start="0"/></ScalarVariable>
+    <ScalarVariable name="end" valueReference="13" causality="parameter" variability="fixed"><Real start="1e9"/></ScalarVariable>
+  </ModelVariables>
+  <ModelStructure><Outputs>OUTPUTS</Outputs><InitialUnknowns>OUTPUTS</InitialUnknowns></ModelStructure>
+</fmiModelDescription>""".replace(
+        "OUTPUTS", "".join(f'<Unknown index="{i}" dependencies=""/>' for i in (3, 6, 8, 10, 12))
+    ),
+}
+
+
+@pytest.fixture(scope="session")
+def breadth(tmp_path_factory):
+    """Return a function that returns the FMU of a version of FMI with some flags of its description."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("needs a C compiler")
+    import fmpy
+
+    folder = tmp_path_factory.mktemp("breadth")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    binaries = {}
+    for major in "23":
+        text = (SOURCES / f"fmi{major}.c").read_text()
+        wanted = set(re.findall(rf"\b(fmi{major}\w+?)TYPE\b", (headers / f"fmi{major}Functions.h").read_text()))
+        macros = {"2": {"fmi2SetReal", "fmi2GetReal"}}.get(major) or {
+            f"fmi3{verb}{kind}" for verb in ("Get", "Set") for kind in ("Int8", "UInt16", "Boolean", "Float32")
+        }
+        stubs = " ".join(f"STUB({n})" for n in sorted(wanted) if n not in macros and not re.search(rf"\b{n}\(", text))
+        source, library = folder / f"fmi{major}.c", folder / f"fmi{major}.so"
+        source.write_text(text.replace("\nSTUBS\n", f"\n{stubs}\n"))
+        subprocess.run([compiler, "-O1", "-w", "-shared", "-fPIC", str(source), "-o", str(library), "-lm"], check=True)
+        binaries[major] = library.read_bytes()
+
+    def make(major, flags=""):
+        name = f"{major}{''.join(c for c in flags if c.isalnum())}.fmu"
+        if not (folder / name).exists():
+            place = fmpy.platform if major == "2" else fmpy.platform_tuple
+            with zipfile.ZipFile(folder / name, "w") as archive:
+                archive.writestr("modelDescription.xml", DESCRIPTION[major].replace("FLAGS", flags))
+                archive.writestr(f"binaries/{place}/Breadth{fmpy.sharedLibraryExtension}", binaries[major])
+        return folder / name
+
+    return make
+
+
+EVENTS = 'hasEventMode="true" mightReturnEarlyFromDoStep="true"'
+VARIABLE = 'canHandleVariableCommunicationStepSize="true"'
+REALS3 = {"inputs": ["u"], "outputs": ["y", "total"]}
+
+
+def alone(block, dt, *sources):
+    diagram = cosim.Diagram(dt=dt)
+    node = diagram.add(block, "b")
+    for name, source in sources:
+        diagram.connect(diagram.add(source, f"s_{name}")["y"], node[name])
+    return diagram
+
+
+# --- arrays ------------------------------------------------------------------------------------------------------------------
+
+
+def test_arrays_are_vector_and_matrix_ports_as_large_as_structural_parameters_say(breadth):
+    block = FMU(breadth("3"))
+    assert [(p.name, p.shape, p.default) for p in block.inputs[:2]] == [("u", (2,), (0.0, 0.0)), ("next", (), 1.0)]
+    assert block.port("numbers").default == (1.5, 2.5)
+    assert block.port("y").shape == (2,)
+    assert block.start_value("K") == ((1.0, 0.0), (0.0, 1.0))
+    three = FMU(breadth("3"), parameters={"n": 3, "x0": [1, 2, 3]})
+    assert (three.port("u").shape, three.port("y").shape, three.port("u").default) == ((3,), (3,), (0.0, 0.0, 0.0))
+    assert three.start_value("K") is None  # of another size, the FMU has values of its own
+    assert pickle.loads(pickle.dumps(three)) == three
+    assert dataclasses.replace(three, name="again").port("u").shape == (3,)
+    for values, words in (
+        ({"n": 3, "x0": [1, 2]}, "'x0' of the FMU 3.fmu is an array of shape (3,) and must be given as one"),
+        ({"K": [[1, 2], [3]]}, "shape (2, 2) and must be given as one, row by row"),
+        ({"K": [[1, 2], [3, "four"]]}, "must be a finite number, not 'four'"),
+        ({"n": 10_000}, "would have the shape (10000, 10000): more than 10,000,000 numbers"),
+        ({"n": -1}, "must be a whole number from 0 to"),
+    ):
+        with pytest.raises(FMUError, match=re.escape(words)):
+            FMU(breadth("3"), parameters=values)
+    with pytest.raises(FMUError, match=r"'y' of the FMU 3.fmu is an array of shape \(0,\), which is empty"):
+        FMU(breadth("3"), parameters={"n": 0}, outputs=["y"])
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_an_array_fmu_gives_the_numbers_of_fmpy_in_both_engines(breadth, run_both, n):
+    import fmpy
+
+    K, x0, u = (
+        np.array([[1.0, 2.0, 0.5], [3.0, 4.0, -1.0], [0.0, 1.0, 2.0]])[:n, :n],
+        [1.0, -1.0, 0.5][:n],
+        [0.1, -0.2, 0.3][:n],
+    )
+    structure = {"n": n} if n != 2 else {}
+    block = FMU(breadth("3"), parameters=structure | {"K": K, "x0": x0, "u": u}, **REALS3)
+    run = run_both(alone(block, "1/64"), 1)
+    expected = np.array(x0) + np.outer(run.time, K @ u)
+    np.testing.assert_allclose(run["b.y"], expected, rtol=1e-13)
+    np.testing.assert_allclose(run["b.total"], expected.sum(axis=1), rtol=1e-12, atol=1e-13)
+    if n == 2:
+        start = {name: " ".join(map(repr, np.ravel(v).tolist())) for name, v in (("K", K), ("x0", x0), ("u", u))}
+        theirs = fmpy.simulate_fmu(
+            str(breadth("3")), stop_time=1.0, output_interval=1 / 64, start_values=start, output=["y"]
+        )["y"]
+    else:  # simulate_fmu does not configure: the same calls by hand, through fmpy's own functions
+        theirs = by_hand(breadth("3"), n, K, x0, u)
+    np.testing.assert_array_equal(np.asarray(theirs), run["b.y"])
+
+
+def by_hand(path, n, K, x0, u):
+    import fmpy
+    from fmpy.fmi3 import FMU3Slave
+
+    slave = FMU3Slave(
+        guid="{b}", unzipDirectory=fmpy.extract(str(path)), modelIdentifier="Breadth", instanceName="oracle"
+    )
+    slave.instantiate()
+    slave.enterConfigurationMode()
+    slave.setUInt64([1], [n])
+    slave.exitConfigurationMode()
+    slave.setFloat64([3], K.ravel().tolist())
+    slave.setFloat64([4], x0)
+    slave.enterInitializationMode()
+    slave.setFloat64([2], u)
+    slave.exitInitializationMode()
+    rows = [slave.getFloat64([5], nValues=n)]
+    for k in range(64):
+        slave.doStep(k / 64, 1 / 64)
+        rows.append(slave.getFloat64([5], nValues=n))
+    slave.terminate()
+    slave.freeInstance()
+    shutil.rmtree(slave.unzipDirectory)
+    return rows
+
+
+# --- types -------------------------------------------------------------------------------------------------------------------
+
+PAIRS = {
+    "3": {"byte": -128.0, "wide": 2.0**51, "flag": 1.0, "mode": 2.0, "single": 0.1, "word": 65535.0},
+    "2": {"count": -(2.0**31), "flag": 1.0, "mode": 2.0},
+}
+OUT = {"wide": "twice"}
+
+
+@pytest.mark.parametrize("major", "23")
+def test_values_of_every_type_go_in_and_out_exactly(breadth, run_both, major):
+    sources = [(name, cosim.Constant(value)) for name, value in PAIRS[major].items()]
+    for timing in ("plant", "sampled"):
+        run = run_both(alone(FMU(breadth(major), timing=timing), 0.1, *sources), 0.5)
+        for name, value in PAIRS[major].items():
+            out = run["b." + OUT.get(name, f"{name}_out")]
+            wanted = {"single": np.float32(0.1), "wide": 2.0**52}.get(name, value)
+            assert out[-1] == wanted
+        if major == "2":
+            assert run["b.steps"].tolist() == [k + (timing == "sampled") for k in range(6)]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("major", "name", "value", "words"),
+    [
+        ("3", "byte", 128.0, "'byte' is Int8 and must be a whole number from -128 to 127"),
+        ("3", "byte", 0.5, "whole number from -128"),
+        ("3", "word", -1.0, "'word' is UInt16 and must be a whole number from 0 to 65535"),
+        ("3", "flag", 2.0, "'flag' is Boolean and must be a whole number from 0 to 1"),
+        ("3", "mode", 3.0, "'mode' is Enumeration and must be a whole number from 1 to 2"),
+        ("3", "single", 1e39, "'single' is Float32 and must be a number up to 3.40282e+38"),
+        ("3", "wide", 2.0**52, "The output 'twice' is a whole number that a double cannot hold exactly"),
+        ("3", "wide", float("inf"), "'wide' is Int64"),
+        ("2", "count", float("nan"), "'count' is Integer and must be a whole number from -2147483648 to 2147483647"),
+        ("2", "flag", 0.1, "'flag' is Boolean"),
+    ],
+)
+def test_values_that_do_not_fit_stop_the_run(breadth, make_block, engine, major, name, value, words):
+    def write(y, t, value):
+        y[0] = ops.select(t < 0.25, 1.0, value[0])
+
+    source = make_block(outputs=[cosim.Port("y")], parameters={"value": value}, output=write)
+    diagram = alone(FMU(breadth(major)), 0.1, (name, source))
+    with pytest.raises(SimulationError, match=re.escape(words)) as caught:
+        diagram.simulate(1, engine=engine)
+    assert "at t = 0.3 s (step 3)" in str(caught.value) or name == "wide"
+    assert len(caught.value.result.time) == 4
+
+
+def test_parameters_of_every_type(breadth):
+    block = FMU(breadth("3"), parameters={"label": "four", "mode": "on", "flag": True, "byte": -5})
+    assert block.parameters == {"label": "four", "mode": 2, "flag": True, "byte": -5}
+    run = alone(block, 0.1).simulate(0.1)
+    assert [run[f"b.{name}"][-1] for name in ("length", "mode_out", "flag_out", "byte_out")] == [4.0, 2.0, 1.0, -5.0]
+    assert FMU(breadth("3"), parameters={"mode": 2}).parameters == {"mode": 2}
+    for mode in ("onn", 3, 1.5, True):
+        with pytest.raises(FMUError, match=r"'mode' of the FMU .* must be one of 'off' \(1\), 'on' \(2\), not"):
+            FMU(breadth("3"), parameters={"mode": mode})
+
+
+# --- units -------------------------------------------------------------------------------------------------------------------
+
+
+def test_values_with_units_become_the_variables_own(breadth):
+    block = FMU(breadth("3"), parameters={"K": ([[90, 0], [0, 180]], "deg/s"), "x0": ([0, 100], "degC")})
+    np.testing.assert_allclose(block.parameters["K"], [[100, 0], [0, 200]], rtol=1e-14)  # gradians: the FMU's own unit
+    np.testing.assert_allclose(block.parameters["x0"], [273.15, 373.15], rtol=1e-15)
+    np.testing.assert_allclose(FMU(breadth("3"), parameters={"x0": ([9, 18], "Rankine")}).parameters["x0"], [5, 10])
+    car = FMU(cosim_path(), parameters={"m": "0.1 t", "v0": "3.6 km/h", "b": (5, "kg/s")})
+    assert car.parameters == {"m": pytest.approx(100.0), "v0": pytest.approx(1.0), "b": 5.0}
+    for values, words in (
+        (
+            {"m": "100 s"},
+            "'m' of the FMU CruiseControl.fmu is in kg, and '100.0 s' cannot be brought to that: their dimensions",
+        ),
+        ({"m": (1, "blorps")}, "what 'blorps' means is not known"),
+        ({"m": "kg 100"}, "must be a finite number, not 'kg 100'"),
+    ):
+        with pytest.raises(FMUError, match=re.escape(words)):
+            FMU(cosim_path(), parameters=values)
+    with pytest.raises(FMUError, match=r"'k' of the FMU 3.fmu has no unit, and '2.0 m' has one; give a plain number"):
+        FMU(breadth("3"), parameters={"k": "2 m"})
+
+
+def cosim_path():
+    from bayesftc import fmus
+
+    return fmus.path("CruiseControl")
+
+
+# --- tunable parameters ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("major", "flags"), [("2", ""), ("3", ""), ("3", EVENTS)])
+def test_tunable_parameters_are_inputs(breadth, run_both, major, flags):
+    out, one = {"2": ("x", 1.0), "3": ("y", [1.0, 0.0])}[major]
+    block = FMU(breadth(major, flags), tunable=["k"], parameters={"k": 2.0, "u": one}, inputs=["u"], outputs=[out])
+    assert [p.name for p in block.inputs] == ["u", "k"]
+    assert block.port("k").default == 2.0
+    assert dataclasses.replace(block, name="other").inputs == block.inputs
+    held = run_both(alone(block, 0.125), 1)["b." + out]
+    changed = run_both(alone(block, 0.125, ("k", cosim.Step(time=0.5, before=2.0, after=-4.0))), 1)["b." + out]
+    t = np.arange(9) / 8
+    np.testing.assert_allclose(held.reshape(9, -1)[:, 0], 2 * t, rtol=1e-12)
+    np.testing.assert_allclose(changed.reshape(9, -1)[:, 0], np.where(t <= 0.5, 2 * t, 1 - 4 * (t - 0.5)), atol=1e-12)
+
+
+def test_what_cannot_be_tuned_is_named(breadth):
+    for names, words, error in (
+        (["K"], "'K' of the FMU 3.fmu is a fixed parameter; only tunable parameters", FMUError),
+        (["u"], "is a continuous input; only tunable", FMUError),
+        (["kk"], "has no variable 'kk'; tunable parameters: k.", UnknownNameError),
+        ("k", "give a list of names, as ['k']", ModelError),
+        (["k", "k"], "a name twice", ModelError),
+    ):
+        with pytest.raises(error, match=re.escape(words)):
+            FMU(breadth("3"), tunable=names)
+
+
+# --- events and early returns --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dt", ["1/8", "1/3", "3/4"])
+def test_events_are_handled_and_steps_go_on_to_their_end(breadth, run_both, dt):
+    import fmpy
+
+    runs, given = {}, {"u": [1.0, 2.0]}
+    for flags in ("", 'mightReturnEarlyFromDoStep="true"', EVENTS):
+        block = FMU(breadth("3", flags), parameters=given, inputs=["u", "next"], outputs=["y", "count"])
+        runs[flags] = run_both(alone(block, dt, ("next", cosim.Step(time=0.75, before=1.0, after=3.0))), 3)
+    plain, early, events = runs.values()
+    for run in (early, events):
+        np.testing.assert_allclose(run["b.y"], plain["b.y"], rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(run["b.count"], plain["b.count"])
+    assert plain["b.count"].tolist() == np.floor(plain.time / 0.25 + 1e-9).tolist()
+    theirs = fmpy.simulate_fmu(
+        str(breadth("3", EVENTS)), stop_time=3.0, output_interval=float(events.step), start_values={"u": "1.0 2.0", "next": 1},
+        output=["y", "count"], use_event_mode=True, early_return_allowed=True, input=None,
+    )  # fmt: skip
+    held = run_both(alone(FMU(breadth("3", EVENTS), parameters=given, **REALS3), dt), 3)
+    for k, t in enumerate(held.time):  # at an event fmpy has two rows: the later one counts
+        rows = np.flatnonzero(np.abs(theirs["time"] - t) < 1e-9)
+        np.testing.assert_allclose(theirs["y"][rows[-1]], held["b.y"][k], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("stall", "words"),
+    [
+        (0.4, "comes no further; a smaller step may do"),
+        (0.6, "did not come to the end of the step, or of an event, in 10000"),
+    ],
+)
+def test_steps_that_come_nowhere_end_in_a_sentence(breadth, engine, stall, words):
+    diagram = alone(FMU(breadth("3", EVENTS), parameters={"stall": stall}, **REALS3), 0.1)
+    with pytest.raises(SimulationError, match=words) as caught:
+        diagram.simulate(1, engine=engine)
+    assert len(caught.value.result.time) == round(stall / 0.1) + 1
+
+
+# --- discarded steps -----------------------------------------------------------------------------------------------------------
+
+
+def ramp(path, **parameters):
+    block = FMU(path, parameters=parameters, outputs=["x", "steps"], inputs=["u"])
+    return alone(block, "1/8", ("u", cosim.Constant(1.0)))
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.5, 0.9])
+def test_discarded_steps_go_on_in_parts(breadth, run_both, reach):
+    run = run_both(ramp(breadth("2", VARIABLE), most=1 / 100, reach=reach), 1)
+    np.testing.assert_allclose(run["b.x"], run.time, rtol=1e-12)
+    assert run["b.steps"][-1] >= 8 * 3
+    assert run_both(ramp(breadth("2", VARIABLE), most=1 / 8), 1)["b.steps"][-1] == 8
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_discarded_steps_that_cannot_go_on_end_in_a_sentence(breadth, engine):
+    for path, parameters, words in (
+        (
+            breadth("2"),
+            {"most": 0.01},
+            "fmi2DoStep returned Discard. It could compute the step up to t = 0 s; a smaller step",
+        ),
+        (
+            breadth("2", VARIABLE),
+            {"most": 1e-9},
+            "fmi2DoStep returned Discard. It could compute the step up to t = 0 s",
+        ),
+        (breadth("2", VARIABLE), {"most": 0.01, "lie": -3.0}, "fmi2DoStep returned Discard."),
+        (breadth("2", VARIABLE), {"most": 0.01, "lie": float("1e300")}, "fmi2DoStep returned Discard."),
+        (breadth("2", VARIABLE), {"end": 0.3}, "It asks to end the simulation."),
+    ):
+        with pytest.raises(SimulationError, match=re.escape(words)):
+            ramp(path, **parameters).simulate(1, engine=engine)
+
+
+# --- what an FMU cannot do -----------------------------------------------------------------------------------------------------
+
+
+def test_steps_that_an_fmu_cannot_make_are_refused(breadth):
+    fixed = FMU(breadth("3", 'fixedInternalStepSize="0.02"'), **REALS3)
+    for dt in (0.02, 0.1, "1/50"):
+        alone(fixed, dt).simulate(1)
+    for dt in (0.01, 0.03, "1/30"):
+        with pytest.raises(
+            StepSizeError, match=r"steps of 0.02 s only .*, but 'b' is to make steps of .* multiple of 0.02 s"
+        ):
+            alone(fixed, dt).simulate(1)
+
+
+def test_an_fmu_that_needs_a_tool_says_so(breadth):
+    assert describe(breadth("3", 'needsExecutionTool="true"')).capabilities["needsExecutionTool"] is True
