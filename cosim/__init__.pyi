@@ -11,6 +11,7 @@ from .errors import (
     AlgebraicLoopError as AlgebraicLoopError,
     BayesFTCError as BayesFTCError,
     ConnectionError as ConnectionError,
+    FMUCrashed as FMUCrashed,
     FMUError as FMUError,
     FMUPlatformError as FMUPlatformError,
     FMUVersionError as FMUVersionError,

@@ -6,6 +6,7 @@ import ctypes
 import itertools
 import logging
 from collections import deque
+from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Any
 
@@ -14,6 +15,9 @@ KEPT = 20
 
 LENGTH = 500
 """How many characters of a message are kept."""
+
+FORWARDED = 10_000
+"""How many messages of an instance are forwarded; an FMU that says more is kept from filling disks and taking all time."""
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 """The standard's words for what a call returned."""
@@ -33,34 +37,51 @@ class Messages:
     def __init__(self, name: str):
         self.name = name
         self.key = next(_numbers)
-        self._lines: deque[str] = deque(maxlen=KEPT)
+        self._lines: deque[bytes] = deque(maxlen=KEPT)
+        self._count = 0
         _open[self.key] = self
 
-    def add(self, status: int, text: str) -> None:
+    def add(self, status: int, text: bytes) -> None:
         """Keep a message and forward it."""
-        text = " ".join(text.split())[:LENGTH]
-        self._lines.append(text)
-        logger.log(_LEVELS[status] if 0 <= status < len(_LEVELS) else logging.WARNING, "%s: %s", self.name, text)
+        line = text[: 8 * LENGTH]  # not all of what may be megabytes
+        self._lines.append(line)
+        self._count += 1
+        if self._count <= FORWARDED:
+            level = _LEVELS[status] if 0 <= status < len(_LEVELS) else logging.WARNING
+            logger.log(level, "%s: %s", self.name, _cleaned(line))
+        elif self._count == FORWARDED + 1:
+            logger.warning(
+                "%s: %s", self.name, f"This FMU has logged {FORWARDED} messages; later ones are not forwarded any more."
+            )
 
-    def __iter__(self) -> Any:
-        return iter(tuple(self._lines))
+    def __iter__(self) -> Iterator[str]:
+        return iter([_cleaned(line) for line in self._lines])
 
     def quoted(self) -> str:
-        """Return the messages as the tail of a sentence, repetitions once."""
-        lines = list(dict.fromkeys(line for line in self._lines if line))
-        if not lines:
-            return "It logged nothing."
-        return "Its log says: " + " | ".join(lines)
+        """Return the messages as the tail of a sentence."""
+        return quoted(self)
 
     def close(self) -> None:
         """Forget that the FMU may still speak."""
         _open.pop(self.key, None)
 
 
+def quoted(messages: Iterable[str]) -> str:
+    """Return messages as the tail of a sentence, repetitions once."""
+    lines = list(dict.fromkeys(line for line in messages if line))
+    if not lines:
+        return "It logged nothing."
+    return "Its log says: " + " | ".join(lines)
+
+
+def _cleaned(line: bytes) -> str:
+    return " ".join(line.decode("utf-8", errors="replace").split())[:LENGTH]
+
+
 def _deliver(key: int | None, status: int, text: bytes | None) -> bool:
     messages = _open.get(key or 0)
     if messages is not None:
-        messages.add(status, (text or b"").decode("utf-8", errors="replace"))
+        messages.add(status, text or b"")
     return messages is not None
 
 

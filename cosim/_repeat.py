@@ -9,11 +9,10 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
-from bayesftc.cosim.errors import SimulationError
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
-from bayesftc.cosim.simulation import BREATH, advance, choose_engine, explain, open_run
+from bayesftc.cosim.simulation import BREATH, advance, choose_engine, explain, failed, open_run
 from bayesftc.cosim.timebase import whole_steps
 
 if TYPE_CHECKING:
@@ -70,5 +69,5 @@ def repeat(
                 short = time.perf_counter() - began < BREATH
         result = Result(run.recording, selection.columns, schedule.step, units=selection.units, stopped=stopped)
         if stopped:
-            raise SimulationError(f"With seed {seed}: {stopped}", result)
+            raise failed(f"With seed {seed}: {stopped}", result, run)
         yield result

@@ -14,6 +14,7 @@ from bayesftc.cosim._fmi_archive import Archive, open_archive
 from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, read_description
 from bayesftc.cosim._fmi_ports import choose, choose_tunable, late_outputs
 from bayesftc.cosim._fmi_values import as_floats, resolved, start_values, value_of
+from bayesftc.cosim._isolated_settings import check_isolation
 from bayesftc.cosim._model_exchange_settings import checked_settings
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
@@ -65,6 +66,11 @@ class FMU(ExternalBlock):
     rtol, atol : float, optional
         For model exchange: relative tolerance (by default the FMU's own, else 1e-6), and absolute tolerance of all states (by
         default rtol times each state's nominal value).
+    isolate : bool
+        Run each instance in a process of its own: what would take this process down becomes `FMUCrashed`.
+    time_limit : float, optional
+        With `isolate`: seconds that a call of the FMU, its initialization or one step, may take before its process is ended;
+        10 by default, ``math.inf`` for no end.
 
     Raises
     ------
@@ -102,12 +108,15 @@ class FMU(ExternalBlock):
     solver: str | None = field(default=None, kw_only=True)
     rtol: float | None = field(default=None, kw_only=True)
     atol: float | None = field(default=None, kw_only=True)
+    isolate: bool = field(default=False, kw_only=True)
+    time_limit: float | None = field(default=None, kw_only=True)
 
     checks_finite: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.timing not in {None, "plant", "direct", "sampled"}:
             raise ModelError(f"FMU has timing={self.timing!r}; it must be 'plant', 'direct' or 'sampled'.")
+        check_isolation(self.isolate, self.time_limit)
         set_ = object.__setattr__
         set_(self, "path", Path(self.path).expanduser().absolute())
         archive, description = self._read()
@@ -195,13 +204,18 @@ class FMU(ExternalBlock):
         ------
         FMUError
             If the binary cannot be loaded, or the FMU refuses to be instantiated or initialized.
+        FMUCrashed
+            If it is isolated and its process dies meanwhile, or has to be ended.
         """
+        if self.isolate:
+            from bayesftc.cosim._isolated import isolated
+
+            return isolated(self, self._read()[0], step, name, self.time_limit)
         archive, description = self._read()
         start, inputs, outputs = self._variables()
         timing = self.timing or "plant"
         if self.kind == "model exchange":
             from bayesftc.cosim._model_exchange_instance import ExchangeInstance
-
             from bayesftc.cosim._model_exchange_library import load_model
 
             solver = self.solver or "cvode", self.rtol or 0.0, self.atol

@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
-from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
-from bayesftc.cosim.simulation import advance, choose_engine, make_room, open_run, place_tables
+from bayesftc.cosim.simulation import advance, choose_engine, failed, make_room, open_run, place_tables
 from bayesftc.cosim.timebase import whole_number, whole_steps
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ class Session:
             stopped=stopped,
         )
         if stopped:
-            raise SimulationError(stopped, result)
+            raise failed(stopped, result, run)
         return result
 
     def set(self, name: str, value: ArrayLike) -> None:

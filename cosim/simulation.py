@@ -17,7 +17,7 @@ import numpy as np
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
-from bayesftc.cosim.errors import KernelError, ModelError
+from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule
 from bayesftc.cosim.timebase import show
 
@@ -220,8 +220,22 @@ def explain(failure: Failure, run: Run) -> str:
             f"The run stopped {when}: {node.name}.{name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
             f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
-    detail = run.instances[failure.node].explain(failure.status) if failure.node in run.instances else ""
+    instance = run.instances.get(failure.node)
+    detail = instance.explain(failure.status) if instance is not None else ""
+    crash: FMUCrashed | None = getattr(instance, "crash", None)
+    if crash is not None:
+        crash.step, crash.time = failure.k, t
+        return f"The run stopped {when}: t{detail[1:]}"
     return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
+
+
+def failed(stopped: str, result: Result, run: Run) -> SimulationError:
+    """Return what a run that had to stop raises: `FMUCrashed` where an isolated FMU was the reason."""
+    for instance in run.instances.values():
+        crash: FMUCrashed | None = getattr(instance, "crash", None)
+        if crash is not None and crash.step is not None:
+            return FMUCrashed(stopped, result, step=crash.step, time=crash.time, log=crash.log)
+    return SimulationError(stopped, result)
 
 
 def _signal_at(block: Block, offset: int) -> str:
@@ -232,4 +246,4 @@ def _signal_at(block: Block, offset: int) -> str:
     return "output"
 
 
-__all__ = ["advance", "choose_engine", "explain", "make_room", "open_run", "place_tables", "simulate"]
+__all__ = ["advance", "choose_engine", "explain", "failed", "make_room", "open_run", "place_tables", "simulate"]

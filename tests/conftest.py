@@ -3,15 +3,19 @@
 import io
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from threading import Timer
 
 import numpy as np
 import pytest
 
+from bayesftc import fmus
 from bayesftc.cosim import Block, Definition
 
 # A shell starts what runs in the background deaf to Ctrl-C, and so would be the tests of it.
@@ -84,6 +88,52 @@ def python():
         return json.loads(done.stdout.splitlines()[-1])
 
     return run
+
+
+RENAMED = {
+    "2.0": {"DoStep": "DoStep", "GetReal": "Get", "Instantiate": "Instantiate"},
+    "3.0": {"DoStep": "DoStep", "GetFloat64": "Get", "InstantiateCoSimulation": "Instantiate"},
+}
+"""Functions of the shipped car that lying.c replaces, and how it calls them."""
+
+
+@pytest.fixture(scope="session")
+def lying(tmp_path_factory):
+    """Return the path of an FMU that lies (lying.c), built once, and the numbers of the ways in which it does."""
+    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
+    if compiler is None or sys.platform != "linux":
+        pytest.skip("needs Linux and a C compiler")
+    source = Path(__file__).with_name("lying.c")
+    names = re.search(r"enum \{(.*?)\}", source.read_text(), re.DOTALL)[1].replace("= 1000", "").split(",")
+    ways = {name.strip(" _\n"): 1000.0 + i for i, name in enumerate(names)}
+    built = {}
+
+    def build(fmi):
+        if fmi in built:
+            return built[fmi], ways
+        folder = tmp_path_factory.mktemp("lying")
+        prefix = f"fmi{fmi[0]}"
+        renamed = {**RENAMED[fmi], "FreeInstance": "Free", "ExitInitializationMode": "Exit"}
+        target = folder / "Lying.fmu"
+        with zipfile.ZipFile(fmus.path("CruiseControl", fmi=fmi)) as old, zipfile.ZipFile(target, "w") as new:
+            for name in old.namelist():
+                if name.startswith("sources/"):
+                    (folder / Path(name).name).write_bytes(old.read(name))
+            text = (folder / f"{prefix}.c").read_text()
+            for name, other in renamed.items():
+                text, count = re.subn(rf"\b{prefix}{name}\(", f"original_{other}(", text)
+                assert count == 1
+            (folder / f"{prefix}.c").write_text(text)
+            sources = [f"{prefix}.c", "CruiseControl.c", str(source)]
+            flags = ["-O1", "-fPIC", "-shared", "-I.", f"-DFMI{fmi[0]}", "-o", "library.so"]
+            subprocess.run([compiler, *flags, *sources, "-lm"], cwd=folder, check=True)
+            library = (folder / "library.so").read_bytes()
+            for name in old.namelist():
+                new.writestr(name, library if name.endswith(".so") else old.read(name))
+        built[fmi] = target
+        return target, ways
+
+    return build
 
 
 TELLING = """

@@ -65,7 +65,7 @@ def run_scenario(
         if out is not None and error.result is not None:
             report = _report(path, scenario, loop, error.result)
             output.write_files(out, error.result, *report)
-            raise SimulationError(f"{error} They are in {out / output.RESULT}.", error.result) from error
+            error.args = (f"{error} They are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(path, scenario, loop, result)
     if check_kalman:

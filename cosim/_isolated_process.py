@@ -1,0 +1,151 @@
+"""Starts, watches and ends the process of an isolated FMU."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Collection
+from multiprocessing.connection import Connection, wait
+
+from bayesftc.cosim import _isolated_protocol as protocol
+from bayesftc.cosim.errors import FMUError
+
+LEAVING = 5.0
+"""Seconds for a process to end by itself, or to vanish once it was killed."""
+
+_BOOT = (
+    "import sys; descriptors = [int(d) for d in sys.argv[1:5]]; sys.path[:] = sys.argv[5:]; "
+    "from bayesftc.cosim._isolated_worker import main; main(*descriptors)"
+)
+_NAMES = {
+    signal.SIGSEGV: "a segmentation fault",
+    signal.SIGABRT: "abort()",
+    signal.SIGFPE: "an arithmetic exception",
+    signal.SIGILL: "an illegal instruction",
+    signal.SIGBUS: "a bus error",
+    signal.SIGKILL: "the system or someone else",
+}
+
+
+class WorkerProcess:
+    """The process, the memory that is shared with it, and the two ways to talk to it.
+
+    Parameters
+    ----------
+    inputs, outputs : int
+        How many numbers are exchanged in a step.
+    attention : float
+        Seconds after which the receipt of an answer comes back empty, for someone to look after the process.
+
+    Raises
+    ------
+    FMUError
+        If this system cannot do it.
+    """
+
+    def __init__(self, inputs: int, outputs: int, attention: float):
+        if sys.platform != "linux" or not sys.executable:
+            raise FMUError(
+                "isolate=True needs Linux and a Python that can be started as a program; leave it out, and the FMU runs in this "
+                "process."
+            )
+        with contextlib.ExitStack() as opened:
+            memory = os.memfd_create("bayesftc")
+            opened.callback(os.close, memory)
+            os.ftruncate(memory, protocol.size(inputs, outputs))
+            self.shared = protocol.Shared(memory, inputs, outputs)
+            lifeline, self._held = os.pipe()
+            opened.callback(os.close, lifeline)
+            self.steps, steps = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            opened.callback(steps.close)
+            seconds, part = divmod(max(round(attention * 1e6), 1), 1_000_000)
+            self.steps.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", seconds, part))
+            ours, talk = socket.socketpair()
+            opened.callback(talk.close)
+            self.talk = Connection(ours.detach())
+            theirs = lifeline, memory, steps.fileno(), talk.fileno()
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _BOOT, *map(str, theirs), *map(os.path.abspath, sys.path)],
+                stdin=subprocess.DEVNULL,
+                pass_fds=theirs,
+                start_new_session=True,  # out of reach of Ctrl-C, and a group of its own with all that the FMU starts
+            )
+        # Where nobody closes it. In a forked process, which runs what is registered as well, it is let go of (`_forked`).
+        self._end = weakref.finalize(self, _end, self._process, self.talk, self.steps, self._held)
+        _alive.add(self)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it was ended."""
+        return not self._end.alive
+
+    def wait(self, end: float) -> Collection[object]:
+        """Return which of `talk` and `steps` can be read, within what is left of the time until `end`; nothing if none can."""
+        return wait([self.talk, self.steps], max(end - time.monotonic(), 0.0))
+
+    def kill(self) -> None:
+        """Kill the process and all that it has started."""
+        _kill(self._process)
+
+    def obituary(self) -> str:
+        """Return how the process ended, in words; it has closed its connections."""
+        try:
+            code = self._process.wait(LEAVING)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            return "it closed its connections and had to be ended"
+        if code >= 0:
+            return f"it ended its own process with exit code {code}"
+        try:
+            number = signal.Signals(-code)
+        except ValueError:
+            return f"its process was killed by signal {-code}"
+        return f"its process was killed by {_NAMES.get(number, 'a signal')} ({number.name})"
+
+    def end(self) -> None:
+        """End the process at once, if it is not over, and give back all that it had."""
+        self._end()
+        _alive.discard(self)
+
+    def let_go(self) -> None:
+        """Close this process's copies after a fork: the FMU belongs to the process that started it."""
+        self._end.detach()
+        with contextlib.suppress(OSError):
+            os.close(self._held)
+        self.talk.close()
+        self.steps.close()
+
+
+_alive: weakref.WeakSet[WorkerProcess] = weakref.WeakSet()
+
+
+def _forked() -> None:
+    for process in tuple(_alive):
+        process.let_go()
+    _alive.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
+
+
+def _end(process: subprocess.Popen[bytes], talk: Connection, steps: socket.socket, held: int) -> None:
+    talk.close()
+    steps.close()
+    os.close(held)  # upon which the system kills the process with all that it has started
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(LEAVING)

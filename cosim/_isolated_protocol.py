@@ -1,0 +1,74 @@
+"""What an isolated FMU's process and its host agree on: the words of their shared memory, commands, and statuses.
+
+The two share one block of memory: `WORDS` 64-bit words, then the inputs, then the outputs. A command is the first word of that
+memory, sent over a socket of whole messages; the answer is a message of the same size. Numbers never travel through the socket:
+they stand in the shared memory, which the messages put in order. All else (making the instance, saved states, explanations, the
+FMU's log) goes over a second connection, as Python objects.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Words of the shared memory.
+COMMAND, ANSWER, STATUS, RESULT, AHEAD, READ_STATUS, LOGGED, PHASE, TIME, COUNT, PROCESSOR = range(11)
+WORDS = 11
+
+# Commands: compute the outputs; make a step; look at the other connection.
+READ, STEP, TALK = 1, 2, 3
+MESSAGE = 8
+"""Bytes of a message."""
+
+# Phases: what the FMU is doing, for the host to know where it died.
+IDLE, STEPPING, READING, STARTING = range(4)
+
+GONE, SIGNALLED, PAUSED, ELSEWHERE = 0, -1, -2, -3
+"""Why the worker's compiled loop returns, if not for a command: the host has gone; a signal came; `PAUSE` commands were done; the
+host runs on another processor."""
+
+PAUSE = 1000
+
+CRASHED, INTERRUPTED = 501, 502
+"""Statuses of a step beside those of an FMU in process: its process has ended; a signal came while it was awaited."""
+
+ATTENTION = 0.05
+"""Seconds that the host waits for an answer before it looks whether all is well."""
+
+
+class Shared:
+    """The shared memory of one isolated FMU, seen as arrays.
+
+    Parameters
+    ----------
+    descriptor : int
+        Of a file in memory, which is gone with the last process that holds it.
+    inputs, outputs : int
+        How many numbers.
+    """
+
+    def __init__(self, descriptor: int, inputs: int, outputs: int):
+        import mmap
+
+        self._map = mmap.mmap(descriptor, size(inputs, outputs))
+        self.words: NDArray[np.int64] = np.frombuffer(self._map, dtype=np.int64, count=WORDS)
+        numbers = np.frombuffer(self._map, dtype=np.float64)
+        self.time = numbers[TIME : TIME + 1]
+        self.inputs = numbers[WORDS : WORDS + inputs]
+        self.outputs = numbers[WORDS + inputs : WORDS + inputs + outputs]
+
+
+def size(inputs: int, outputs: int) -> int:
+    """Return the size of the shared memory in bytes."""
+    return 8 * (WORDS + inputs + outputs)
+
+
+@cache
+def system_functions() -> tuple[int, ...]:
+    """Return the addresses of the C library's ``send``, ``recv`` and ``sched_getcpu``."""
+    library = ctypes.CDLL(None)
+    functions = (getattr(library, name) for name in ("send", "recv", "sched_getcpu"))
+    return tuple(ctypes.cast(function, ctypes.c_void_p).value or 0 for function in functions)
