@@ -463,3 +463,47 @@ def test_direct_feedthrough_in_a_loop_is_an_algebraic_loop(built):
     with pytest.raises(cosim.AlgebraicLoopError, match="p feeds it through"):
         loop().build()
     assert len(loop(timing="plant").simulate(3, engine="interpreted").time) == 4
+
+
+# --- in python-control --------------------------------------------------------------------------------------------------------
+
+
+def test_in_python_control_it_is_a_system_in_continuous_time(pendulum):
+    import control
+
+    system = FMU(pendulum).to_control(name="pendulum")
+    twin = control.nlsys(
+        lambda t, x, u, p: [x[1], -9.81 * np.sin(x[0]) - 0.1 * x[1] + u[0]], lambda t, x, u, p: [x[0] + 0.5 * u[0]],
+        inputs=["u"], outputs=["y"], states=2, name="twin",
+    )  # fmt: skip
+    assert (system.dt, system.state_labels, system.input_labels, system.output_labels) == (0, ["q", "w"], ["u"], ["y"])
+    assert cosim.initial_state(system).tolist() == [0.5, 0.0]
+    times = np.linspace(0.0, 4.0, 81)
+    filtered = control.ss([[-2.0]], [[2.0]], [[-3.0]], [[0.0]], inputs=["y"], outputs=["u"], name="filter")
+    runs = []
+    for plant in (system, twin):
+        loop = control.interconnect([plant, filtered], inputs=[], outputs=["y"])
+        settings = {"rtol": 1e-10, "atol": 1e-12}
+        runs.append(control.input_output_response(loop, times, X0=[0.5, 0.0, 0.0], solve_ivp_kwargs=settings).outputs)
+    np.testing.assert_allclose(*runs, rtol=1e-9, atol=1e-9)
+    point = control.find_operating_point(system, [0.1, 0.0], [0.0], y0=[1.0])
+    q = point.states[0]
+    assert [q + 0.5 * point.inputs[0], point.inputs[0]] == pytest.approx([1.0, 9.81 * math.sin(q)], rel=1e-9)
+    linear = control.linearize(system, point.states, point.inputs)
+    np.testing.assert_allclose(linear.A, [[0.0, 1.0], [-9.81 * math.cos(q), -0.1]], atol=1e-5)
+    assert (linear.B.tolist(), linear.D.tolist()) == ([[0.0], [pytest.approx(1.0)]], [[pytest.approx(0.5)]])
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_with_a_sample_time_events_happen_in_python_control_too(built, pendulum, engine):
+    import control
+
+    for path, name in ((built("heater"), "heater"), (built("ball", "3.0"), "ball"), (pendulum, "pendulum")):
+        diagram = alone(path, 0.05)
+        run = diagram.simulate(10.0, engine="interpreted")
+        system = FMU(path).to_control(0.05, inputs=[], engine=engine, name=name)
+        response = control.input_output_response(system, run.time, 0.0, squeeze=False)
+        for row, port in zip(response.outputs, diagram["p"].block.outputs, strict=True):
+            np.testing.assert_array_equal(row, run[f"p.{port.name}"])
+        with pytest.raises(ModelError, match=r"LinearModel\.from_fmu"):
+            control.linearize(system, 0.0)
