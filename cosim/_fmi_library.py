@@ -14,6 +14,7 @@ from typing import Any
 from bayesftc.cosim._fmi_archive import Archive, extract
 from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, flattened
 from bayesftc.cosim._fmi_messages import STATUS, Messages, callback3, callbacks2
+from bayesftc.cosim._fmi_sources import compiled, read_sources
 from bayesftc.cosim._fmi_steps import Addresses
 from bayesftc.cosim.errors import FMUError, FMUPlatformError
 
@@ -71,6 +72,12 @@ class Library(ABC):
     def function_address(self, name: str) -> int:
         """Return the address of an FMI function."""
         return ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0
+
+    @cached_property
+    def state_addresses(self) -> tuple[int, int, int]:
+        """Addresses of the functions of saved states."""
+        save, restore, free = (self.function_address(name) for name in self.state_functions)
+        return save, restore, free
 
     @abstractmethod
     def step_addresses(self) -> Addresses:
@@ -291,18 +298,23 @@ def load_library(archive: Archive, description: FMUDescription, *, exchange: boo
     Raises
     ------
     FMUError
-        If there is no binary for this platform, or it cannot be loaded.
+        If there is no binary for this platform and its sources cannot be compiled, or the binary cannot be loaded.
     """
     with _lock:
         if (archive.digest, exchange) not in _loaded:
             platform, entry = binary_entry(description)
-            if entry not in archive.names:
-                have = ", ".join(archive.platforms()) or "no binaries at all"
-                raise FMUPlatformError(
-                    f"The FMU {archive.path} has no binary for this platform, {platform} (it has: {have}); export it for "
-                    f"{platform}, or compile its sources, if it has any, with 'fmpy compile'."
-                )
-            _loaded[archive.digest, exchange] = _load(archive, description, extract(archive, entry), entry, exchange)
+            if entry in archive.names:
+                folder = extract(archive, entry)
+            else:
+                sources = read_sources(archive, description, exchange=exchange)
+                if sources is None:
+                    have = ", ".join(archive.platforms()) or "no binaries at all"
+                    raise FMUPlatformError(
+                        f"The FMU {archive.path} has no binary for this platform, {platform} (it has: {have}), and no C sources "
+                        f"that could be compiled here; export it for {platform}, or with its sources."
+                    )
+                folder = compiled(archive, sources, platform, entry)
+            _loaded[archive.digest, exchange] = _load(archive, description, folder, entry, exchange)
         return _loaded[archive.digest, exchange]
 
 

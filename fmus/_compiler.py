@@ -19,7 +19,11 @@ class CompilerError(RuntimeError):
     """No compiler was found, or it refused the sources."""
 
 
-def compiler_command(target: Platform) -> list[str]:
+# For sources of others: their dialect and their exports are their own.
+FOREIGN_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
+
+
+def compiler_command(target: Platform | None) -> list[str]:
     """Return the command that compiles for a platform.
 
     For this machine's own platform: what the environment variable ``CC`` names, else ``cc``, ``gcc`` or ``clang`` from
@@ -27,8 +31,8 @@ def compiler_command(target: Platform) -> list[str]:
 
     Parameters
     ----------
-    target : Platform
-        The platform to compile for.
+    target : Platform or None
+        The platform to compile for; None for this machine, whatever it is.
 
     Returns
     -------
@@ -40,7 +44,7 @@ def compiler_command(target: Platform) -> list[str]:
     CompilerError
         If there is none.
     """
-    if target == host():
+    if target is None or target == host():
         chosen = shlex.split(os.environ.get("CC", ""))
         if chosen:
             if shutil.which(chosen[0]) is None:
@@ -53,9 +57,10 @@ def compiler_command(target: Platform) -> list[str]:
             if shutil.which(name) is not None:
                 return [name]
     if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "cc", "-target", target.zig_target]
+        return [sys.executable, "-m", "ziglang", "cc", *(["-target", target.zig_target] if target else [])]
+    where = target.fmi3 if target else "this machine"
     raise CompilerError(
-        f"No C compiler for {target.fmi3} was found (looked at CC, cc, gcc, clang and ziglang); install one, "
+        f"No C compiler for {where} was found (looked at CC, cc, gcc, clang and ziglang); install one, "
         "for example with 'pip install ziglang'."
     )
 
@@ -93,9 +98,48 @@ def compile_library(
         str(library),
         *(f"-l{name}" for name in libraries),
     ]
+    _run(command, folder, sources)
+
+
+def compile_foreign(
+    folder: Path, sources: Sequence[str], library: Path, options: Sequence[str], libraries: Sequence[str], limit: float
+) -> None:
+    """Compile sources that are not of this package into a shared library for this machine.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Folder in which the compiler runs.
+    sources : sequence of str
+        Names of the C files, seen from there.
+    library : pathlib.Path
+        Absolute path of the library to write.
+    options : sequence of str
+        Macros and folders of headers.
+    libraries : sequence of str
+        System libraries to link.
+    limit : float
+        Seconds after which the compiler is stopped.
+
+    Raises
+    ------
+    CompilerError
+        If there is no compiler, it fails or takes too long; the message ends with what it said.
+    """
+    files = [f"./{name}" for name in sources]  # a name that begins with a dash is no option
+    linked = [f"-l{name}" for name in libraries]
+    command = [*compiler_command(None), *FOREIGN_FLAGS, *options, *files, "-o", str(library), *linked]
+    _run(command, folder, sources, limit)
+
+
+def _run(command: Sequence[str], folder: Path, sources: Sequence[str], limit: float | None = None) -> None:
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=limit)
     except OSError as error:
         raise CompilerError(f"The C compiler '{command[0]}' could not be started: {error}.") from error
+    except subprocess.TimeoutExpired:
+        raise CompilerError(
+            f"The C compiler '{command[0]}' did not finish {', '.join(sources)} in {limit:g} s."
+        ) from None
     if done.returncode != 0:
         raise CompilerError(f"The C compiler '{command[0]}' refused {', '.join(sources)}:\n{done.stderr.strip()}")
