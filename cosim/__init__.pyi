@@ -5,6 +5,7 @@ from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .camera import arm_with_camera as arm_with_camera, planar_arm as planar_arm, radial_distortion as radial_distortion
 from .control_system import initial_state as initial_state
+from .coupling import Coupling as Coupling
 from .diagram import Diagram as Diagram, Node as Node
 from .differentiation import jacobian as jacobian
 from .errors import (

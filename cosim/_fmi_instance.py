@@ -117,6 +117,22 @@ class Instance(StepFunctions):
         """See `bayesftc.cosim.block.External.can_save`."""
         return self._states.can_save
 
+    @property
+    def can_resize(self) -> bool:
+        """Whether its steps may be of any size."""
+        return bool(self._library.description.capabilities.get("canHandleVariableCommunicationStepSize"))
+
+    @property
+    def state_functions(self) -> tuple[int, int, int, int] | None:
+        """Address of the instance and of FMI's functions that save, restore and free a state, for compiled code.
+
+        None where more has to be done than to call them.
+        """
+        if any(group.discrete for group in self._groups[0]):
+            return None
+        save, restore, free = self._library.state_addresses
+        return self._component, save, restore, free
+
     def save(self) -> SavedState:
         """See `bayesftc.cosim.block.External.save`."""
         return self._states.save()

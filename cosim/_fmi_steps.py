@@ -118,6 +118,13 @@ class StepFunctions:
             dtype=np.int64,
         )  # fmt: skip
 
+    #: The word of the table that holds the step size, of which compiled code finds a copy in memory.
+    step_word = 8
+
+    def resize(self, h: float) -> None:
+        """Make steps of `h` seconds from now on, in interpreted runs."""
+        self._h = h
+
     # What follows is for interpreted runs alone; compiled ones, of which there may be thousands, need not wait for it.
     @cached_property
     def _do_step(self) -> Any:

@@ -55,6 +55,7 @@ def repeat(
                 machine, first, _ = known
                 first.memory[:] = run.memory
                 first.seed, first.recording, first.instances = run.seed, run.recording, run.instances
+                first.state_functions = run.state_functions
                 first.before, first.k, first.sound = run.before, run.k, run.sound
                 run = first
             else:

@@ -237,6 +237,19 @@ class External(Protocol):
         """Free the instance."""
 
 
+class VariableStep(External, Protocol):
+    """A running instance whose steps may be of any size: what `Coupling.step_error` asks for."""
+
+    step_word: int  #: The word of the table that holds the step size in seconds, as a double.
+
+    @property
+    def can_resize(self) -> bool:
+        """Whether it really may."""
+
+    def resize(self, h: float) -> None:
+        """Make steps of `h` seconds from now on, in interpreted runs; compiled ones change the word of the table."""
+
+
 def argument_names(kernel: Kernel) -> tuple[str, ...]:
     """Return the argument names of a step function."""
     if not isinstance(kernel, FunctionType):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
 
 from bayesftc.cosim.block import Block, ExternalBlock
+from bayesftc.cosim.coupling import Coupling, Method
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, PortRef
 from bayesftc.cosim.timebase import rational_step, whole_number
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from bayesftc.cosim.schedule import Schedule
     from bayesftc.cosim.session import RunState, Session
     from bayesftc.cosim.simulation import Progress
-
-
-Coupling = Literal["gauss-seidel", "jacobi"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,27 +164,34 @@ class Diagram:
         """Return what feeds one element of an input: the output and its element, or None."""
         return self._sources.get((node.name, port.name, element))
 
-    def build(self, coupling: Coupling | None = None) -> Diagram:
+    def build(self, coupling: Coupling | Method | None = None, **settings: Any) -> Diagram:
         """Check the diagram, fix the order of its blocks and freeze it; `simulate` does this by itself.
 
         Parameters
         ----------
-        coupling : {"gauss-seidel", "jacobi"}
-            Whether an FMU that is fed directly by an FMU of the same rate added before it sees that one's output after (by
-            default) or before its step. With a block between the two (a `Gain` that converts units, say), or where their
-            ``every`` differs, it sees the output before the step in both cases; ``diagram.schedule.describe()`` names the FMUs
-            that are seen after theirs.
+        coupling : {"gauss-seidel", "jacobi", "iterated"} or Coupling
+            Which values an FMU sees of those that feed it. Gauss-Seidel, the default: one that is fed directly by an FMU of the
+            same rate added before it sees that one's output after its step; Jacobi: before its step. With a block between the
+            two (a `Gain` that converts units, say), or where their ``every`` differs, it sees the output before the step in
+            both cases. Iterated: steps are repeated until values agree, and algebraic loops are solved.
+            ``diagram.schedule.describe()`` says in words what comes out.
+        **settings : object
+            Further settings of `Coupling`: ``tolerance``, ``acceleration``, ``iterations``, ``hold``, ``step_error``.
         """
         from bayesftc.cosim.schedule import Schedule
 
-        if coupling not in {None, "gauss-seidel", "jacobi"}:
-            raise ModelError(f"coupling is {coupling!r}; it must be 'gauss-seidel' or 'jacobi'.")
-        if self._coupling is not None and coupling not in {None, self._coupling}:
+        if coupling is None and not settings:
+            wanted = self._coupling or Coupling()
+        elif isinstance(coupling, Coupling):
+            wanted = replace(coupling, **settings)
+        else:
+            wanted = Coupling(coupling or "gauss-seidel", **settings)
+        if self._coupling is not None and wanted != self._coupling:
             raise ModelError(
-                f"The diagram is built with {self._coupling} coupling already; it cannot be built anew with {coupling}."
+                f"The diagram is built with {self._coupling.method} coupling already; it cannot be built anew with "
+                f"{wanted.method if wanted.method != self._coupling.method else 'other settings'}."
             )
         if self._schedule is None:
-            wanted = self._coupling or coupling or "gauss-seidel"
             self._schedule = Schedule(self, wanted)
             self._coupling = wanted
         return self

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
 
+from bayesftc.cosim._group_engines import CompiledGroup, GroupRun, InterpretedGroup, StateFunctions
 from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key
 from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule, bind
@@ -19,11 +20,16 @@ WRITES = frozenset({"output", "ahead"})
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a run stopped: at which step, in whose step function, with which status."""
+    """Why a run stopped: at which step, in whose step function, with which status.
+
+    `outputs` is where in memory the outputs that it was to compute begin; `note` says what a status of several blocks means.
+    """
 
     k: int
     node: int
     status: int
+    outputs: int = 0
+    note: str = ""
 
 
 @dataclass
@@ -46,6 +52,8 @@ class Run:
         The last step whose outputs are complete; -1 before the first.
     sound : bool
         Whether memory and FMUs stand as that step has left them: not after a failure or an interruption.
+    state_functions : dict
+        For each external node that groups save by way of Python: what they call.
     """
 
     schedule: Schedule
@@ -58,6 +66,7 @@ class Run:
     before: int = 0
     k: int = -1
     sound: bool = True
+    state_functions: dict[int, StateFunctions] = field(default_factory=dict)
 
     def streams(self) -> np.ndarray[Any, np.dtype[np.uint64]]:
         """Return the table of random streams."""
@@ -110,6 +119,7 @@ class CompiledEngine:
 
         self._run = run
         schedule = run.schedule
+        self._groups: dict[int, CompiledGroup] = {}
         rows: list[list[int]] = []
         gathers: list[tuple[int, int]] = []
         for call in (*schedule.evaluate, *schedule.advance):
@@ -118,8 +128,14 @@ class CompiledEngine:
             checked = node.block.checks_finite and call.kind in WRITES
             begin = schedule.outputs_start(call)
             outputs = begin, begin + sum(p.size for p in node.block.outputs)
+            table = start["parameters"]
+            if call.group:
+                group = self._groups[len(rows)] = CompiledGroup(run, call.group)
+                address, table = group.address, group.parameters
+            else:
+                address = self._address(call)
             rows.append(
-                [self._address(call), node.every, *(start[s] for s in ("state", "parameters", "inputs")), begin,
+                [address, schedule.every(call), start["state"], table, start["inputs"], begin,
                  len(gathers), len(gathers) + len(call.gathers), *(outputs if checked else (0, 0))]
             )  # fmt: skip
             gathers += call.gathers
@@ -173,7 +189,7 @@ class CompiledEngine:
     def _failure(self, failed: np.ndarray[Any, np.dtype[np.int64]], k: int) -> Failure:
         schedule = self._run.schedule
         call = (*schedule.evaluate, *schedule.advance)[failed[0]]
-        return Failure(_instant(schedule, call, k), call.node, int(failed[1]))
+        return _failure(schedule, call, k, int(failed[1]), self._groups.get(int(failed[0])))
 
 
 @cache
@@ -209,6 +225,8 @@ class InterpretedEngine:
         memory = run.memory
         if call.kind == "inputs":
             return call, lambda t, k: 0
+        if call.group:
+            return call, InterpretedGroup(run, call.group)
         if call.node in run.instances:
             instance = run.instances[call.node]
             function = instance.output if call.kind in WRITES else instance.update
@@ -260,22 +278,31 @@ class InterpretedEngine:
         schedule, memory = self._run.schedule, self._run.memory
         t = k * schedule.step.numerator / schedule.step.denominator
         for call, function in calls:
-            node = schedule.nodes[call.node]
-            if k % node.every:
+            node, every = schedule.nodes[call.node], schedule.every(call)
+            if k % every:
                 continue
             for target, origin in call.gathers:
                 memory[target] = memory[origin]
-            status = function(t, k // node.every)
+            status = function(t, k // every)
             if status:
-                return Failure(_instant(schedule, call, k), call.node, status)
+                return _failure(schedule, call, k, status, function if isinstance(function, GroupRun) else None)
             if node.block.checks_finite and call.kind in WRITES:
                 start = schedule.outputs_start(call)
                 for i in range(start, start + sum(p.size for p in node.block.outputs)):
                     if not np.isfinite(memory[i]):
-                        return Failure(_instant(schedule, call, k), call.node, NOT_FINITE + i)
+                        return _failure(schedule, call, k, NOT_FINITE + i)
         return None
 
 
-def _instant(schedule: Schedule, call: Call, k: int) -> int:
-    """Return the step to which what a call computes at step `k` belongs: outputs ahead of time to the one they are of."""
-    return k + schedule.nodes[call.node].every if call.kind == "ahead" else k
+def _failure(schedule: Schedule, call: Call, k: int, status: int, group: GroupRun | None = None) -> Failure:
+    """Return what a status says that a call has returned at step `k`.
+
+    What is computed ahead of time belongs to the step that it is of.
+    """
+    if group is None:
+        instant = k + schedule.every(call) if call.kind == "ahead" else k
+        return Failure(instant, call.node, status, schedule.outputs_start(call))
+    part, status = group.culprit()
+    if part is None:
+        return Failure(k, call.node, status, note=group.explain(status))
+    return Failure(k + schedule.every(call) if part.kind == "ahead" else k, part.node, status, part.outputs)

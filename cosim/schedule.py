@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from bayesftc.cosim._contract import RESERVED, checked
+from bayesftc.cosim._groups import Group, Grouping, components, element_name
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
+from bayesftc.cosim.coupling import Coupling
 from bayesftc.cosim.diagram import Diagram, Node, is_external
 from bayesftc.cosim.errors import AlgebraicLoopError, KernelError, ModelError, StepSizeError, UnconnectedInputError
 from bayesftc.cosim.ports import Port
@@ -46,12 +48,14 @@ class Call:
     """One call of a step function: whose, which one, and the copies (to, from) that bring its inputs.
 
     The kind ``inputs`` calls no function: it only brings inputs, so that they are recorded as they are at t_k. The kind
-    ``ahead`` calls the output function, but its results go to the place of outputs ahead of time.
+    ``ahead`` calls the output function, but its results go to the place of outputs ahead of time. The kind ``group`` computes
+    several blocks together, of which `node` is the first.
     """
 
     node: int
-    kind: Literal["output", "update", "inputs", "ahead"]
+    kind: Literal["output", "update", "inputs", "ahead", "group"]
     gathers: tuple[tuple[int, int], ...]
+    group: Group | None = None
 
 
 @dataclass(frozen=True)
@@ -93,9 +97,11 @@ class Schedule:
         The inputs that nothing feeds, which keep their start values.
     ahead : dict of int to int
         Where in memory the outputs at t_k+1 stand, while the others step, of the FMUs that a later FMU sees so.
+    groups : tuple of Group
+        Blocks that are computed together: algebraic loops, and FMUs that are coupled tightly.
     """
 
-    def __init__(self, diagram: Diagram, coupling: Literal["gauss-seidel", "jacobi"] = "gauss-seidel"):
+    def __init__(self, diagram: Diagram, coupling: Coupling = Coupling()):  # noqa: B008 - it is frozen
         self.step = diagram.step
         self.nodes = diagram.nodes
         self.coupling = coupling
@@ -120,15 +126,24 @@ class Schedule:
             if port.draw is None and all(diagram.source_of(node, port, e) is None for e in range(port.size))
         )
         self._edges = self._feedthrough_edges(diagram)
+        grouping = Grouping(self, lambda i, feedthrough: self._gathers(diagram, i, feedthrough), coupling)
         evaluate = [
-            Call(i, "output", self._gathers(diagram, i, feedthrough=True)) for i in self._order() if self._outputs(i)
+            Call(min(unit), "group", (), grouping.loop(unit))
+            if self._is_loop(unit)
+            else Call(unit[0], "output", self._gathers(diagram, unit[0], feedthrough=True))
+            for unit in self._order()
+            if self._outputs(unit[0])
         ]
+        loops = [call.group for call in evaluate if call.group]
+        stepped = grouping.steps(self._plants()) if self._tight else []
+        self.groups: tuple[Group, ...] = (*loops, *stepped)
+        self.initial = np.concatenate([self.initial, np.zeros(grouping.places.end - len(self.initial))])
         for i in range(len(self.nodes)):
             late = self._gathers(diagram, i, feedthrough=False if self._outputs(i) else None)
             if late:
                 evaluate.append(Call(i, "inputs", late))
         self.evaluate = tuple(evaluate)
-        self.advance = self._advance(diagram)
+        self.advance = self._advance(diagram, stepped)
         self.compiled = all(d is None or d.compiled for d in self.definitions)
 
     def kernel(self, call: Call) -> Kernel | None:
@@ -149,21 +164,50 @@ class Schedule:
 
     def describe(self) -> str:
         """Return the order of a step as text, a line a call; an FMU's line names the FMUs that it sees at t_k+1 already."""
-        lines = [f"at t_k     {self.nodes[c.node].name}" for c in self.evaluate if c.kind == "output"]
+        lines = [f"at t_k     {self._named(c)}" for c in self.evaluate if c.kind != "inputs"]
         for call in self.advance:
-            if call.kind == "update":
+            if call.group:
+                lines.append(f"to t_k+1   {self._named(call)}")
+            elif call.kind == "update":
                 seen = ", ".join(self.nodes[i].name for i in self._seen_ahead.get(call.node, ()))
                 lines.append(f"to t_k+1   {self.nodes[call.node].name}" + (f"  (sees {seen} at t_k+1)" if seen else ""))
         return "\n".join(lines)
+
+    def every(self, call: Call) -> int:
+        """Return at which multiple of the base step a call is made."""
+        return call.group.every if call.group else self.nodes[call.node].every
+
+    def output_name(self, i: int, offset: int) -> str:
+        """Return the full name of the output of node `i` that lies `offset` places behind its first."""
+        return f"{self.nodes[i].name}.{element_name(self.nodes[i].block.outputs, offset)}"
+
+    @property
+    def _tight(self) -> bool:
+        """Whether FMUs that are coupled make their steps together."""
+        return self.coupling.iterated or self.coupling.step_error is not None
+
+    def _is_loop(self, unit: list[int]) -> bool:
+        return len(unit) > 1 or unit[0] in self._edges[unit[0]]
+
+    def _named(self, call: Call) -> str:
+        if not call.group:
+            return self.nodes[call.node].name
+        names = " and ".join(self.nodes[i].name for i in call.group.nodes)
+        how = [f"guessing {', '.join(call.group.names)}"] if call.group.names else []
+        how += ["in steps of their own"] if call.group.doubling else []
+        return f"{names}  ({', '.join(how) or 'one after the other'})"
 
     def outputs_start(self, call: Call) -> int:
         """Return where in memory the outputs that a call writes begin."""
         return self.ahead[call.node] if call.kind == "ahead" else self.slots[call.node].start["outputs"]
 
-    def _updates(self, i: int) -> bool:
+    def updates(self, i: int) -> bool:
+        """Return whether a node has something to do between t_k and t_k+1."""
         definition = self.definitions[i]
         return (
-            definition.update is not None if definition else getattr(self.nodes[i].block, "timing", "plant") != "sampled"
+            definition.update is not None
+            if definition
+            else getattr(self.nodes[i].block, "timing", "plant") != "sampled"
         )
 
     def _outputs(self, i: int) -> bool:
@@ -240,19 +284,24 @@ class Schedule:
                         )
         return edges
 
-    def _order(self) -> list[int]:
+    def _order(self) -> list[list[int]]:
+        """Return the blocks in an order in which each finds its inputs; those of an algebraic loop stand together."""
         waiting = dict.fromkeys(range(len(self.nodes)), 0)
         for targets in self._edges.values():
             for target in targets:
                 waiting[target] += 1
-        order: list[int] = []
+        order: list[list[int]] = []
         while waiting:
-            ready = next((i for i, count in waiting.items() if count == 0), None)
+            ready = next(([i] for i, count in waiting.items() if count == 0), None)
             if ready is None:
-                raise AlgebraicLoopError(self._loop_sentence(set(waiting)))
-            del waiting[ready]
+                if not self.coupling.iterated:
+                    raise AlgebraicLoopError(self._loop_sentence(set(waiting)))
+                needs = {i: {j for j in waiting if i in self._edges[j]} for i in waiting}
+                ready = components(list(waiting), needs)[0]
+            for i in ready:
+                del waiting[i]
             order.append(ready)
-            for target in self._edges[ready]:
+            for target in [target for i in ready for target in self._edges[i] if target in waiting]:
                 waiting[target] -= 1
         return order
 
@@ -272,18 +321,19 @@ class Schedule:
         return (
             "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
             + "\n".join(lines)
-            + "\nPut a UnitDelay into one of these connections, or declare the input feedthrough=False where that is true."
+            + "\nPut a UnitDelay into one of these connections, declare the input feedthrough=False where that is true, or let "
+            "the loop be solved at each step with build(coupling='iterated')."
         )
 
     def _plants(self) -> list[int]:
-        return [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self._updates(i)]
+        return [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self.updates(i)]
 
     def _pairs_ahead(self, diagram: Diagram) -> dict[int, tuple[int, ...]]:
         """Return, for each FMU, the earlier ones that it sees at the end of its step.
 
         An FMU of another rate has no new value there, or not yet: it is seen at t_k, as by everyone else.
         """
-        if self.coupling == "jacobi":
+        if self.coupling.method == "jacobi" or self._tight:
             return {}
         plants, pairs = self._plants(), {}
         for position, j in enumerate(plants):
@@ -301,10 +351,17 @@ class Schedule:
             total += sum(port.size for port in self.nodes[i].block.outputs)
         return places, np.concatenate([values, np.full(total - len(values), np.nan)])
 
-    def _advance(self, diagram: Diagram) -> tuple[Call, ...]:
-        sampled = [i for i in range(len(self.nodes)) if not is_external(self.nodes[i]) and self._updates(i)]
+    def _advance(self, diagram: Diagram, groups: list[Group]) -> tuple[Call, ...]:
+        sampled = [i for i in range(len(self.nodes)) if not is_external(self.nodes[i]) and self.updates(i)]
         calls = [Call(i, "update", ()) for i in sampled]  # all inputs have come by the end of evaluate
+        grouped = {i for group in groups for i in group.nodes}
+        for group in groups:
+            calls.append(Call(group.nodes[0], "group", (), group))
+            if group.every > 1:  # until they run again, their inputs too are recorded as at t_k
+                calls += [Call(i, "inputs", self._gathers(diagram, i)) for i in group.nodes]
         for i in self._plants():
+            if i in grouped:
+                continue
             seen = self._seen_ahead.get(i, ())
             calls.append(Call(i, "update", self._gathers(diagram, i, ahead=seen)))
             if seen and self.nodes[i].every > 1:  # until it runs again, its inputs too are recorded as at t_k
@@ -400,5 +457,5 @@ def _arrays(values: Mapping[str, object]) -> dict[str, Floats]:
     return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
 
 
-def _filled(port: Port, value: float) -> Floats:
-    return np.full(port.shape or (1,), value)
+def _filled(port: Port, value: float | tuple[Any, ...]) -> Floats:
+    return np.full(port.shape or (1,), value, dtype=np.float64)

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from bayesftc.cosim._group_engines import check_groups, place_words
 from bayesftc.cosim._pacing import Pacer
-from bayesftc.cosim.block import Block, ExternalBlock
+from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule
@@ -108,6 +109,7 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
             stack.callback(instance.close)
             instances[i] = instance
     run = Run(schedule, seed, memory, instances, selection.places, np.empty((0, 0)), decimation)
+    check_groups(run)
     place_tables(run)
     make_room(run, steps)
     return run
@@ -115,6 +117,7 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
 
 def place_tables(run: Run) -> None:
     """Write into memory what compiled code needs to know of each FMU's instance."""
+    place_words(run)
     for i, instance in run.instances.items():
         start = run.schedule.slots[i].start["parameters"]
         run.memory[start : start + len(instance.table)] = instance.table.view(np.float64)
@@ -209,15 +212,15 @@ def explain(failure: Failure, run: Run) -> str:
     node = run.schedule.nodes[failure.node]
     t = float(failure.k * run.schedule.step)
     when = f"at t = {t:g} s (step {failure.k})"
+    if failure.note:
+        return f"The run stopped {when}: {failure.note}"
     if failure.status >= NOT_FINITE:
         place = failure.status - NOT_FINITE
         value = run.memory[place]
-        begin = run.schedule.slots[failure.node].start["outputs"]
-        ahead = run.schedule.ahead.get(failure.node)
-        name = _signal_at(node.block, place - (begin if ahead is None or place < ahead else ahead))
+        name = run.schedule.output_name(failure.node, place - failure.outputs)
         h = show(run.schedule.step * node.every)
         return (
-            f"The run stopped {when}: {node.name}.{name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
+            f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
             f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
     instance = run.instances.get(failure.node)
@@ -236,14 +239,6 @@ def failed(stopped: str, result: Result, run: Run) -> SimulationError:
         if crash is not None and crash.step is not None:
             return FMUCrashed(stopped, result, step=crash.step, time=crash.time, log=crash.log)
     return SimulationError(stopped, result)
-
-
-def _signal_at(block: Block, offset: int) -> str:
-    for port in block.outputs:
-        if offset < port.size:
-            return port.name + (f"[{offset}]" if port.size > 1 else "")
-        offset -= port.size
-    return "output"
 
 
 __all__ = ["advance", "choose_engine", "explain", "failed", "make_room", "open_run", "place_tables", "simulate"]

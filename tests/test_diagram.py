@@ -239,14 +239,14 @@ def test_frozen_after_building(parts):
 
 
 def test_coupling_is_chosen_once_and_kept():
-    with pytest.raises(cosim.ModelError, match="coupling is 'jakobi'; it must be 'gauss-seidel' or 'jacobi'"):
+    with pytest.raises(cosim.ModelError, match="coupling is 'jakobi'; it must be 'gauss-seidel', 'jacobi' or 'iterated'"):
         cosim.Diagram(1).build("jakobi")
     diagram = cosim.Diagram(1).build("jacobi")
-    assert diagram.build().schedule.coupling == "jacobi"
+    assert diagram.build().schedule.coupling.method == "jacobi"
     with pytest.raises(cosim.ModelError, match="is built with jacobi coupling already"):
         diagram.build("gauss-seidel")
-    assert pickle.loads(pickle.dumps(diagram)).schedule.coupling == "jacobi"
-    assert cosim.Diagram(1).build().schedule.coupling == "gauss-seidel"
+    assert pickle.loads(pickle.dumps(diagram)).schedule.coupling.method == "jacobi"
+    assert cosim.Diagram(1).build().schedule.coupling.method == "gauss-seidel"
 
 
 def test_copies_are_independent_and_run_alike(same_bits):

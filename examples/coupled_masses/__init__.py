@@ -1,0 +1,1 @@
+"""Two masses joined by a stiff spring, split into two FMUs, and stepped by every way of coupling."""
