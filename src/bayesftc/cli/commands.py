@@ -91,14 +91,15 @@ def run(
 def inspect(
     fmu: Annotated[str, typer.Argument(help="An FMU file, or the name of a shipped one, as CruiseControl.")],
     validate: Annotated[bool, typer.Option(help="Whether its description must keep the rules of FMI.")] = True,
+    everything: Annotated[bool, typer.Option("--all", help="Show local variables as well.")] = False,
     json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Show what an FMU says of itself: variables, units, kinds, platforms, capabilities."""
+    """Show what an FMU says of itself (variables, units, kinds, platforms, capabilities), and what works with it."""
     with guarded(debug):
         from bayesftc.cli.inspect import inspect_fmu
 
-        inspect_fmu(fmu, validate=validate, json=json)
+        inspect_fmu(fmu, validate=validate, json=json, everything=everything)
 
 
 @app.command()

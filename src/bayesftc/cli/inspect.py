@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayesftc.cli._works import Verdict, verdicts
 from bayesftc.cosim.errors import FMUError, did_you_mean
 from bayesftc.cosim.fmu import describe
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bayesftc.cosim._fmi_description import Value
     from bayesftc.cosim.fmu import FMUDescription
 
 KINDS = {
@@ -19,11 +23,12 @@ KINDS = {
     "modelExchange": "model exchange",
     "scheduledExecution": "scheduled execution",
 }
+STYLES = {"yes": "green", "no": "red", "partly": "yellow"}
 ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParameter", "local", "independent")
 
 
-def inspect_fmu(name: str, *, validate: bool, json: bool) -> None:
-    """Print tables (or JSON) of a description.
+def inspect_fmu(name: str, *, validate: bool, json: bool, everything: bool = False) -> None:
+    """Print tables (or JSON) of a description and of what works.
 
     Parameters
     ----------
@@ -33,15 +38,19 @@ def inspect_fmu(name: str, *, validate: bool, json: bool) -> None:
         Whether the description must keep the rules of FMI.
     json : bool
         Print JSON.
+    everything : bool
+        Print local variables as well.
     """
     path = find_fmu(name)
     description = describe(path, validate=validate)
+    works = verdicts(path, description, validate=validate)
     if json:
         from bayesftc.cli.output import as_json
 
-        typer.echo(as_json({"path": str(path), **_plain(asdict(description))}))
+        table = {v.what: {"works": v.works, "how": v.how} for v in works}
+        typer.echo(as_json({"path": str(path), **_plain(asdict(description)), "works": table}))
         return
-    _print(path, description)
+    _print(path, description, works, everything)
 
 
 def find_fmu(name: str) -> Path:
@@ -56,7 +65,7 @@ def find_fmu(name: str) -> Path:
     return fmus.path(name)
 
 
-def _print(path: Path, description: FMUDescription) -> None:
+def _print(path: Path, description: FMUDescription, works: list[Verdict], everything: bool) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -71,16 +80,41 @@ def _print(path: Path, description: FMUDescription) -> None:
     console.print(facts)
     console.print()
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("what works", "", "how, or why not"):
+        table.add_column(column, overflow="fold")
+    for verdict in works:
+        table.add_row(Text(verdict.what), Text(verdict.works, style=STYLES[verdict.works]), Text(verdict.how))
+    console.print(table)
+    _print_variables(console, description, everything)
+
+
+def _print_variables(console: Console, description: FMUDescription, everything: bool) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in ("variable", "causality", "type", "unit", "start", "description"):
         table.add_column(column, overflow="fold", justify="right" if column == "start" else "left")
-    ranked = sorted(
-        description.variables, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER)
-    )
+    shown = [v for v in description.variables if everything or v.causality in ORDER[:5]]
+    ranked = sorted(shown, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER))
     for v in ranked:
         kind = v.type + (f"[{', '.join(map(str, v.shape))}]" if v.shape else "")
-        cells = (v.name, v.causality, kind, v.unit or "", "" if v.start is None else f"{v.start}", v.description or "")
+        cells = (v.name, v.causality, kind, v.unit or "", _short(v.start), v.description or "")
         table.add_row(*(Text(cell) for cell in cells))
     console.print(table)
+    hidden = len(description.variables) - len(shown)
+    if hidden:
+        console.print(f"{hidden} more (time and local variables): --all shows them.")
+
+
+def _short(start: Value | None) -> str:
+    """Return a start value in few characters; JSON has all digits."""
+    if start is None:
+        return ""
+    if isinstance(start, tuple):
+        return "[" + ", ".join(map(_short, start)) + "]"
+    return f"{start:.10g}" if isinstance(start, float) and len(str(start)) > 12 else f"{start}"
 
 
 def _facts(path: Path, description: FMUDescription) -> list[tuple[str, str]]:

@@ -1,0 +1,112 @@
+"""What ``bayesftc inspect`` says that works, tried out."""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from bayesftc import cosim, fmus
+from bayesftc.cli._works import verdicts
+from bayesftc.cosim.fmu import FMU, describe
+
+SHIPPED = {(name, fmi): fmus.path(name, fmi=fmi) for name in ("CruiseControl", "TwoLinkArm") for fmi in ("2.0", "3.0")}
+
+
+def table(path):
+    found = verdicts(Path(path), describe(path), validate=True)
+    for verdict in found:
+        assert verdict.works in {"yes", "no", "partly"}
+        assert verdict.how.endswith(".")
+    return {verdict.what: verdict for verdict in found}
+
+
+def edited(source, target, *changes, drop=""):
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            for before, after in changes if name == "modelDescription.xml" else ():
+                assert before.encode() in content
+                content = content.replace(before.encode(), after.encode())
+            if not drop or not name.startswith(drop):
+                new.writestr(name, content)
+    return target
+
+
+def diagram_of(path):
+    diagram = cosim.Diagram(dt=describe(path).default_experiment.get("stepSize", 0.1))
+    diagram.add(FMU(path), "p")
+    return diagram
+
+
+@pytest.mark.parametrize("path", SHIPPED.values(), ids=lambda path: path.stem)
+def test_what_works_with_shipped_plants_works(path, tmp_path):
+    rows = table(path)
+    wanted = {"model exchange": "no", "event mode": "no", "early return": "no"}
+    assert {what: v.works for what, v in rows.items()} == {what: wanted.get(what, "yes") for what in rows}
+    diagram = diagram_of(path)
+    with diagram.start(engine="interpreted") as session:
+        session.advance(diagram.step * 3)
+        session.restore(session.save_state())
+    cosim.save_ssp(diagram, tmp_path / "x.ssp")
+    assert rows["inputs"].how == f"{len(FMU(path).inputs)} ports."
+
+
+def test_what_cannot_be_saved_is_said(tmp_path):
+    flags = [(f'{flag}="true"', "") for flag in ("canGetAndSetFMUstate", "canSerializeFMUstate")]
+    path = edited(SHIPPED["CruiseControl", "2.0"], tmp_path / "x.fmu", *flags)
+    rows = table(path)
+    assert (rows["save and restore"].works, rows["iterated coupling"].works) == ("no", "no")
+    assert "states as bytes" not in rows
+    assert "from a new instance" in rows["a linear model of it"].how
+    with diagram_of(path).start(engine="interpreted") as session, pytest.raises(cosim.BayesFTCError):
+        session.save_state()
+
+
+def test_platforms_instances_and_feedthrough(tmp_path):
+    car = SHIPPED["CruiseControl", "2.0"]
+    bare = table(edited(car, tmp_path / "bare.fmu", drop="binaries/"))["run on this machine"]
+    assert (bare.works, "its C sources can be compiled" in bare.how) == ("partly", True)
+    both = edited(tmp_path / "bare.fmu", tmp_path / "empty.fmu", drop="sources/")
+    assert table(both)["run on this machine"].works == "no"
+    once = edited(car, tmp_path / "once.fmu", ('OnlyOncePerProcess="false"', 'OnlyOncePerProcess="true"'))
+    assert table(once)["several instances"].works == "partly"
+    told = edited(car, tmp_path / "told.fmu", ('dependencies=""', 'dependencies="1"'))
+    assert "But v depends at once on inputs: timing='sampled'" in table(told)["co-simulation"].how
+    silent = edited(car, tmp_path / "silent.fmu", ('dependencies=""', ""))
+    assert "It does not say whether outputs depend at once" in table(silent)["co-simulation"].how
+
+
+def inspected(*arguments, width=80):
+    command = [sys.executable, "-m", "bayesftc", "inspect", *arguments]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, "COLUMNS": str(width)}, check=True
+    )
+    return done.stdout
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_table_fits_the_terminal(width):
+    text = inspected("TwoLinkArm", width=width)
+    assert max(map(len, text.splitlines())) <= width
+    for words in ("what works", "save and restore", "iterated coupling", "N.m.s/rad", "-1.570796327"):
+        assert words in text
+
+
+def test_local_variables_are_shown_on_demand(tmp_path):
+    attributes = 'name="hidden" valueReference="99" causality="local" variability="constant"'
+    local = f'<ScalarVariable {attributes}><Real start="1"/></ScalarVariable></ModelVariables>'
+    path = edited(SHIPPED["CruiseControl", "2.0"], tmp_path / "x.fmu", ("</ModelVariables>", local))
+    assert "1 more (time and local variables): --all shows them." in inspected(str(path))
+    assert "hidden" in inspected(str(path), "--all")
+
+
+def test_json_has_the_verdicts():
+    works = json.loads(inspected("CruiseControl", "--json"))["works"]
+    assert works["co-simulation"] == {
+        "works": "yes",
+        "how": "as timing='plant', at steps of 0.02 s by its own account.",
+    }
