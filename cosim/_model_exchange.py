@@ -220,8 +220,8 @@ class ModelEquations:
             model = self._model
             what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(
-                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {what}; evaluate it where its equations "
-                f"hold. {model.messages.quoted()}"
+                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {what}; evaluate it where its "
+                f"equations hold. {model.messages.quoted()}"
             ) from None
 
 

@@ -1,94 +1,214 @@
-"""A running model exchange FMU: what the engines call, one communication step of an integrator with all its events."""
+"""Running model exchange FMUs: what the engines call, one communication step of an integrator with all its events.
+
+The inputs are held from t_k to t_k+1. Where they change, the FMU goes through event mode, and the integrator begins anew at
+each t_k and after each event: a step depends on the FMU's state and the inputs alone, so that a run which was saved and restored
+gives the bits of one that was not.
+"""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim import _model_exchange_words as words
 from bayesftc.cosim._fmi_description import FMUVariable, Value
 from bayesftc.cosim._fmi_library import CallError
 from bayesftc.cosim._model_exchange_library import ModelLibrary
 from bayesftc.cosim._model_exchange_model import ExchangeModel, SavedModel, StopError
+from bayesftc.cosim._model_exchange_reasons import CHATTERS, reason
+from bayesftc.cosim._model_exchange_settings import INTERNAL_STEPS, RESTARTED
 from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import FMUError
 
-STOPPED, INTERRUPTED = 501, 502
-"""Statuses: the instance knows why it stopped; Python raised something that it keeps."""
+INTERRUPTED = 502
+"""Status: Python raised something, which the instance keeps until it is asked."""
 
-QUIET_EVENTS = 100
-"""Events one after the other, without time going on between them, that are taken for chattering."""
+Timing = Literal["plant", "direct", "sampled"]
 
-_EPS = float(np.finfo(np.float64).eps)
 _ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
 
 
 class ExchangeInstance:
-    """An initialized model exchange FMU with its integrator; see `bayesftc.cosim.block.External`.
-
-    The inputs are held from t_k to t_k+1. Where they change, the FMU goes through event mode, and the integrator begins anew
-    at each t_k and after each event: a step depends on the FMU's state and the inputs alone, so that a run which was saved and
-    restored gives the bits of one that was not.
+    """What all of them have in common; see `bayesftc.cosim.block.External`.
 
     Parameters
     ----------
-    library : ModelLibrary2 or ModelLibrary3
-        The binary.
-    name : str
-        The instance's name.
+    model : ExchangeModel
+        The instance of the FMU.
     step : Fraction
         Seconds of a communication step.
     timing : {"plant", "direct", "sampled"}
         When outputs are read; see `bayesftc.cosim.FMU`.
-    start, inputs, outputs
-        Start values, inputs with theirs, and outputs, by variable.
-    solver : tuple
-        Name, relative and absolute tolerance.
+    """
 
-    Raises
-    ------
-    FMUError
-        If the FMU refuses to be instantiated or initialized.
+    table: np.ndarray[Any, np.dtype[np.int64]]
+
+    def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing):
+        self._model, self._step, self._h, self._timing = model, step, float(step), timing
+
+    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.update`."""
+        return 0 if self._timing == "sampled" else self._update(inputs, outputs, t)
+
+    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        raise NotImplementedError
+
+    def explain(self, status: int) -> str:
+        """Return why it stopped, with the last messages of the instance."""
+        self._model.healthy = False
+        return f"{self._why()}. {self._model.messages.quoted()}"
+
+    def _why(self) -> str:
+        raise NotImplementedError
+
+    @property
+    def can_save(self) -> bool:
+        """See `bayesftc.cosim.block.External.can_save`."""
+        return self._model.can_save
+
+    def save(self) -> SavedModel:
+        """See `bayesftc.cosim.block.External.save`."""
+        return self._model.save()
+
+    def restore(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.restore`."""
+        self._model.restore(saved)
+        self._set_tolerances()
+
+    def _set_tolerances(self) -> None:
+        raise NotImplementedError
+
+    def forget(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.forget`."""
+        self._model.forget(saved)
+
+    def close(self) -> None:
+        """Free the instance; the binary stays loaded."""
+        self._model.close()
+
+
+@cache
+def _compiled(role: str) -> tuple[Any, Any]:
+    from bayesftc.cosim._compiler import compile_raw
+    from bayesftc.cosim._model_exchange_kernels import FUNCTIONS
+
+    function: Any = FUNCTIONS[role]
+    compiled = compile_raw(function)
+    return compiled, _ENTRY(int(compiled.address or 0))
+
+
+class CompiledInstance(ExchangeInstance):
+    """One whose integrator is compiled, as is all else of a step; the interpreted engine calls the same functions.
+
+    Parameters
+    ----------
+    model, step, timing
+        See `ExchangeInstance`.
+    solver : {"cvode", "rk45"}
+        The integrator.
+    rtol : float
+        Relative tolerance.
+    atol : float or None
+        Absolute tolerance; None for rtol times nominal values.
     """
 
     def __init__(
-        self,
-        library: ModelLibrary,
-        name: str,
-        step: Fraction,
-        timing: Literal["plant", "direct", "sampled"],
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value],
-        outputs: Sequence[FMUVariable],
-        solver: tuple[str, float, float | None],
+        self, model: ExchangeModel, step: Fraction, timing: Timing, solver: str, rtol: float, atol: float | None
     ):
-        self.table = np.zeros(0, dtype=np.int64)
-        self._step, self._h, self._timing = step, float(step), timing
-        self._model = model = ExchangeModel(library, name, start, inputs, outputs)
-        self._reason = ""
-        self._raised: BaseException | None = None
-        self._views: dict[tuple[int, int], Floats] = {}
-        self._sizes = len(model.inputs), model.output_size
-        self._taken = model.inputs.tobytes()
-        try:
-            self._solver = _solver(model, *solver) if model.nx or model.nz else None
-        except BaseException:
-            model.close()
-            raise
+        super().__init__(model, step, timing)
+        table, reals = model.table, model.reals
+        self.table = np.array([table.ctypes.data], dtype=np.int64)
+        reals[words.H] = float(step)
+        table[words.NUMERATOR], table[words.DENOMINATOR] = step.numerator, step.denominator
+        table[words.LIMIT] = INTERNAL_STEPS
+        self._name, self._cvode = {"cvode": "CVODE", "rk45": "Runge-Kutta"}[solver], None
+        self._tolerances, self._work = np.ones(len(model.places)), np.zeros(0)
+        table[words.TOLERANCES] = self._tolerances.ctypes.data
+        part = RESTARTED if solver == "cvode" else 1.0
+        reals[words.RTOL] = max(part * rtol, words.PRECISION)
+        reals[words.ATOL] = -1.0 if atol is None else part * atol
+        if model.nx == model.nz == 0:
+            table[words.INTEGRATOR] = words.NONE
+        elif solver == "cvode":
+            from bayesftc.cosim._model_exchange_cvode import CVode
 
-    # --- what the engines call ----------------------------------------------------------------------------------------------
+            self._cvode = CVode(model, self._tolerances)
+        else:
+            from bayesftc.cosim._model_exchange_runge_kutta import VECTORS
+
+            self._work = np.zeros(VECTORS * max(model.nx, 1) + 2 * model.nz)
+            table[words.INTEGRATOR], table[words.WORK] = words.RUNGE_KUTTA, self._work.ctypes.data
+        self._set_tolerances()
 
     @property
     def output_address(self) -> int:
         """Address of the compiled output function."""
-        return ctypes.cast(self._entries[0], ctypes.c_void_p).value or 0
+        return int(_compiled(self._timing)[0].address)
 
     @property
     def update_address(self) -> int:
         """Address of the compiled update function; 0 where all is done in the output function."""
+        return 0 if self._timing == "sampled" else int(_compiled("update")[0].address)
+
+    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.output`."""
+        return self._call(self._timing, inputs, outputs, t)
+
+    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        return self._call("update", inputs, outputs, t)
+
+    def _call(self, role: str, inputs: Floats, outputs: Floats, t: float) -> int:
+        entry = _compiled(role)[1]
+        addresses = self.table.ctypes.data, inputs.ctypes.data, outputs.ctypes.data
+        return int(entry(0, *addresses, t, round(t / self._h)))
+
+    def _set_tolerances(self) -> None:
+        if self._model.nx or self._model.nz:
+            nothing = np.zeros(0)
+            if self._call("tolerances", nothing, nothing, 0.0):
+                raise StopError(self._why())
+
+    def _why(self) -> str:
+        return reason(self._model, self._name, self._cvode.said if self._cvode else "")
+
+    def close(self) -> None:
+        """Free the instance and its integrator; the binary stays loaded."""
+        if self._cvode is not None:
+            self._cvode.close()
+        super().close()
+
+
+class ScipyInstance(ExchangeInstance):
+    """One with an integrator of scipy, which is Python: compiled code calls back.
+
+    Parameters
+    ----------
+    model, step, timing
+        See `ExchangeInstance`.
+    solver : ScipySolver
+        The integrator.
+    """
+
+    def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing, solver: Any):
+        super().__init__(model, step, timing)
+        self.table = np.zeros(0, dtype=np.int64)
+        self._solver, self._reason = solver, ""
+        self._raised: BaseException | None = None
+        self._views: dict[tuple[int, int], Floats] = {}
+
+    @property
+    def output_address(self) -> int:
+        """Address of a callback of `output`."""
+        return ctypes.cast(self._entries[0], ctypes.c_void_p).value or 0
+
+    @property
+    def update_address(self) -> int:
+        """Address of a callback of `update`; 0 where all is done in the output function."""
         return 0 if self._timing == "sampled" else ctypes.cast(self._entries[1], ctypes.c_void_p).value or 0
 
     @cached_property
@@ -96,7 +216,7 @@ class ExchangeInstance:
         return _ENTRY(self._entry(self.output)), _ENTRY(self._entry(self.update))
 
     def _entry(self, function: Callable[[Floats, Floats, float], int]) -> Callable[..., int]:
-        sizes, view = self._sizes, self._view
+        sizes, view = self._model.sizes, self._view
 
         def entry(state: int, parameters: int, inputs: int, outputs: int, t: float, k: int) -> int:
             try:
@@ -125,10 +245,7 @@ class ExchangeInstance:
             return self._stop(error)
         return 0
 
-    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        """See `bayesftc.cosim.block.External.update`."""
-        if self._timing == "sampled":
-            return 0
+    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int:
         try:
             self._advance(inputs, t)
         except (StopError, CallError) as error:
@@ -137,97 +254,97 @@ class ExchangeInstance:
 
     def _stop(self, error: StopError | CallError) -> int:
         self._reason = error.sentence() if isinstance(error, CallError) else str(error)
-        return STOPPED
+        return words.STOPPED
 
-    def explain(self, status: int) -> str:
-        """Return why it stopped, with the last messages of the instance."""
-        self._model.healthy = False
+    def _why(self) -> str:
         raised, self._raised = self._raised, None
         if raised is not None:
             raise raised
-        return f"{self._reason}. {self._model.messages.quoted()}"
+        return self._reason
 
-    # --- a step -------------------------------------------------------------------------------------------------------------
+    def _set_tolerances(self) -> None:
+        self._solver.set_tolerances()
 
     def _take(self, inputs: Floats) -> None:
         """Let the inputs jump to what they are now, which is an event."""
-        now = inputs.tobytes()
-        if now != self._taken:
+        if inputs.tobytes() != self._model.inputs.tobytes():
             self._event(inputs)
-            self._taken = now
 
     def _event(self, inputs: Floats | None = None) -> None:
-        nominals_changed = self._model.event(inputs)
-        if nominals_changed and self._solver is not None:
-            self._solver.set_tolerances()
+        if self._model.event(inputs):
+            self._set_tolerances()
 
     def _advance(self, inputs: Floats, t: float) -> None:
-        """Take the FMU from `t` to the next communication point, from event to event."""
+        """Take the FMU from `t` to the next communication point, from event to event, as the compiled functions do."""
         self._take(inputs)
-        model, solver, h = self._model, self._solver, self._h
+        model, h = self._model, self._h
         end = (round(t / h) + 1) * self._step.numerator / self._step.denominator
-        near = 8 * _EPS * max(abs(end), h)
+        near = words.NEAR * max(abs(end), h)
         quiet, before = 0, model.time
         while True:
-            has_timed = model.next_event <= end + near
-            target = model.next_event if has_timed else end
+            timed = model.next_event <= end + near
+            target = model.next_event if timed else end
             event = False
             if target <= model.time + near:  # too near to integrate, or in the past
-                if not has_timed:
+                if not timed:
                     return
                 if target > model.time:
                     model.set_time(target)
-            elif solver is None:
-                model.set_time(target)
             else:
-                _, event = solver.integrate(model.time, target)
-            if not event and not has_timed:
+                event = self._solver.integrate(model.time, target)
+            if not event and not timed:
                 return
             self._event()
-            quiet = quiet + 1 if model.time - before <= 1e-9 * h + 1e3 * _EPS * abs(end) else 0
+            quiet = quiet + 1 if model.time - before <= words.QUIET_STEP * h + words.QUIET * abs(end) else 0
             before = model.time
-            if quiet >= QUIET_EVENTS:
-                raise StopError(
-                    f"Its events do not end at t = {model.time:.9g} s: {QUIET_EVENTS} came one after the other without time "
-                    "going on between them (chattering). Give the switch a hysteresis or a dead time, or export a model that "
-                    "regularises it"
-                )
-
-    # --- states and end -----------------------------------------------------------------------------------------------------
-
-    @property
-    def can_save(self) -> bool:
-        """See `bayesftc.cosim.block.External.can_save`."""
-        return self._model.can_save
-
-    def save(self) -> SavedModel:
-        """See `bayesftc.cosim.block.External.save`."""
-        return self._model.save()
-
-    def restore(self, saved: object) -> None:
-        """See `bayesftc.cosim.block.External.restore`."""
-        self._model.restore(saved)
-        self._taken = self._model.inputs.tobytes()
-        if self._solver is not None:
-            self._solver.set_tolerances()
-
-    def forget(self, saved: object) -> None:
-        """See `bayesftc.cosim.block.External.forget`."""
-        self._model.forget(saved)
-
-    def close(self) -> None:
-        """Free the instance and its integrator; the binary stays loaded."""
-        solver, self._solver = getattr(self, "_solver", None), None
-        if solver is not None:
-            solver.close()
-        self._model.close()
+            if quiet >= words.QUIET_EVENTS:
+                raise StopError(f"Its events do not end at t = {model.time:.9g} s: {CHATTERS}")
 
 
-def _solver(model: ExchangeModel, name: str, rtol: float, atol: float | None) -> Any:
-    if name == "cvode":
-        from bayesftc.cosim._model_exchange_cvode import CVode
+def exchange_instance(
+    library: ModelLibrary,
+    name: str,
+    step: Fraction,
+    timing: Timing,
+    start: dict[FMUVariable, Value],
+    inputs: dict[FMUVariable, Value],
+    outputs: Sequence[FMUVariable],
+    solver: tuple[str, float, float | None],
+) -> ExchangeInstance:
+    """Return an initialized model exchange FMU with its integrator.
 
-        return CVode(model, rtol, atol)
-    from bayesftc.cosim._model_exchange_scipy import ScipySolver
+    Parameters
+    ----------
+    library : ModelLibrary2 or ModelLibrary3
+        The binary.
+    name : str
+        The instance's name.
+    step, timing
+        See `ExchangeInstance`.
+    start, inputs, outputs
+        Start values, inputs with theirs, and outputs, by variable.
+    solver : tuple
+        Name, relative and absolute tolerance.
 
-    return ScipySolver(model, name.removeprefix("scipy:"), rtol, atol)
+    Raises
+    ------
+    FMUError
+        If the FMU refuses to be instantiated or initialized, or the integrator cannot be had.
+    """
+    model = ExchangeModel(library, name, start, inputs, outputs)
+    which, rtol, atol = solver
+    try:
+        if which.startswith("scipy:") and (model.nx or model.nz):
+            from bayesftc.cosim._model_exchange_scipy import ScipySolver
+
+            return ScipyInstance(model, step, timing, ScipySolver(model, which.removeprefix("scipy:"), rtol, atol))
+        return CompiledInstance(model, step, timing, "rk45" if which.startswith("scipy:") else which, rtol, atol)
+    except BaseException as error:
+        model.healthy = False
+        model.close()
+        if isinstance(error, StopError | CallError):
+            what = error.sentence() if isinstance(error, CallError) else str(error)
+            raise FMUError(
+                f"The FMU {library.description.name!r} could not be initialized as {name!r}: {what}. {model.messages.quoted()}"
+            ) from None
+        raise

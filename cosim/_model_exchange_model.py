@@ -10,16 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim import _model_exchange_words as words
 from bayesftc.cosim._fmi_description import FMUVariable, Value
 from bayesftc.cosim._fmi_library import CallError
 from bayesftc.cosim._fmi_messages import Messages
 from bayesftc.cosim._fmi_states import SavedState, States
 from bayesftc.cosim._model_exchange_library import ModelLibrary
+from bayesftc.cosim._model_exchange_words import ITERATIONS
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError
-
-ITERATIONS = 1000
-"""Turns of the event iteration at one instant, after which it is taken to be endless."""
 
 _FATAL = 4
 
@@ -58,6 +57,8 @@ class ExchangeModel:
 
     Attributes
     ----------
+    table : ndarray of int64
+        What compiled functions know of it: see `bayesftc.cosim._model_exchange_words`.
     component : int
         The instance's address.
     nx, nz : int
@@ -66,8 +67,6 @@ class ExchangeModel:
         Where `read_states` writes to and `write_states` reads from.
     inputs : ndarray
         The inputs as they were set last.
-    time, next_event : float
-        Its own time, and the time of its next time event, infinity if there is none, in seconds.
 
     Raises
     ------
@@ -88,6 +87,8 @@ class ExchangeModel:
         self.library, self.info, self.name = library, exchange, name
         self.messages = Messages(name)
         self.component, self.healthy, self.fatal = 0, True, False
+        self.table = np.zeros(words.WORDS, dtype=np.int64)
+        self.reals = self.table.view(np.float64)
         self.time, self.next_event = 0.0, math.inf
         self._event_info = library.event_info()
         try:
@@ -100,8 +101,7 @@ class ExchangeModel:
         self._sizes = [sum(prod(v.shape) for v in side) for side in (inputs, outputs)]
         values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
         self.inputs = np.concatenate([np.zeros(0), *values])
-        self.output_size = self._sizes[1]
-        self._outputs = np.zeros(self.output_size)
+        self._fill_table()
         self._get, self._set = library.values
 
     def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
@@ -124,7 +124,8 @@ class ExchangeModel:
             library.initialize(self.component, start, inputs)
             self.nx = library.size(self.component, "states", self._declared("states"))
             self.nz = library.size(self.component, "indicators", self.info.indicators)
-            self.x = np.zeros(self.nx)
+            self.places = np.zeros(max(self.nx, 1))  # without states, a constant stands for them in an integrator
+            self.x = self.places[: self.nx]
             self._iterate()
         except (CallError, StopError) as error:
             self.fatal = isinstance(error, CallError) and error.status == _FATAL
@@ -133,6 +134,50 @@ class ExchangeModel:
                 f"The FMU {model!r} could not be initialized as {self.name!r}: {what}. {self.messages.quoted()} Check its "
                 "parameters and start values."
             ) from None
+
+    def _fill_table(self) -> None:
+        table, library = self.table, self.library
+        for i, role in enumerate(words.NAMES):
+            table[i] = library.address(role)
+        table[words.MAJOR], table[words.COMPONENT] = library.description.fmi_major, self.component
+        table[words.STATES], table[words.INDICATORS], table[words.X] = self.nx, self.nz, self.places.ctypes.data
+        table[words.WANTS_STEPS] = self.info.needs_completed_step
+        table[words.NO_RETURN] = not self.info.can_save  # else someone may go back to a saved state
+        into, out = self._references
+        table[words.IN_REFERENCES], table[words.IN_COUNT], table[words.IN_SIZE] = (
+            into.ctypes.data,
+            len(into),
+            self._sizes[0],
+        )
+        table[words.OUT_REFERENCES], table[words.OUT_COUNT], table[words.OUT_SIZE] = (
+            out.ctypes.data,
+            len(out),
+            self._sizes[1],
+        )
+        table[words.INPUTS] = self.inputs.ctypes.data
+
+    @property
+    def time(self) -> float:
+        """Its own time in seconds."""
+        return float(self.reals[words.TIME])
+
+    @time.setter
+    def time(self, t: float) -> None:
+        self.reals[words.TIME] = t
+
+    @property
+    def next_event(self) -> float:
+        """The time of its next time event in seconds; infinity if there is none."""
+        return float(self.reals[words.NEXT_EVENT])
+
+    @next_event.setter
+    def next_event(self, t: float) -> None:
+        self.reals[words.NEXT_EVENT] = t
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many elements its inputs and outputs have."""
+        return self._sizes[0], self._sizes[1]
 
     def _declared(self, what: str) -> int:
         variables: tuple[FMUVariable, ...] = getattr(self.info, what)
@@ -190,8 +235,7 @@ class ExchangeModel:
         """Read the outputs."""
         references = self._references[1]
         if len(references):
-            buffer = self._outputs
-            buffer[:] = values  # what a failing FMU does not write stays as it is
+            buffer = values.copy()  # what a failing FMU does not write stays as it is
             status = self._get(self.component, references.ctypes.data, len(references), buffer.ctypes.data, len(buffer))
             values[:] = buffer
             self.check("get_reals", status)

@@ -8,27 +8,32 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._model_exchange_model import ExchangeModel, StopError
+from bayesftc.cosim._model_exchange_reasons import REMEDY, nan_derivative
 from bayesftc.cosim._model_exchange_settings import INTERNAL_STEPS
+from bayesftc.cosim._model_exchange_words import PRECISION
 from bayesftc.cosim.block import Floats
-
-_PRECISION = 100 * float(np.finfo(np.float64).eps)
-"""Part of the present time and step to which an event is located: as precisely as CVODE does."""
 
 
 class ScipySolver:
-    """One of the methods of ``scipy.integrate.solve_ivp``; parameters and methods are those of `CVode`.
+    """One of the methods of ``scipy.integrate.solve_ivp``.
 
     Parameters
     ----------
+    model : ExchangeModel
+        The instance; `integrate` begins at its states ``model.x``.
     method : str
         Name of the method.
+    rtol : float
+        Relative tolerance.
+    atol : float or None
+        Absolute tolerance; None for rtol times nominal values.
     """
 
     def __init__(self, model: ExchangeModel, method: str, rtol: float, atol: float | None):
         from scipy import integrate
 
         self._method: Any = getattr(integrate, method)
-        self._model, self._rtol, self._atol = model, max(rtol, _PRECISION), atol
+        self._model, self._rtol, self._atol = model, max(rtol, PRECISION), atol
         self._slope, self._roots = np.zeros(model.nx), np.zeros(model.nz)
         self._enter, self._terminate = ctypes.c_int(0), ctypes.c_int(0)
         self._completed = ctypes.CFUNCTYPE(
@@ -37,15 +42,23 @@ class ScipySolver:
         self.set_tolerances()
 
     def set_tolerances(self) -> None:
-        """See `CVode.set_tolerances`."""
+        """Set the tolerances anew, as the nominal values are now."""
         nominals = np.ones(self._model.nx)
         self._model.read("get_nominals", nominals)
         nominals = np.where(np.isfinite(nominals) & (nominals != 0.0), np.abs(nominals), 1.0)
         atol = self._rtol * nominals if self._atol is None else np.full(self._model.nx, self._atol)
         self._absolute = atol if self._model.nx else np.ones(1)
 
-    def integrate(self, t: float, end: float) -> tuple[float, bool]:
-        """See `CVode.integrate`."""
+    def integrate(self, t: float, end: float) -> bool:
+        """Integrate from time `t` to `end`, or to an event before it, and bring the FMU there; return whether there is one.
+
+        Raises
+        ------
+        StopError
+            If the method or the FMU gives up.
+        CallError
+            If a call fails.
+        """
         model = self._model
         start = model.x.copy() if model.nx else np.ones(1)
         signs = self._signs(t, start)
@@ -53,10 +66,7 @@ class ScipySolver:
         for _ in range(INTERNAL_STEPS):
             said = solver.step()
             if solver.status == "failed":
-                raise StopError(
-                    f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: {said}. Give larger tolerances or a "
-                    "shorter step, or look at what the model does there"
-                )
+                raise StopError(f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: {said}; {REMEDY}")
             now, x = float(solver.t), solver.y
             root = model.nz > 0 and not np.array_equal(self._signs(now, x), signs)
             if root:
@@ -66,10 +76,10 @@ class ScipySolver:
                 model.x[:] = x
             wants = self._completed_step() if model.info.needs_completed_step else False
             if root or wants or solver.status == "finished":
-                return now, bool(root or wants)
+                return bool(root or wants)
         raise StopError(
-            f"{self._method.__name__} of scipy needed more than {INTERNAL_STEPS} steps and is only at t = {solver.t:g} s. Give "
-            "larger tolerances or a shorter step, or another solver"
+            f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: it needed more than {INTERNAL_STEPS} steps of its "
+            f"own; {REMEDY}"
         )
 
     def _locate(self, solver: Any, signs: Floats) -> tuple[float, Floats]:
@@ -77,7 +87,7 @@ class ScipySolver:
         between = solver.dense_output()
         low, high = float(solver.t_old), float(solver.t)
         x = solver.y
-        while high - low > _PRECISION * (abs(high) + (solver.t - solver.t_old)):
+        while high - low > PRECISION * (abs(high) + (solver.t - solver.t_old)):
             middle = 0.5 * (low + high)
             if not low < middle < high:
                 break
@@ -102,9 +112,7 @@ class ScipySolver:
         self._place(float(t), x)
         model.read("get_derivatives", self._slope)
         if not np.isfinite(self._slope).all():
-            bad = [v.name for v, s in zip(model.info.derivatives, self._slope, strict=False) if not np.isfinite(s)]
-            which = f"The derivative {bad[0]!r}" if bad else "A derivative"
-            raise StopError(f"{which} came out NaN or infinite at t = {t:g} s")
+            raise StopError(f"{nan_derivative(model)} at t = {t:g} s")
         return self._slope.copy()
 
     def _signs(self, t: float, x: Floats) -> Any:
@@ -127,6 +135,3 @@ class ScipySolver:
         if self._terminate.value:
             raise StopError("The FMU asks to end the simulation (terminateSimulation, after a step of the integrator)")
         return bool(self._enter.value)
-
-    def close(self) -> None:
-        """See `CVode.close`."""

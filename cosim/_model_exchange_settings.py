@@ -17,6 +17,10 @@ METHODS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
 
 DEFAULT_TOLERANCE = 1e-6
 
+RESTARTED = 0.01
+"""Part of the tolerances that CVODE gets: it begins with order one at each communication point, where its errors per step are
+those that are allowed, all of one sign. With this part, a run is about as accurate as one that is never restarted."""
+
 INTERNAL_STEPS = 100_000
 """Steps that an integrator may take from one communication point, or event, to the next."""
 
@@ -39,7 +43,7 @@ def checked_settings(
                 "co-simulation and brings its own solver: leave it out, or give kind='model exchange'."
             )
         return {"solver": None, "rtol": None, "atol": None}
-    known = ["cvode", *(f"scipy:{method}" for method in METHODS)]
+    known = ["cvode", "rk45", *(f"scipy:{method}" for method in METHODS)]
     chosen = "cvode" if solver is None else solver
     if chosen not in known:
         raise ModelError(f"FMU has solver={solver!r}; it must be one of {', '.join(known)}.")

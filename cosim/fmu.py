@@ -61,8 +61,8 @@ class FMU(ExternalBlock):
         As what to use it: by default for co-simulation where it can, else for model exchange, as an ordinary differential
         equation that is integrated here, with its events.
     solver : str, optional
-        For model exchange: ``"cvode"`` (by default) or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as
-        ``"scipy:RK45"``.
+        For model exchange: ``"cvode"`` (by default), for any plant; ``"rk45"`` (Runge-Kutta), faster and more accurate for one
+        that is not stiff; or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as ``"scipy:LSODA"``.
     rtol, atol : float, optional
         For model exchange: relative tolerance (by default the FMU's own, else 1e-6), and absolute tolerance of all states (by
         default rtol times each state's nominal value).
@@ -215,11 +215,11 @@ class FMU(ExternalBlock):
         start, inputs, outputs = self._variables()
         timing = self.timing or "plant"
         if self.kind == "model exchange":
-            from bayesftc.cosim._model_exchange_instance import ExchangeInstance
+            from bayesftc.cosim._model_exchange_instance import exchange_instance
             from bayesftc.cosim._model_exchange_library import load_model
 
             solver = self.solver or "cvode", self.rtol or 0.0, self.atol
-            return ExchangeInstance(
+            return exchange_instance(
                 load_model(archive, description), name, step, timing, start, inputs, outputs, solver
             )
         from bayesftc.cosim._fmi_instance import Instance

@@ -215,7 +215,7 @@ def ball_height(times, g=9.81, e=0.7, vmin=0.1):
 
 
 @pytest.mark.parametrize("fmi", FMI)
-@pytest.mark.parametrize("solver", ["cvode", "scipy:RK45"])
+@pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 def test_a_bouncing_ball_to_its_rest(built, fmi, solver, run_both):
     result = run_both(alone(built("ball", fmi), "1/50", solver=solver, rtol=1e-9), 4)
     np.testing.assert_allclose(result["p.h"], ball_height(result.time), atol=3e-6)
@@ -274,7 +274,9 @@ def test_discrete_inputs_change_in_event_mode_and_only_where_inputs_change(built
     np.testing.assert_array_equal(result["p.n"], 1.0 + (result.time >= 3) + (result.time >= 5))
 
 
-@pytest.mark.parametrize(("solver", "bound"), [("cvode", 3e-5), ("scipy:RK45", 1e-7), ("scipy:LSODA", 3e-5)])
+@pytest.mark.parametrize(
+    ("solver", "bound"), [("cvode", 1e-6), ("rk45", 1e-7), ("scipy:RK45", 1e-7), ("scipy:LSODA", 3e-5)]
+)
 def test_a_pendulum_of_casadi_against_scipy(pendulum, solver, bound, run_both):
     from scipy.integrate import solve_ivp
 
@@ -350,8 +352,9 @@ def test_equations_and_jacobians(pendulum, built):
 
 
 @pytest.mark.parametrize("model", ["ball", "heater", "pulse", "counter", "clock", "pendulum"])
-def test_a_run_that_was_saved_and_restored_has_the_same_bits(model, built, pendulum, same_bits):
-    block = FMU(pendulum if model == "pendulum" else built(model, "3.0"))
+@pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
+def test_a_run_that_was_saved_and_restored_has_the_same_bits(model, solver, built, pendulum, same_bits):
+    block = FMU(pendulum if model == "pendulum" else built(model, "3.0"), solver=solver)
     u = np.array([p.default for p in block.inputs])
 
     def steps(instance, begin, end):
@@ -392,7 +395,7 @@ def test_an_fmu_with_discrete_states_that_cannot_save(built):
 # --- what goes wrong ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solver", ["cvode", "scipy:RK45"])
+@pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 @pytest.mark.parametrize("fmi", FMI)
 @pytest.mark.parametrize(
     ("model", "sentence", "kept"),
@@ -406,7 +409,7 @@ def test_an_fmu_with_discrete_states_that_cannot_save(built):
     ],
 )
 def test_runs_that_cannot_go_on_say_why_and_keep_what_was(model, sentence, kept, solver, fmi, built):
-    engine = "compiled" if solver == "cvode" else "interpreted"
+    engine = "interpreted" if solver.startswith("scipy") else "compiled"
     diagram = alone(built(model, fmi), 0.1, solver=solver)
     with pytest.raises(cosim.SimulationError, match=r"(?s)The run stopped at t = 0\.\d s.*" + sentence) as caught:
         diagram.simulate(1, engine=engine)
@@ -414,15 +417,14 @@ def test_runs_that_cannot_go_on_say_why_and_keep_what_was(model, sentence, kept,
 
 
 def test_a_solver_that_gives_up_says_so(built, monkeypatch):
-    from bayesftc.cosim import _model_exchange_cvode, _model_exchange_scipy
+    from bayesftc.cosim import _model_exchange_cvode, _model_exchange_instance, _model_exchange_scipy
 
-    for module in (_model_exchange_cvode, _model_exchange_scipy):
+    for module in (_model_exchange_cvode, _model_exchange_instance, _model_exchange_scipy):
         monkeypatch.setattr(module, "INTERNAL_STEPS", 3)
-    for solver, sentence in (
-        ("cvode", "CVODE gives up at t = .*steps of its own"),
-        ("scipy:RK23", "RK23 of scipy needed more"),
-    ):
-        with pytest.raises(cosim.SimulationError, match=sentence):
+    for solver, called in (("cvode", "CVODE"), ("rk45", "Runge-Kutta"), ("scipy:RK23", "RK23 of scipy")):
+        with pytest.raises(
+            cosim.SimulationError, match=rf"{called} gives up at t = .*more than .* steps of its own; give larger"
+        ):
             alone(built("heater"), 5, solver=solver, rtol=1e-10).simulate(5, engine="interpreted")
 
 
@@ -441,7 +443,7 @@ def test_settings(built):
     assert [p.feedthrough for p in FMU(built("heater"), timing="plant").inputs] == [False]
     assert pickle.loads(pickle.dumps(block)) == block
     for settings, sentence in (
-        ({"solver": "euler"}, "must be one of cvode, scipy:RK23"),
+        ({"solver": "euler"}, "must be one of cvode, rk45, scipy:RK23"),
         ({"rtol": 0.0}, "a positive number"),
         ({"rtol": 2.0}, "must be below 1"),
         ({"atol": math.nan}, "a positive number"),
