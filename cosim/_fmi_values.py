@@ -74,8 +74,7 @@ def resolved(archive: Archive, description: FMUDescription, values: Mapping[str,
     FMUError
         If an array would be too large for any machine.
     """
-    structure = {v.name: v.start for v in description.variables if v.causality == "structuralParameter"}
-    structure.update({name: value for name, value in values.items() if name in structure})
+    structure = {v.name: v.start for v in description.variables} | dict(values)
     variables: dict[str, FMUVariable] = {}
     for variable in description.variables:
         shape: tuple[int, ...] = tuple(_size(d, structure) for d in variable.dimensions)

@@ -134,10 +134,9 @@ class Diagram:
                 "choose elements with [i], or change the block's size."
             )
         for s in sources:
-            if s.port.unit and target.port.unit and (remedy := difference(s.port.unit, target.port.unit)):
-                raise ConnectionError(
-                    f"{s.name} is in {s.port.unit}, but {target.name} is in {target.port.unit}{remedy}"
-                )
+            ours, theirs = s.port, target.port
+            if ours.unit and theirs.unit and (gap := difference(ours.unit, theirs.unit, ours.meaning, theirs.meaning)):
+                raise ConnectionError(f"{s.name} is in {ours.unit}, but {target.name} is in {theirs.unit}{gap}")
         # All or nothing: a connection that is refused leaves the diagram as it was.
         origins = [(s, element) for s in sources for element in s.elements]
         new = {

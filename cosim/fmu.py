@@ -174,8 +174,9 @@ class FMU(ExternalBlock):
 
         Returns
         -------
-        float, int, bool or str, or None
-            In the variable's own unit; None where the FMU computes it.
+        float, int, bool, str or tuple, or None
+            In the variable's own unit; of an array, tuples of tuples; None where the FMU computes it, and of an array whose
+            size structural parameters have changed.
 
         Raises
         ------
@@ -262,11 +263,13 @@ class FMU(ExternalBlock):
         return archive, read_description(archive, validate=self.validate)
 
     def _port(self, variable: FMUVariable, reaching: Container[str]) -> Port:
+        definition = self.description.units.get(variable.unit or "")
+        meaning = definition.unit if definition else None
         if variable.causality == "output":
-            return Port(variable.name, variable.shape, variable.unit)
+            return Port(variable.name, variable.shape, variable.unit, meaning=meaning)
         default = as_floats(value_of(variable, self.parameters or {}))
         feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
-        return Port(variable.name, variable.shape, variable.unit, feedthrough, default)
+        return Port(variable.name, variable.shape, variable.unit, feedthrough, default, meaning=meaning)
 
 
 def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescription:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,6 +13,7 @@ from bayesftc.cosim.errors import ConnectionError, ModelError
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram import Node
+    from bayesftc.cosim.units import Unit
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class Port:
     draw : {"normal", "uniform"} or None
         Of an input: while nothing is connected, the engine fills it at every step with standard normal numbers, or with
         numbers uniform in (0, 1).
+    meaning : Unit or None
+        What the unit means, where an FMU defines it; else what pint says of its name.
     """
 
     name: str
@@ -43,6 +46,7 @@ class Port:
     feedthrough: bool = True
     default: float | tuple[Any, ...] | None = None
     draw: Literal["normal", "uniform"] | None = None
+    meaning: Unit | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, tuple) or not all(isinstance(n, int | np.integer) and n >= 1 for n in self.shape):

@@ -187,14 +187,21 @@ def gain(source: Unit, target: Unit) -> tuple[float, float] | str:
     return "their dimensions differ"
 
 
-def difference(source: str, target: str) -> str | None:
+def difference(source: str, target: str, *meanings: Unit | None) -> str | None:
     """Return what stands between an output in one unit and an input in another, as the end of a sentence, or None.
 
-    Units that pint does not know are compared by their spelling.
+    Parameters
+    ----------
+    source, target : str
+        The two units. Those that pint does not know are compared by their spelling.
+    *meanings : Unit or None
+        What the two mean, where someone said so (an FMU of its own units).
     """
     if _spelt(source) == _spelt(target):
         return None
-    first, second = parse(source), parse(target)
+    first, second = (
+        known or parse(text) for known, text in zip(meanings or (None, None), (source, target), strict=True)
+    )
     if first is None or second is None:
         return "; put a Gain between them that converts."
     found = gain(first, second)

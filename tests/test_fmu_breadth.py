@@ -309,6 +309,22 @@ def test_values_with_units_become_the_variables_own(breadth):
         FMU(breadth("3"), parameters={"k": "2 m"})
 
 
+def test_an_fmus_own_units_count_in_connections(breadth):
+    grads = FMU(breadth("3"), inputs=[], outputs=[], tunable=[]).description.units["Grad/s"]
+    assert grads.unit.powers == {"radian": 1, "second": -1}  # to pint, this would be a giga-radian
+
+    class Wheel(cosim.Block):
+        outputs = (cosim.Port("y", unit="Grad/s", meaning=grads.unit),)
+
+        def define(self, step):
+            return cosim.Definition(output=lambda y: None)
+
+    diagram = cosim.Diagram(0.1)
+    gain = diagram.add(cosim.Gain(1.0, input_unit="deg/s"))
+    with pytest.raises(cosim.ConnectionError, match=r"in Grad/s, but .* in deg/s; put Gain\(0\.9\) between them"):
+        diagram.connect(diagram.add(Wheel())["y"], gain["u"])
+
+
 def cosim_path():
     from bayesftc import fmus
 
