@@ -24,6 +24,7 @@ from bayesftc.cosim.ports import Port
 from bayesftc.cosim.sources import Constant
 
 _STAMP = (1980, 1, 1, 0, 0, 0)
+_TYPES = {"Real": "Real", "Float64": "Real", "Float32": "Real", "Boolean": "Boolean"}
 _LARGEST_INTEGER = 2**31
 _IMPLEMENTATIONS = {"co-simulation": "CoSimulation", "model exchange": "ModelExchange"}
 
@@ -181,7 +182,7 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
                     )
                 # The unit is the FMU's own, and so is not repeated here.
                 connector = SubElement(connectors, f"{SSD}Connector", name=port.name, kind=kind)
-                SubElement(connector, f"{SSC}Real")
+                SubElement(connector, f"{SSC}{_type(node, port.name)}")
         for port in block.inputs or ():
             assert isinstance(port, Port)
             feed = _feed(diagram, node, port)
@@ -200,6 +201,15 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
     SubElement(annotation, "bayesftc", step=str(diagram.step))
     indent(root)
     return root
+
+
+def _type(node: Node, name: str) -> str:
+    kind = next(v.type for v in _fmu(node).description.variables if v.name == name)
+    if kind == "Enumeration":
+        _refuse(
+            f"{node.name}.{name} is an enumeration, which is no port of an SSP here; leave it out of the FMU's ports"
+        )
+    return _TYPES.get(kind, "Integer")
 
 
 def _feed(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
@@ -242,17 +252,16 @@ def _add_connection(connections: Element, feed: _Feed, target: str, name: str) -
 
 
 def _add_values(component: Element, node: Node, values: dict[str, Any]) -> None:
-    types = {v.name: v.type for v in _fmu(node).description.variables}
+    variables = {v.name: v for v in _fmu(node).description.variables}
     bindings = SubElement(component, f"{SSD}ParameterBindings")
     inline = SubElement(SubElement(bindings, f"{SSD}ParameterBinding"), f"{SSD}ParameterValues")
     whole = SubElement(inline, f"{SSV}ParameterSet", version="1.0", name="initialValues")  # ecos finds them by it
     parameters = SubElement(whole, f"{SSV}Parameters")
     for name, value in values.items():
-        if types[name] == "Enumeration":
-            _refuse(
-                f"{node.name}.{name} is an enumeration, whose items have no names here; leave it at its start value"
-            )
-        if isinstance(value, bool):
+        items = {number: item for item, number in variables[name].items}
+        if items:
+            kind, text = "Enumeration", items[value]
+        elif isinstance(value, bool):
             kind, text = "Boolean", "true" if value else "false"
         elif isinstance(value, float):
             kind, text = "Real", repr(value)

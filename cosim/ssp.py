@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from math import isfinite
 from os import PathLike
@@ -20,6 +22,7 @@ from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import SSPError, did_you_mean
 from bayesftc.cosim.fmu import FMU, describe
 from bayesftc.cosim.mathblocks import Gain
+from bayesftc.cosim.ports import Port
 
 _KINDS: dict[str, Literal["co-simulation", "model exchange"] | None] = {
     "any": None,
@@ -99,13 +102,15 @@ def open_ssp(
     flat = Flat(structure, variables, where)
     flat.warn_of_unknown()
     diagram = Diagram(_step(dt, structure, list(descriptions.values()), where))
+    feeds = {place: dict(flat.feeds(place)) for place in files}
     nodes = {}
     for place, component in flat.components.items():
         values = {p.name: _value(p, flat, variables[place][p.name], place) for p in flat.values(place).values()}
-        block = _fmu(files[place], component, values, validate)
+        joined = [*feeds[place], *(f.output for fed in feeds.values() for f in fed.values() if f.component == place)]
+        block = _fmu(files[place], component, values, joined, validate)
         nodes[place] = diagram.add(block, "_".join(".".join(place).split()))
     for place, node in nodes.items():
-        for name, feed in flat.feeds(place):
+        for name, feed in feeds[place].items():
             _connect(diagram, nodes[feed.component], feed, node, name, where)
     return diagram
 
@@ -159,12 +164,19 @@ def _step(
     return step
 
 
-def _fmu(file: Path, component: Component, values: dict[str, Value], validate: bool) -> FMU:
-    kind = _KINDS[component.implementation]
-    block = FMU(file, parameters=values, validate=validate, kind=kind)
-    if block.kind == "model exchange":
-        return block
-    return FMU(file, parameters=values, validate=validate, kind=kind, timing="plant")
+def _fmu(file: Path, component: Component, values: dict[str, Value], joined: Sequence[str], validate: bool) -> FMU:
+    """Return the block of a component; what is `joined` to others is a port, also where others of its type are none."""
+    block = FMU(file, parameters=values, validate=validate, kind=_KINDS[component.implementation])
+    ports = {side: [p.name for p in getattr(block, side) if isinstance(p, Port)] for side in ("inputs", "outputs")}
+    causality = {v.name: f"{v.causality}s" for v in block.description.variables}
+    for name in joined:
+        names = ports[causality[name]]
+        if name not in names:
+            names.append(name)
+    timing = None if block.kind == "model exchange" else "plant"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it is a plant is said in the docstring
+        return replace(block, **ports, timing=timing)  # type: ignore[arg-type]
 
 
 def _value(parameter: Parameter, flat: Flat, variable: Variable, place: Place) -> Value:
@@ -178,11 +190,6 @@ def _value(parameter: Parameter, flat: Flat, variable: Variable, place: Place) -
 
 
 def _connect(diagram: Diagram, source: Node, feed: Feed, target: Node, name: str, where: str) -> None:
-    for node, port, ports in ((source, feed.output, source.block.outputs), (target, name, target.block.inputs)):
-        if port not in {p.name for p in ports}:
-            raise SSPError(
-                f"{where} connects {node.name}.{port}, which cannot be a port: only real variables can be connected here."
-            )
     output, input_ = source[feed.output], target[name]
     between = (output.port.unit, input_.port.unit)
     differ = None not in between and units.difference(*between) is not None  # type: ignore[arg-type]

@@ -227,6 +227,70 @@ def test_values_from_files_with_mappings_and_units(tmp_path):
         assert cosim.open_ssp(path, dt=H)["a"].block.parameters == diagram["a"].block.parameters
 
 
+def variable(name, reference, type, causality="parameter", variability="fixed"):
+    attributes = f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
+    return f"<ScalarVariable {attributes}>{type}</ScalarVariable>"
+
+
+MIXED = "\n".join(
+    (
+        variable("n", 20, '<Integer start="3"/>'),
+        variable("on", 21, '<Boolean start="true"/>'),
+        variable("file", 22, '<String start="a"/>'),
+        variable("gear", 23, '<Enumeration declaredType="Gear" start="1"/>'),
+        variable("count", 24, '<Integer start="0"/>', "input", "discrete"),
+        variable("step", 25, "<Integer/>", "output", "discrete"),
+    )
+)
+GEAR = """<TypeDefinitions><SimpleType name="Gear"><Enumeration>
+<Item name="first" value="1"/><Item name="back" value="-1"/></Enumeration></SimpleType></TypeDefinitions>"""
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """An FMU whose description has variables of every type; its binary does not know them."""
+    path = tmp_path / "mixed.fmu"
+    with zipfile.ZipFile(CAR["2.0"]) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            content = old.read(name).decode("latin-1")
+            if name == "modelDescription.xml":
+                content = content.replace("<ModelVariables>", f"{GEAR}<ModelVariables>")
+                if "<LogCategories" in content:  # which stand after the types
+                    content = content.replace(GEAR, "").replace("<LogCategories", f"{GEAR}<LogCategories")
+                content = content.replace("</ModelVariables>", f"{MIXED}</ModelVariables>")
+                index = content.count("<ScalarVariable ")
+                content = content.replace("</Outputs>", f'<Unknown index="{index}" dependencies=""/></Outputs>')
+                content = content.replace(
+                    "</InitialUnknowns>", f'<Unknown index="{index}" dependencies=""/></InitialUnknowns>'
+                )
+            new.writestr(name, content.encode("latin-1"))
+    return path
+
+
+def test_values_and_connections_of_every_type(tmp_path, mixed):
+    typed = {
+        "n": '<ssv:Integer value="7"/>',
+        "on": '<ssv:Boolean value="0"/>',
+        "file": '<ssv:String value="b &amp; c"/>',
+        "gear": '<ssv:Enumeration value="back"/>',
+    }
+    a = component("a", source="mixed.fmu", bindings=inline(values(**typed)))
+    b = component("b", source="mixed.fmu", connectors=connected("input", "count", type="<ssc:Integer/>"))
+    path = packed(tmp_path, ssd(system(a + b, link("a.step", "b.count"))), **{"mixed.fmu": mixed.read_bytes()})
+    diagram = cosim.open_ssp(path, dt=H)
+    wanted = {"n": 7, "on": False, "file": "b & c", "gear": -1}
+    assert diagram["a"].block.parameters == wanted
+    assert [p.name for p in diagram["b"].block.inputs] == ["force", "disturbance", "count"]
+    assert diagram.source_of(diagram["b"], diagram["b"]["count"].port, 0)[0].name == "a.step"
+    text = described(cosim.save_ssp(diagram, tmp_path / "again.ssp"))
+    assert '<ssv:Enumeration value="back" />' in text
+    assert text.count("<ssc:Integer />") == 4
+    assert cosim.open_ssp(tmp_path / "again.ssp")["a"].block.parameters == wanted
+    bad = component("a", source="mixed.fmu", bindings=inline(values(gear='<ssv:Enumeration value="third"/>')))
+    path = packed(tmp_path, ssd(system(bad)), **{"mixed.fmu": mixed.read_bytes()})
+    refused(path, "'gear'", "'first' (1)", error=cosim.FMUError)
+
+
 def test_outer_and_later_values_win(tmp_path):
     own = inline(values(v0=5.0, m=1.0)) + inline(values(m=2.0, b=3.0))
     outer = inline(values(a__b=4.0)) + inline(values(v0=6.0), prefix="a.")
