@@ -311,12 +311,12 @@ class ExchangeModel:
         try:
             if saved.state is not None:
                 self.states.restore(saved.state)
-                self.time = saved.time
+                self.time, self.inputs[:], self.x[:] = saved.time, saved.inputs, saved.x
             else:
                 self.set_time(saved.time)
-            self.write_inputs(saved.inputs)
-            self.x[:] = saved.x
-            self.write_states()
+                self.write_inputs(saved.inputs)
+                self.x[:] = saved.x
+                self.write_states()
         except CallError as error:
             raise FMUError(
                 f"{self.name!r} could not be restored: {error.sentence()}. {self.messages.quoted()}"

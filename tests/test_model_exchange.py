@@ -351,7 +351,7 @@ def test_equations_and_jacobians(pendulum, built):
 # --- saved states ---------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", ["ball", "heater", "pulse", "counter", "clock", "pendulum"])
+@pytest.mark.parametrize("model", ["ball", "heater", "pulse", "counter", "clock", "gate", "pendulum"])
 @pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 def test_a_run_that_was_saved_and_restored_has_the_same_bits(model, solver, built, pendulum, same_bits):
     block = FMU(pendulum if model == "pendulum" else built(model, "3.0"), solver=solver)
@@ -426,6 +426,38 @@ def test_a_solver_that_gives_up_says_so(built, monkeypatch):
             cosim.SimulationError, match=rf"{called} gives up at t = .*more than .* steps of its own; give larger"
         ):
             alone(built("heater"), 5, solver=solver, rtol=1e-10).simulate(5, engine="interpreted")
+
+
+def test_ctrl_c_and_errors_of_python_come_through_compiled_code(pendulum, monkeypatch):
+    from bayesftc.cosim._model_exchange_scipy import ScipySolver
+
+    for error in (KeyboardInterrupt, ZeroDivisionError):
+        monkeypatch.setattr(ScipySolver, "_derivatives", lambda *_, error=error: (_ for _ in ()).throw(error))
+        with pytest.raises(error):
+            alone(pendulum, 0.1, solver="scipy:RK45").simulate(1, engine="compiled")
+
+
+def test_isolated(built):
+    alike = [alone(built("ball"), "1/50", isolate=i).simulate(2, engine="interpreted")["p.h"] for i in (False, True)]
+    np.testing.assert_array_equal(*alike)
+
+
+def test_thousands_of_instances_leave_nothing(built):
+    from bayesftc.bench.memory import resident
+
+    block = FMU(built("heater"))
+
+    def use(times):
+        y, u = np.zeros(2), np.array([10.0])
+        for _ in range(times):
+            instance = block.instantiate(Fraction(1, 10), "p")
+            assert instance.update(u, y, 0.0) == instance.output(u, y, 0.1) == 0
+            instance.close()
+
+    use(300)
+    before = resident()
+    use(1500)
+    assert resident() - before < 500_000
 
 
 def test_settings(built):
