@@ -61,7 +61,7 @@ def normalised(system: Any) -> Any:
     if isinstance(system, control.TransferFunction):
         names, dt = signal_names(system), system.dt
         try:
-            converted = control.ss(system)
+            converted = _entry_by_entry(system)
         except Exception as error:  # noqa: BLE001 - python-control raises whatever its backend does
             reason = str(error).strip().removesuffix(".")
             raise ModelError(
@@ -89,6 +89,26 @@ def normalised(system: Any) -> Any:
         raise ModelError("The system has matrices with NaN or infinite elements; all must be finite.")
     dt = dt if dt is None or dt is True else float(dt)
     return LinearSystem(as_rows(a), as_rows(b), as_rows(c), as_rows(d), dt, *names)
+
+
+def _entry_by_entry(system: Any) -> Any:
+    """Return the state space of a transfer function; that of a matrix of them has the states of each entry, row by row.
+
+    python-control itself converts such a matrix with Slycot alone, which is a Fortran library that few have.
+    """
+    import control
+    from scipy.linalg import block_diag
+
+    if system.issiso():
+        return control.ss(system)
+    rows, columns = system.noutputs, system.ninputs
+    parts = [[control.ss(system[i, j]) for j in range(columns)] for i in range(rows)]
+    each = [(i, j, parts[i][j]) for i in range(rows) for j in range(columns)]
+    unit_in, unit_out = np.eye(columns), np.eye(rows)
+    b = [part.B @ unit_in[j : j + 1] for _, j, part in each]
+    c = [unit_out[:, i : i + 1] @ part.C for i, _, part in each]
+    d = np.block([[part.D for part in row] for row in parts])
+    return control.ss(block_diag(*(part.A for *_, part in each)), np.vstack(b), np.hstack(c), d, system.dt)
 
 
 def signal_names(system: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -142,15 +142,15 @@ def test_scratch_space_is_no_state_and_no_order_of_calls_matters(block):
 
 
 def test_the_state_is_what_is_carried_on_and_nothing_else():
-    assert cosim.StateSpace(control.ss(-np.eye(3), np.eye(3), np.eye(3), 0)).to_control(DT).state_labels == [
-        f"system_x[{i}]" for i in range(3)
-    ]
+    assert cosim.StateSpace(control.ss(-np.eye(3), np.eye(3), np.eye(3), 0)).to_control(
+        DT, engine="interpreted"
+    ).state_labels == [f"system_x[{i}]" for i in range(3)]
     fixed = brain(controllers.FixedPrecision()).to_control(engine="interpreted")
     assert fixed.state_labels == ["mean", "covariance", "applied"]
     assert fixed.initial_state.tolist() == [20.0, 1.0, 0.0]
-    assert cosim.Gain(2.0).to_control(DT).nstates == 0
-    assert cosim.Gain(2.0).to_control(DT)(3.0) == 6.0
-    freeze = FAULTS[0].to_control(DT)
+    assert cosim.Gain(2.0).to_control(DT, engine="interpreted").nstates == 0
+    assert cosim.Gain(2.0).to_control(DT, engine="interpreted")(3.0) == 6.0
+    freeze = FAULTS[0].to_control(DT, engine="interpreted")
     assert freeze.nstates < sum(np.size(v) for v in FAULTS[0].define(MODEL.step).state.values()) + 1
 
 
@@ -171,23 +171,24 @@ def test_noise_is_that_of_the_diagram_or_an_input_or_none(engine):
 
 def in_pieces(plant, seed):
     """Return the closed loop put together by python-control, a system for each block."""
+    blocks = [
+        (cosim.Sensors(count=2, std=1.0), "sensors", {"u": "v"}, {"y": "read"}),
+        (cosim.Freeze(sensor=0, start=0.5, stop=1.5, channels=2), "freeze_0", {"u": "read"}, {"y": "samples"}),
+        (cosim.Sine(amplitude=5.0, period=8.0, offset=20.0), "reference", None, {"y": "goal[0]"}),
+        (cosim.Gaussian(std=0.001**0.5), "disturbance_noise", None, {"y": "disturbance"}),
+        (brain(), "controller", {"y": "samples", "goal": "goal"}, {"u[0]": "force", "x_hat": "estimate"}),
+    ]
     parts = [
-        plant,
-        cosim.Sensors(count=2, std=1.0).to_control(DT, seed=seed, name="sensors", inputs={"u": "v"}, outputs={"y": "read"}),
-        cosim.Freeze(sensor=0, start=0.5, stop=1.5, channels=2).to_control(
-            DT, name="freeze_0", inputs={"u": "read"}, outputs={"y": "samples"}
-        ),
-        cosim.Sine(amplitude=5.0, period=8.0, offset=20.0).to_control(DT, name="reference", outputs={"y": "goal[0]"}),
-        cosim.Gaussian(std=0.001**0.5).to_control(DT, seed=seed, name="disturbance_noise", outputs={"y": "disturbance"}),
-        brain().to_control(inputs={"y": "samples", "goal": "goal"}, outputs={"u[0]": "force", "x_hat": "estimate"}),
-    ]  # fmt: skip
-    return control.interconnect(parts, inputs=[], outputs=["v", "force", "estimate[0]"], check_unused=False)
+        block.to_control(DT, inputs=inputs, outputs=outputs, seed=seed, engine="interpreted", name=name)
+        for block, name, inputs, outputs in blocks
+    ]
+    return control.interconnect([plant, *parts], inputs=[], outputs=["v", "force", "estimate[0]"], check_unused=False)
 
 
 PLANTS = {
     "python-control's own": lambda: linear_car(),
-    "block": lambda: cosim.StateSpace(linear_car(), initial=[20.0]).to_control(name="plant"),
-    "FMU": lambda: car().to_control(DT, name="plant"),
+    "block": lambda: cosim.StateSpace(linear_car(), initial=[20.0]).to_control(engine="interpreted", name="plant"),
+    "FMU": lambda: car().to_control(DT, engine="interpreted", name="plant"),
 }
 
 
@@ -236,11 +237,11 @@ def test_a_diagram_that_is_not_closed_has_what_it_lacks_as_inputs():
     first, second = diagram.add(cosim.Sum("+-"), "first"), diagram.add(cosim.UnitDelay(), "second")
     diagram.connect(first["y"], second["u"])
     diagram.connect(second["y"], first["u"][1])
-    system = diagram.to_control(outputs=["first.y"])
+    system = diagram.to_control(outputs=["first.y"], engine="interpreted")
     assert system.input_labels == ["first_u[0]"]
     np.testing.assert_array_equal(response(system, np.ones(len(T))).outputs[0], 1.0 - np.arange(len(T)) % 2)
     diagram.add(cosim.Gain(1.0), "third")  # it is not frozen
-    assert diagram.to_control(outputs=["first.y"]).input_labels == ["first_u[0]", "third_u"]
+    assert diagram.to_control(outputs=["first.y"], engine="interpreted").input_labels == ["first_u[0]", "third_u"]
 
 
 def test_blocks_of_several_rates():
@@ -286,11 +287,11 @@ def test_linear_systems_come_back():
         rng.normal(size=(2, 2)),
     )
     block = cosim.StateSpace(control.ss(a, b, c, d, DT))
-    found = control.linearize(block.to_control(), np.ones(3), [0.3, -0.2])
+    found = control.linearize(block.to_control(engine="interpreted"), np.ones(3), [0.3, -0.2])
     for matrix, expected in zip((found.A, found.B, found.C, found.D), (a, b, c, d), strict=True):
         np.testing.assert_allclose(matrix, expected, atol=1e-8)
     held = control.sample_system(control.ss(a, b, c, d), DT, "zoh")
-    found = cosim.StateSpace(control.ss(a, b, c, d)).to_control(DT).linearize(np.zeros(3), 0)
+    found = cosim.StateSpace(control.ss(a, b, c, d)).to_control(DT, engine="interpreted").linearize(np.zeros(3), 0)
     np.testing.assert_allclose(found.A, held.A, atol=1e-8)
     np.testing.assert_allclose(found.B, held.B, atol=1e-8)
 
@@ -458,7 +459,11 @@ def test_a_sampled_fmu_shows_its_inputs_at_once(foreign, make):
 
 
 def test_failures_are_sentences_and_leave_the_system_as_it_was(foreign):
-    for system in (car().to_control(DT), foreign().to_control(DT), cosim.StateSpace(linear_car()).to_control()):
+    for system in (
+        car().to_control(DT),
+        foreign().to_control(DT),
+        cosim.StateSpace(linear_car()).to_control(engine="interpreted"),
+    ):
         start = system.initial_state
         with pytest.raises(
             SimulationError, match=r"at t = 0\.04 s \(step 2\): \w+\.v came out infinite\. Check .* of 0\.02 s\.$"
@@ -483,7 +488,7 @@ def test_a_beginning_at_zeros_is_told_once():
 
 
 def test_times_are_multiples_of_the_step():
-    system = cosim.UnitDelay().to_control("1/30")
+    system = cosim.UnitDelay().to_control("1/30", engine="interpreted")
     assert response(system, np.arange(301), times=np.arange(301) * (1 / 30)).outputs[0].tolist() == [0, *range(300)]
     for t in (0.01, -1.0, np.inf):
         with pytest.raises(StepSizeError, match=r"has a sample time of 1/30 s and begins at 0"):
@@ -531,6 +536,156 @@ def test_refusals_are_sentences(make, error, sentence):
     with pytest.raises(error, match=sentence) as caught:
         make()
     assert str(caught.value).endswith((".", "?"))
+
+
+# --- systems of python-control as blocks --------------------------------------------------------------------------------------
+
+
+def _mimo(dt):
+    rng = np.random.default_rng(4)
+    a = rng.normal(size=(4, 4))
+    a = a * 0.8 / max(abs(np.linalg.eigvals(a))) - (0 if dt else 2.0 * np.eye(4))
+    return control.ss(a, rng.normal(size=(4, 2)), rng.normal(size=(3, 4)), rng.normal(size=(3, 2)), dt)
+
+
+def _tank(t, x, u, params):
+    return [params["inflow"] * u[0] - params["outflow"] * np.sqrt(np.abs(x[0])), -x[1] + x[0]]
+
+
+def _tank_in_steps(t, x, u, params):
+    return x + DT * np.array(_tank(t, x, u, params)) + 0.01 * np.sin(t)
+
+
+def _tank_of(dt, dynamics, **options):
+    return control.nlsys(
+        dynamics,
+        inputs=["valve"],
+        states=["level", "smoothed"],
+        params={"inflow": 1.0, "outflow": 0.5},
+        dt=dt,
+        **options,
+    )
+
+
+def _in_a_loop():
+    """Return a nonlinear interconnection with names, one of whose parts has parameters of its own."""
+    tank = _tank_of(DT, _tank_in_steps, outputs=["level", "smoothed"], name="tank")
+    control_law = control.ss([[0.9]], [[0.1]], [[2.0]], [[1.0]], DT, inputs=["error"], outputs=["valve"], name="law")
+    error = control.summing_junction(["wanted", "-level"], "error", dt=DT, name="error")
+    return control.interconnect(
+        [tank, control_law, error], inputs=["wanted"], outputs=["level", "valve"], name="loop", check_unused=False
+    )
+
+
+def _with_its_estimator():
+    plant = control.ss(
+        [[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], 0, DT, inputs=["u"], outputs=["y"], name="plant"
+    )
+    return control.create_estimator_iosystem(plant, [[0.1]], [[0.2]], G=[[0.0], [1.0]])
+
+
+DISCRETE = {
+    "state space, MIMO": lambda: _mimo(DT),
+    "any sample time": lambda: _mimo(True),
+    "transfer function": lambda: control.tf([1.0, 0.3], [1.0, -0.4, 0.1], DT),
+    "zeros, poles, gain": lambda: control.zpk([0.5], [0.2, -0.7], 3.0, DT),
+    "delay of five steps": lambda: control.tf([1.0], [1.0, 0, 0, 0, 0, 0], DT),
+    "MIMO transfer function": lambda: control.tf(
+        [[[1.0], [0.5, 0.1]], [[2.0], [1.0]]], [[[1.0, -0.5], [1.0, 0.2]], [[1.0, 0.0, 0.0], [1.0, -0.9]]], DT
+    ),
+    "static gain": lambda: control.ss([], [], [], [[2.0, -1.0], [0.5, 3.0]]),
+    "static transfer function": lambda: control.tf([3.0], [1.0]),
+    "feedback": lambda: control.feedback(_mimo(DT)[0, 0], control.tf([0.05], [1.0, -0.5], DT)),
+    "series and parallel": lambda: _mimo(DT)[0, 0] * control.tf([1.0], [1.0, 0.0], DT) + 2.0,
+    "side by side": lambda: control.append(_mimo(DT), control.tf([1.0], [1.0, -0.5], DT)),
+    "linear interconnection": lambda: control.interconnect(
+        [linear_car(), control.ss([[0.5]], [[1.0]], [[1.0]], 0, DT, inputs=["v"], outputs=["force"], name="pedal")],
+        inputs=["disturbance"], outputs=["v", "force"],
+    ),
+    "nonlinear": lambda: _tank_of(DT, _tank_in_steps, outputs=["level", "smoothed"]),
+    "states as outputs": lambda: _tank_of(DT, _tank_in_steps),
+    "static nonlinear": lambda: control.nlsys(None, lambda t, x, u, p: [u[0] * u[1], np.tanh(u[0])], inputs=2, outputs=2, dt=DT),
+    "nonlinear interconnection": _in_a_loop,
+    "nonlinear in series": lambda: _tank_of(DT, _tank_in_steps, outfcn=lambda t, x, u, p: [x[1]], outputs=["y"])
+    * control.tf([1.0], [1.0, -0.5], DT),
+    "estimator": _with_its_estimator,
+    "a block and back": lambda: brain().to_control(outputs=["u", "x_hat"], engine="interpreted"),
+    "a loop and back": lambda: in_pieces(car().to_control(DT, name="plant"), seed=3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("make", DISCRETE.values(), ids=DISCRETE)
+def test_every_discrete_system_is_a_block(make):
+    system = make()
+    rows = 1.0 + 0.3 * np.random.default_rng(3).normal(size=(system.ninputs, len(T)))
+    if isinstance(system, control.TransferFunction):
+        block = cosim.StateSpace(system)
+        expected = [
+            sum(control.forced_response(system[i, j], T, rows[j]).outputs for j in range(system.ninputs))
+            for i in range(system.noutputs)
+        ]
+    else:
+        x0 = cosim.initial_state(system)
+        start = x0 if x0.any() else np.linspace(0.5, 1.0, len(x0))
+        block = cosim.StateSpace(system, initial=start)
+        if system.dt is True:
+            system = control.ss(system.A, system.B, system.C, system.D, DT)
+        expected = control.input_output_response(system, T, rows, X0=start, squeeze=False).outputs
+    diagram = fed(block, {port.name: row[None] for port, row in zip(block.inputs, rows, strict=True)})
+    run = diagram.simulate(2.0, engine="interpreted")
+    linear = isinstance(system, control.StateSpace | control.TransferFunction)
+    assert diagram.schedule.compiled == linear
+    for port, row in zip(block.outputs, expected, strict=True):
+        np.testing.assert_allclose(run[f"block.{port.name}"], row, rtol=1e-12, atol=1e-12)
+
+
+CONTINUOUS = {
+    "state space, MIMO": (lambda: _mimo(0), True),
+    "transfer function": (lambda: control.tf([1.0, 2.0], [1.0, 0.5, 4.0]), True),
+    "static": (lambda: control.tf([3.0], [1.0]), True),
+    "delay by Pade": (lambda: control.tf(*control.pade(0.3, 3)) * control.tf([1.0], [0.5, 1.0]), True),
+    "nonlinear with parameters": (lambda: _tank_of(0, _tank, outputs=["level", "smoothed"]), False),
+    "nonlinear interconnection": (
+        lambda: control.interconnect(
+            [_tank_of(0, _tank, outputs=["level", "smoothed"], name="tank"),
+             control.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["tap"], outputs=["valve"], name="actuator")],
+            inputs=["tap"], outputs=["smoothed"], check_unused=False,
+        ),
+        False,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "linear"), CONTINUOUS.values(), ids=CONTINUOUS)
+def test_every_continuous_system_is_a_block(make, linear):
+    system = make()
+    n = (control.ss(system) if linear else system).nstates
+    start = np.linspace(0.5, 1.0, n)
+    block = cosim.StateSpace(system, initial=start)
+    rows = np.linspace(0.5, 1.5, len(block.inputs))[:, None] * np.ones(
+        len(T)
+    )  # constant: it holds what python-control joins
+    diagram = fed(block, {port.name: row[None] for port, row in zip(block.inputs, rows, strict=True)})
+    run = diagram.simulate(2.0, engine="interpreted")
+    if linear:
+        expected = control.forced_response(
+            control.sample_system(control.ss(system), DT, "zoh"), T, rows, start, squeeze=False
+        )
+    else:
+        settings = {"solve_ivp_method": "DOP853", "solve_ivp_kwargs": {"rtol": 1e-12, "atol": 1e-12}}
+        expected = control.input_output_response(system, T, rows, start, squeeze=False, **settings)
+    assert diagram.schedule.compiled == linear
+    for port, row in zip(block.outputs, expected.outputs, strict=True):
+        np.testing.assert_allclose(run[f"block.{port.name}"], row, rtol=1e-7, atol=1e-7)
+
+
+def test_parameters_of_systems_can_be_given():
+    block = cosim.StateSpace(_tank_of(DT, _tank_in_steps), initial=[1.0, 0.0], params={"outflow": 0.1})
+    run = fed(block, {"valve": np.ones((1, len(T)))}).simulate(2.0, engine="interpreted")
+    expected = control.input_output_response(
+        _tank_of(DT, _tank_in_steps), T, np.ones(len(T)), [1.0, 0.0], params={"outflow": 0.1}
+    )
+    np.testing.assert_allclose(run["block.level"], expected.outputs[0], rtol=1e-12)
 
 
 # --- results ------------------------------------------------------------------------------------------------------------------
