@@ -31,6 +31,7 @@ from .fault_modes import (
     Ramping as Ramping,
 )
 from .gamma import GammaPrecision as GammaPrecision
+from .identification import Identification as Identification
 from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative
 from .learning import LearnedModes as LearnedModes, RecordedRun as RecordedRun, learn_modes as learn_modes
 from .lqg import LQGController as LQGController

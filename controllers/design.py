@@ -10,13 +10,14 @@ import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
 from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable
+from bayesftc.controllers.identification import Identification
 from bayesftc.controllers.linearization import Names, linearize, names_of
 from bayesftc.controllers.lqg import LQGController
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 
 
 def design(
@@ -50,13 +51,14 @@ def design(
 
     Parameters
     ----------
-    plant : FMU, path, system of python-control, StateSpace or LinearModel
+    plant : FMU, path, system of python-control, StateSpace, LinearModel or Identification
         What is to be controlled. Nonlinear systems are linearised at a steady state.
     goal : str or sequence of str
         Names of the plant's outputs that get a goal, measured or not; by default the measured ones. Of a `LinearModel`: numbers
         of sensors whose quantity it is, or a matrix as in `LQGController`; by default each distinct output.
     measured, actuated : str or sequence of str
-        Names of the outputs that sensors read, and of the inputs that the controller drives. Not for a `LinearModel`.
+        Names of the outputs that sensors read, and of the inputs that the controller drives. Not for a `LinearModel` or an
+        `Identification`, which has its own.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default that of the model or the FMU.
     at, order, sensors, sensor_std, noise, disturbance
@@ -90,6 +92,10 @@ def design(
     ...     servo, controller, control="voltage", measured="angle", sensors=cosim.Sensors(2, 0.01), reference=1.0
     ... )
     """
+    if isinstance(plant, Identification):
+        if goal is not None and (isinstance(goal, str) or all(isinstance(name, str) for name in np.atleast_1d(goal))):
+            goal = [_place(plant, name) for name in names_of(goal, "goal")]  # type: ignore[arg-type]
+        plant = plant.model
     if isinstance(plant, LinearModel):
         given: dict[str, object] = {
             "measured": measured, "actuated": actuated, "dt": dt, "at": at, "order": order, "sensors": sensors, "noise": noise,
@@ -137,6 +143,12 @@ def design(
         initial_mean=mean,  # type: ignore[arg-type]
         initial_covariance=_initial(model),
     )
+
+
+def _place(plant: Identification, name: str) -> int:
+    if name not in plant.outputs:
+        raise UnknownNameError(f"The identified model has no output {name!r}; {did_you_mean(name, plant.outputs)}")
+    return plant.outputs.index(name)
 
 
 def _squares(name: str, value: object, size: int) -> Floats:

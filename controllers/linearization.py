@@ -248,8 +248,8 @@ def _of_fmu(
     if found.waited and not at:
         warnings.warn(
             f"The plant {fmu.default_name!r} does not rest at its start; it was left alone for {show(found.waited)} s, and the "
-            f"model is about where it came to rest, at the outputs {found.y.tolist()}. If it is to be controlled elsewhere, give other "
-            "start values or inputs (at=...).",
+            f"model is about where it came to rest, at the outputs {found.y.tolist()}. If it is to be controlled elsewhere, "
+            "give other start values or inputs (at=...).",
             stacklevel=4,
         )
     point = np.zeros(len(found.A)), u[: len(inputs)], found.y, found.start

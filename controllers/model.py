@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,9 @@ from bayesftc.controllers._sensor_errors import with_sensor_errors
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.timebase import rational_step
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.identification import Identification
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,6 +274,71 @@ class LinearModel:
             sensors=sensors,
             sensor_std=sensor_std,
             disturbance=disturbance,
+        )
+
+    @classmethod
+    def identify(
+        cls,
+        data: Any,
+        *,
+        inputs: str | Sequence[str],
+        outputs: str | Sequence[str],
+        order: int | None = None,
+        dt: float | str | Fraction | None = None,
+        time: str = "time",
+        held_out: float = 0.3,
+        past: int | None = None,
+    ) -> Identification:
+        """Return a model that is identified from a recording, in its `model`, with figures of how good it is.
+
+        Subspace identification in predictor form (SSARX with canonical variables), which bears feedback, so that a plant that
+        must be held by a controller can be recorded as it runs; the inputs must be moved by something else as well (a changing
+        goal, a dither). From the innovations model come the covariances of process and sensors, each sensor's noise being its
+        own: those whose Kalman filter is nearest to it. Where fewer than (n + 1) / 2 outputs leave the process covariance of n
+        states undetermined, one of several equally good ones is taken. States are canonical variables of unit variance and mean
+        nothing by themselves.
+
+        The last part of the recording is held out. On it are judged: the share of each output that is explained one sample ahead
+        and by simulation, whether residuals are white, and whether a long autoregression does better.
+
+        Parameters
+        ----------
+        data : Result, path of a CSV file, or pandas.DataFrame
+            The recording: evenly spaced rows, an input being that from its row to the next; empty cells are missing samples.
+        inputs, outputs : str or sequence of str
+            Columns of the controls and of the sensors. The name of a signal of several elements stands for all of them.
+        order : int, optional
+            Number of states; by default as many as the singular values tell (Bauer's criterion).
+        dt : float, str or Fraction, optional
+            Sample time in seconds; by default that of the column `time`.
+        time : str
+            Name of the column of times in seconds.
+        held_out : float
+            Share of the recording, its end, that the model is not made from.
+        past : int, optional
+            Length of the autoregression behind it; by default Akaike's choice.
+
+        Returns
+        -------
+        Identification
+            With ``model``, ``fit``, ``whiteness``, ``describe()``, ``plot()``; `design` takes it as a plant.
+
+        Raises
+        ------
+        ModelError
+            If there are too few samples, or an input or output does not move.
+        StepSizeError
+            If the times are not evenly spaced.
+
+        Warns
+        -----
+        PoorFitWarning
+            If a long autoregression predicts held-out data better, residuals are correlated, or nothing is explained.
+        """
+        from bayesftc.controllers.identification import identify
+
+        return identify(
+            data, inputs=inputs, outputs=outputs, order=order, dt=dt, time=time, held_out=held_out, past=past
         )
 
     def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:

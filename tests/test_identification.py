@@ -1,0 +1,193 @@
+"""Models from recordings: systems of known matrices and noise come back, in open and closed loop, and poor fits are said."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from bayesftc import cosim, fmus
+from bayesftc.controllers import LinearModel, PoorFitWarning, design
+from bayesftc.controllers._independent_noise import independent_noise
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
+
+A = np.array([[0.9, 0.2], [-0.2, 0.8]])
+UNSTABLE = np.array([[1.1, 0.2], [0.0, 0.9]])
+B = np.array([[0.1], [0.5]])
+C = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+Q, R = np.diag([0.01, 0.02]), np.diag([0.1, 0.05, 0.2])
+
+
+def record(rows, A=A, B=B, C=C, Q=Q, R=R, feedback=None, seed=1):
+    """A recording of a known system, its input white, or under feedback with a dither."""
+    rng, x, table = np.random.default_rng(seed), np.zeros(len(A)), []
+    for k in range(rows):
+        y = C @ x + rng.normal(size=len(C)) * np.sqrt(np.diag(R))
+        u = rng.normal(size=B.shape[1]) - (0.0 if feedback is None else feedback @ y)
+        table.append([0.1 * k, *(u + 3.0), *(y + 5.0)])
+        x = A @ x + B @ u + rng.normal(size=len(A)) * np.sqrt(np.diag(Q))
+    inputs, outputs = [f"u{i}" for i in range(B.shape[1])], [f"y{i}" for i in range(len(C))]
+    return pd.DataFrame(table, columns=["time", *inputs, *outputs]), {"inputs": inputs, "outputs": outputs}
+
+
+def of_known_states(model, C=C):
+    """Matrices of the model in the states of the system whose outputs C are, which must determine its states."""
+    moving = model.moving
+    T = np.linalg.lstsq(C, moving.matrix("C"), rcond=None)[0]
+    back = np.linalg.inv(T)
+    Q = T @ moving.matrix("process_covariance") @ T.T
+    return T @ moving.matrix("A") @ back, T @ moving.matrix("B"), Q, model.matrix("sensor_covariance")
+
+
+def test_known_matrices_and_noise_come_back_within_their_sampling_error():
+    """Ten recordings: the mean of the estimates lies within four of its own standard errors, biases of 3 % allowed."""
+    truth = np.concatenate([A.ravel(), B.ravel(), Q.ravel(), np.diag(R)])
+    rows = []
+    for seed in range(10):
+        table, names = record(2500, seed=seed)
+        found = LinearModel.identify(table, **names)
+        assert found.model.moving.states == 2
+        assert not found.poor
+        a, b, q, r = of_known_states(found.model)
+        rows.append(np.concatenate([a.ravel(), b.ravel(), q.ravel(), np.diag(r)]))
+    error = np.mean(rows, axis=0) - truth
+    allowed = 4 * np.std(rows, axis=0) / np.sqrt(len(rows)) + 0.03 * np.abs(truth) + 1e-3
+    assert (np.abs(error) < allowed).all(), (error, allowed)
+    # And each of them is as near as a recording of this length can be: 10 % for variances of 1,750 samples.
+    assert np.std(rows, axis=0)[-3:] == pytest.approx(np.diag(R) * np.sqrt(2 / 1750), rel=0.8)
+
+
+def test_an_unstable_plant_is_identified_as_its_controller_holds_it():
+    table, names = record(20_000, A=UNSTABLE, feedback=np.array([[0.2, 0.2, 0.3]]))
+    found = LinearModel.identify(table, **names)
+    a, b, q, r = of_known_states(found.model)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(a).real), [0.9, 1.1], atol=0.02)
+    np.testing.assert_allclose(b, B, atol=0.02)
+    np.testing.assert_allclose(q, Q, atol=0.003)
+    np.testing.assert_allclose(np.diag(r), np.diag(R), rtol=0.05)
+    assert found.whiteness.min() > 1e-3
+
+
+def test_without_noise_the_model_is_the_system():
+    moves = np.array([[1.0, 0.1, 0.0], [0.0, 0.9, 0.1], [0.0, -0.1, 0.8]])
+    table, names = record(
+        1500, moves, np.array([[0.0], [0.0], [1.0]]), np.eye(3)[:1], np.zeros((3, 3)), np.zeros((1, 1))
+    )
+    found = LinearModel.identify(table, **names)
+    ours = np.sort_complex(np.linalg.eigvals(found.model.moving.matrix("A")))
+    np.testing.assert_allclose(ours, np.sort_complex(np.linalg.eigvals(moves)), atol=1e-4)
+    assert found.fit[0] > 99.9
+    assert found.simulated_fit[0] > 99.0
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_independent_noise_is_found_behind_its_own_filter(order):
+    """The innovations model of a Kalman filter leads back to the Q and R that it was made of."""
+    rng = np.random.default_rng(order)
+    A = np.diag(rng.uniform(0.5, 0.95, order)) + 0.05
+    C = rng.normal(size=(order + 1, order))
+    root = rng.normal(size=(order, order))
+    Q, R = root @ root.T, np.diag(rng.uniform(0.1, 2.0, order + 1))
+    P = solve_discrete_are(A.T, C.T, Q, R)
+    S = C @ P @ C.T + R
+    K = A @ P @ C.T @ np.linalg.inv(S)
+    q, r = independent_noise(A, C, K, S)
+    np.testing.assert_allclose(q, Q, atol=2e-3 * np.abs(Q).max())
+    np.testing.assert_allclose(r, R, rtol=1e-2, atol=1e-3)
+
+
+def test_missing_samples_do_little_harm():
+    table, names = record(4000)
+    holes = table.copy()
+    holes.loc[np.arange(50, 4000, 97), "y0"] = np.nan
+    whole, holed = (LinearModel.identify(data, **names) for data in (table, holes))
+    for one, other in zip(of_known_states(whole.model), of_known_states(holed.model), strict=True):
+        np.testing.assert_allclose(one, other, atol=0.06)
+    assert np.isfinite(holed.fit).all()
+
+
+def test_a_csv_file_a_figure_and_a_controller(tmp_path):
+    table, names = record(3000)
+    table.to_csv(tmp_path / "plant.csv", index=False)
+    found = LinearModel.identify(tmp_path / "plant.csv", **names)
+    assert float(found.model.step) == 0.1
+    text = found.describe()
+    assert text.startswith("Order 2, poles 0.8")
+    assert "y2: " in text
+    figure = found.plot()
+    assert len(figure.axes) == 2 * 3 + 1
+    figure.savefig(tmp_path / "fit.png")
+    controller = design(found, goal="y2", acceptable_error=0.05)
+    # In values: at the goal the output is the goal, by the control that holds it there.
+    regulator, model = controller.regulator, found.model
+    x = regulator.x_of_goal @ [6.0] + regulator.x_of_others @ [1.0]
+    u = regulator.u_of_goal @ [6.0] + regulator.u_of_others @ [1.0]
+    assert (model.matrix("C")[2] @ [*x, 1.0]) == pytest.approx(6.0)
+    known = np.linalg.solve(np.block([[np.eye(2) - A, -B], [C[2:], np.zeros((1, 1))]]), [0.0, 0.0, 1.0])
+    assert u[0] - 3.0 == pytest.approx(known[2], abs=0.3)
+    with pytest.raises(UnknownNameError, match="did you mean 'y2'"):
+        design(found, goal="y22")
+
+
+def test_a_run_of_an_fmu_is_a_recording():
+    servo = cosim.FMU(fmus.path("PositionServo"))
+    diagram = cosim.Diagram(dt=0.02)
+    plant, voltage = diagram.add(servo, "servo"), diagram.add(cosim.Gaussian(std=2.0), "voltage")
+    sensors = diagram.add(cosim.Sensors(count=2, std=0.01), "sensors")
+    diagram.connect(voltage["y"], plant["voltage"])
+    diagram.connect(plant["speed"], sensors["u"])
+    result = diagram.simulate(60.0, seed=3, engine="interpreted")
+    found = LinearModel.identify(result, inputs="voltage.y", outputs="sensors.y")
+    assert found.outputs == ("sensors.y[0]", "sensors.y[1]")
+    known = np.exp(0.02 * np.linalg.eigvals(np.array([[-2.0, 10.0], [-2.0, -20.0]])))
+    np.testing.assert_allclose(
+        np.sort(np.linalg.eigvals(found.model.moving.matrix("A")).real), np.sort(known), atol=0.01
+    )
+    np.testing.assert_allclose(np.diag(found.model.matrix("sensor_covariance")), 1e-4, rtol=0.1)
+
+
+def test_a_poor_fit_is_said():
+    table, names = record(3000)
+    with pytest.warns(
+        PoorFitWarning, match=r"y2: on held-out data the errors are .* times those of a long autoregression"
+    ):
+        found = LinearModel.identify(table, **names, order=1)
+    assert found.poor
+    table["u0"] = np.random.default_rng(0).normal(size=3000)
+    table["y0"] = np.random.default_rng(1).normal(size=3000)
+    with pytest.warns(PoorFitWarning, match="do the inputs move it at all"):
+        LinearModel.identify(table, inputs="u0", outputs="y0", order=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        LinearModel.identify(*record(3000)[:1], **names)
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "error", "words"),
+    [
+        ({}, {"inputs": "v"}, UnknownNameError, "no input 'v'"),
+        ({}, {"outputs": []}, ModelError, "outputs=.*at least one column"),
+        ({}, {"held_out": 1.0}, ModelError, "held_out=1.0; it must be .* below 1"),
+        ({}, {"order": 1.5}, ModelError, "order=1.5"),
+        ({"u0": 1.0}, {}, ModelError, "'u0' does not move"),
+        ({"u0": np.nan}, {}, ModelError, "'u0' has no numbers"),
+        ({"y0": "high"}, {}, ModelError, "'y0' holds text"),
+        ({"time": 0.0}, {}, StepSizeError, "do not rise"),
+        ({"time": np.arange(400.0) ** 2}, {}, StepSizeError, "not evenly spaced"),
+        ({}, {"time": "t"}, StepSizeError, "no column 't'"),
+        (None, {}, ModelError, "record at least"),
+    ],
+)  # fmt: skip
+def test_wrong_recordings_are_said_in_a_sentence(change, settings, error, words):
+    table, names = record(20 if change is None else 400)
+    table = table.assign(**(change or {}))
+    with pytest.raises(error, match=words):
+        LinearModel.identify(table, **(names | settings))
+
+
+def test_what_is_no_recording(tmp_path):
+    with pytest.raises(ModelError, match="cannot be read"):
+        LinearModel.identify(tmp_path / "none.csv", inputs="u", outputs="y")
+    with pytest.raises(ModelError, match="not int"):
+        LinearModel.identify(3, inputs="u", outputs="y")
