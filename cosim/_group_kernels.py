@@ -24,7 +24,11 @@ from bayesftc.cosim._loop import (
     STATE,
     call_block,
 )
+from bayesftc.cosim._numba_ops import OPTIONS
 from bayesftc.cosim.schedule import NOT_FINITE
+
+# As functions below a step function, but not inlined wherever they are called.
+_part = register_jitable(**{**OPTIONS, "forceinline": False})
 
 # The table of parts has the columns of the loop's table of calls, and whether the time is that of the end of the step.
 LATE = LOOP_COLUMNS
@@ -64,7 +68,7 @@ def call_state(typingctx, function, component, state):
     return types.int32(types.int64, types.int64, types.int64), codegen
 
 
-@register_jitable(error_model="numpy")
+@_part
 def _sweep(machine, memory, t, h, k, record):
     base, parts, gathers, _, _, _ = machine
     for c in range(parts.shape[0]):
@@ -90,7 +94,7 @@ def _sweep(machine, memory, t, h, k, record):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@_part
 def _save(machine, memory, slot):
     base, _, _, fmus, states, kept = machine
     at = 0
@@ -106,7 +110,7 @@ def _save(machine, memory, slot):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@_part
 def _restore(machine, memory, slot):
     base, _, _, fmus, states, kept = machine
     at = 0
@@ -122,7 +126,7 @@ def _restore(machine, memory, slot):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@_part
 def _forget(machine, memory, slot):
     base, _, _, fmus, _, _ = machine
     for f in range(fmus.shape[0]):
@@ -134,14 +138,14 @@ def _forget(machine, memory, slot):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@_part
 def _resize(machine, memory, h):
     _, _, _, fmus, _, _ = machine
     for f in range(fmus.shape[0]):
         memory[fmus[f, 1]] = h
 
 
-_compute = build(_sweep, _save, _restore, _forget, _resize, register_jitable(error_model="numpy"))
+_compute = build(_sweep, _save, _restore, _forget, _resize, _part)
 
 
 def group(state, parameters, inputs, outputs, t, k):

@@ -1,0 +1,597 @@
+"""Tight coupling: FMUs that feed each other and algebraic loops, iterated; steps as small as the error asks."""
+
+import math
+import zipfile
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from bayesftc import cosim
+from bayesftc.cosim import Port, _group_engines, _group_steps
+from bayesftc.cosim._fmi_instance import Instance
+from bayesftc.cosim._repeat import repeat
+from bayesftc.cosim.coupling import Coupling
+from bayesftc.examples.coupled_masses.masses import Masses, sprung_mass
+from bayesftc.fmus import _compiler
+from bayesftc.fmus._platforms import host
+from bayesftc.fmus.build import build_fmu
+from bayesftc.fmus.spec import Model, Variable
+
+
+def why_no_build():
+    try:
+        _compiler.compiler_command(host())
+    except RuntimeError as error:
+        return str(error)
+    return ""
+
+
+pytestmark = pytest.mark.skipif(bool(why_no_build()), reason=why_no_build() or "there is a compiler")
+
+MASSES = Masses()
+DAMPED = Masses(c=4.0)
+ENGINES = ("compiled", "interpreted")
+WAYS = {
+    "jacobi": Coupling("jacobi"),
+    "gauss-seidel": Coupling("gauss-seidel"),
+    "end": Coupling("iterated", tolerance=1e-13),
+    "mean": Coupling("iterated", tolerance=1e-13, hold="mean"),
+}
+
+
+def built(masses, n, way, **settings):
+    diagram = masses.diagram(f"1/{n}", settings.pop("fmi", ("2.0", "3.0")))
+    return diagram.build(WAYS.get(way, way), **settings)
+
+
+# --- two masses ---------------------------------------------------------------------------------------------------------------
+
+
+def stepped(masses, n, way, steps=100):
+    """Return the positions that a way of coupling must yield: each mass by its own matrix exponential, values held."""
+    h = 1.0 / n
+    flows = []
+    for m in masses.m:
+        a = np.array(
+            [[0.0, 1.0, 0.0, 0.0], [-masses.k / m, -masses.c / m, masses.k / m, masses.c / m]] + [[0.0] * 4] * 2
+        )
+        flows.append(expm(a * h)[:2])
+    own = np.block([[flows[0][:, :2], np.zeros((2, 2))], [np.zeros((2, 2)), flows[1][:, :2]]])
+    other = np.block([[np.zeros((2, 2)), flows[0][:, 2:]], [flows[1][:, 2:], np.zeros((2, 2))]])
+    z = np.array([masses.x0[0], masses.v0[0], masses.x0[1], masses.v0[1]])
+    rows = [z]
+    for _ in range(steps):
+        if way == "jacobi":
+            z = own @ z + other @ z
+        elif way == "gauss-seidel":
+            first = (own + other)[:2] @ z
+            z = np.concatenate([first, own[2:] @ z + other[2:, :2] @ first])
+        elif way == "end":
+            z = np.linalg.solve(np.eye(4) - other, own @ z)
+        else:
+            z = np.linalg.solve(np.eye(4) - 0.5 * other, (own + 0.5 * other) @ z)
+        rows.append(z)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("masses", [MASSES, DAMPED], ids=["spring", "damper"])
+@pytest.mark.parametrize("way", WAYS)
+def test_each_way_yields_what_it_must(masses, way, run_both):
+    run = run_both(built(masses, 100, way), 1)
+    found = np.array([run[f"{name}.{q}"] for name in ("one", "two") for q in "xv"]).T
+    np.testing.assert_allclose(found, stepped(masses, 100, way), rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize(("way", "order"), [("jacobi", 1), ("gauss-seidel", 1), ("end", 1), ("mean", 2)])
+def test_order_of_convergence(way, order):
+    errors = [DAMPED.error(built(DAMPED, n, way).simulate(1)) for n in (200, 400, 800)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    np.testing.assert_allclose(orders, order, atol=0.1)
+    assert WAYS[way].order == order
+
+
+def test_energy_grows_falls_or_stays():
+    ends = {}
+    for way in WAYS:
+        run = built(MASSES, 100, way).simulate(2)
+        energy = MASSES.energy(*(run[name] for name in ("one.x", "two.x", "one.v", "two.v")))
+        ends[way] = energy[-1] / energy[0]
+    assert ends["jacobi"] > 1.5
+    assert ends["end"] < 0.5
+    assert abs(ends["mean"] - 1.0) < 1e-3
+
+
+@pytest.mark.parametrize("acceleration", ["anderson", "aitken", None])
+def test_every_acceleration_finds_the_same(acceleration, run_both):
+    wanted = stepped(DAMPED, 100, "end")[:, 0]
+    run = run_both(built(DAMPED, 100, "iterated", tolerance=1e-12, acceleration=acceleration, iterations=200), 1)
+    np.testing.assert_allclose(run["one.x"], wanted, rtol=0, atol=1e-9)
+
+
+def counted_sweeps(monkeypatch, acceleration, k):
+    count = [0]
+    usual = _group_engines.InterpretedGroup.sweep
+
+    def sweep(self, *given):
+        count[0] += 1
+        return usual(self, *given)
+
+    monkeypatch.setattr(_group_engines.InterpretedGroup, "sweep", sweep)
+    stiff = Masses(k=k, c=0.02 * k)
+    try:
+        built(stiff, 20, "iterated", acceleration=acceleration, iterations=500).simulate(1, engine="interpreted")
+    except cosim.SimulationError:  # it does not converge
+        return math.inf
+    return count[0] / 20
+
+
+def test_acceleration_pays_where_it_is_stiff(monkeypatch):
+    counts = {a: counted_sweeps(monkeypatch, a, 1e3) for a in (None, "aitken", "anderson")}
+    assert counts["anderson"] < counts[None]
+    assert counts["anderson"] <= 8  # four values are guessed at most
+
+
+def test_steps_as_small_as_the_error_asks(run_both):
+    errors = []
+    for step_error in (1e-3, 1e-5, 1e-7):
+        run = run_both(built(DAMPED, 20, "mean", step_error=step_error), 1)
+        assert len(run.time) == 21  # results stay on the base grid
+        errors.append(DAMPED.error(run))
+    assert errors[0] < DAMPED.error(built(DAMPED, 20, "mean").simulate(1))
+    assert errors[0] > 5 * errors[1] > 25 * errors[2]
+    assert errors[2] < 1e-4
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_loose_error_leaves_the_step_as_two_halves(way, same_bits):
+    """Of a step that is accepted at once the two halves count."""
+    coarse = built(DAMPED, 50, way, step_error=1e9).simulate(1)
+    fine = built(DAMPED, 100, way).simulate(1)
+    np.testing.assert_allclose(coarse["one.x"], fine["one.x"][::2], rtol=0, atol=1e-10)
+
+
+def test_live_runs_of_coupled_fmus_go_back(same_bits):
+    whole = built(DAMPED, 20, "mean", step_error=1e-5).simulate(1)
+    for engine in ENGINES:
+        with built(DAMPED, 20, "mean", step_error=1e-5).start(engine=engine) as session:
+            session.advance(0.4)
+            state = session.save_state()
+            session.advance(0.3)
+            session.restore(state)
+            rest = session.advance(0.6)
+            for name in whole:
+                same_bits(rest[name], whole[name][9:], name)
+
+
+def test_many_runs_of_coupled_fmus(same_bits):
+    diagram = built(DAMPED, 50, "end")
+    whole = diagram.simulate(0.2)
+    for run in repeat(diagram, 0.2, range(3), ["one.x"]):
+        same_bits(run["one.x"], whole["one.x"])
+
+
+def test_no_saved_state_is_left(monkeypatch):
+    """Each state that is saved is freed, of FMI 2 and 3, by the instance that gave it."""
+    calls = []
+    monkeypatch.setattr(Instance, "state_functions", None)  # the compiled loop then saves by way of Python
+    for name in ("save", "forget"):
+        usual = getattr(Instance, name)
+
+        def counted(self, *given, name=name, usual=usual):
+            calls.append(name)
+            return usual(self, *given)
+
+        monkeypatch.setattr(Instance, name, counted)
+    for settings in ({}, {"step_error": 1e-5}):
+        calls.clear()
+        built(DAMPED, 20, "end", **settings).simulate(0.5, engine="compiled")
+        assert calls.count("save") == calls.count("forget") >= 20
+
+
+@pytest.mark.parametrize("settings", [{}, {"step_error": 1e-5}])
+def test_states_saved_by_way_of_python_are_the_same(monkeypatch, same_bits, settings):
+    whole = built(DAMPED, 20, "end", **settings).simulate(1, engine="compiled")
+    monkeypatch.setattr(Instance, "state_functions", None)
+    again = built(DAMPED, 20, "end", **settings).simulate(1, engine="compiled")
+    for name in whole:
+        same_bits(again[name], whole[name])
+
+
+# --- what stands between and around FMUs --------------------------------------------------------------------------------------
+
+
+def test_blocks_without_a_memory_are_computed_along(run_both):
+    direct = run_both(built(DAMPED, 100, "end"), 0.5)
+    diagram = cosim.Diagram("1/100")
+    one, two = (add_mass(diagram, name, i) for i, name in enumerate(("one", "two")))
+    for here, there in ((one, two), (two, one)):
+        for port in "xv":
+            half = diagram.add(cosim.Gain(0.5), f"{here.name}_{port}_half")
+            twice = diagram.add(cosim.Sum("++"), f"{here.name}_{port}_twice")
+            diagram.connect(here[port], half["u"])
+            diagram.connect([half["y"], half["y"]], twice["u"])
+            diagram.connect(twice["y"], there[f"{port}_other"])
+    through = run_both(diagram.build("iterated", tolerance=1e-13), 0.5)
+    for name in ("one.x", "two.v"):
+        np.testing.assert_allclose(through[name], direct[name], rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(through["one_x_twice.y"], through["one.x"])  # the others see t_k
+    assert "(guessing " in diagram.schedule.describe().splitlines()[-1]
+
+
+def add_mass(diagram, name, i, masses=DAMPED, fmi="2.0", every=1):
+    start = {"m": masses.m[i], "k": masses.k, "c": masses.c, "x0": masses.x0[i], "v0": masses.v0[i]}
+    return diagram.add(cosim.FMU(sprung_mass(fmi), parameters=start), name, every=every)
+
+
+def test_a_delay_between_ends_the_iteration(run_both):
+    """A block with a memory is seen as at t_k, so what feeds it is no part of a loop."""
+    diagram = cosim.Diagram("1/100")
+    one, two = (add_mass(diagram, name, i) for i, name in enumerate(("one", "two")))
+    late = diagram.add(cosim.UnitDelay(2, initial=[0.0, 0.5]), "late")
+    diagram.connect([two["x"], two["v"]], late["u"])
+    diagram.connect(late["y"][0], one["x_other"])
+    diagram.connect(late["y"][1], one["v_other"])
+    for port in "xv":
+        diagram.connect(one[port], two[f"{port}_other"])
+    diagram.build("iterated")
+    assert "guessing" not in diagram.schedule.describe()
+    run = run_both(diagram, 0.5)
+    gauss = cosim.Diagram("1/100")
+    one, two = (add_mass(gauss, name, i) for i, name in enumerate(("one", "two")))
+    late = gauss.add(cosim.UnitDelay(2, initial=[0.0, 0.5]), "late")
+    gauss.connect([two["x"], two["v"]], late["u"])
+    gauss.connect(late["y"][0], one["x_other"])
+    gauss.connect(late["y"][1], one["v_other"])
+    for port in "xv":
+        gauss.connect(one[port], two[f"{port}_other"])
+    np.testing.assert_array_equal(run["two.x"], run_both(gauss, 0.5)["two.x"])
+
+
+def test_groups_keep_their_rate_and_inputs_are_recorded_as_at_t_k(run_both):
+    slow = cosim.Diagram("1/300")
+    one, two = (add_mass(slow, name, i, every=3) for i, name in enumerate(("one", "two")))
+    for here, there in ((one, two), (two, one)):
+        for port in "xv":
+            slow.connect(here[port], there[f"{port}_other"])
+    run = run_both(slow.build("iterated", tolerance=1e-13), 0.5, record=["*", "one.x_other"])
+    direct = built(DAMPED, 100, "end", fmi=("2.0", "2.0")).simulate(0.5)
+    np.testing.assert_array_equal(run["one.x"][::3], direct["one.x"])
+    np.testing.assert_array_equal(run["one.x_other"], run["two.x"])
+
+
+def without(fmi, capability, target):
+    with zipfile.ZipFile(sprung_mass(fmi)) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                state = {"canGetAndSetFMU": "state" if fmi == "2.0" else "State"}.get(capability, "")
+                said = f'{capability}{state}="true"'.encode()
+                assert said in content
+                content = content.replace(said, said.replace(b"true", b"false"))
+            new.writestr(name, content)
+    return target
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_fmus_that_cannot_go_back_are_named(fmi, tmp_path):
+    mute = without(fmi, "canGetAndSetFMU", tmp_path / "mute.fmu")
+    rigid = without(fmi, "canHandleVariableCommunicationStepSize", tmp_path / "rigid.fmu")
+    cases = [
+        (
+            mute,
+            {},
+            r"The FMU 'two' cannot save and restore its state .* which iterated coupling of one and two needs: put a Unit",
+        ),
+        (mute, {"step_error": 1e-3}, r"The FMU 'two' cannot save .* which step_error of one and two needs"),
+        (
+            rigid,
+            {"step_error": 1e-3},
+            r"The FMU 'two' makes steps of one size only .* varies those of one and two; leave",
+        ),
+    ]
+    for path, settings, sentence in cases:
+        diagram = pair(path, delayed=False)
+        with pytest.raises(cosim.FMUError, match=sentence):
+            diagram.build("iterated", **settings).simulate(0.1)
+    pair(rigid, delayed=False).build("iterated").simulate(0.1)
+    pair(mute, delayed=True).build("iterated").simulate(0.1)  # the delay that was asked for is there
+    pair(mute, delayed=False).build().simulate(0.1)
+
+
+def pair(path, *, delayed):
+    diagram = cosim.Diagram("1/100")
+    one, two = add_mass(diagram, "one", 0), diagram.add(cosim.FMU(path), "two")
+    for port in "xv":
+        diagram.connect(one[port], two[f"{port}_other"])
+        source = two[port]
+        if delayed:
+            late = diagram.add(cosim.UnitDelay(), f"late_{port}")
+            diagram.connect(source, late["u"])
+            source = late["y"]
+        diagram.connect(source, one[f"{port}_other"])
+    return diagram
+
+
+def test_a_chain_needs_no_way_back(tmp_path, same_bits):
+    """FMUs that only feed on are stepped one after the other, as with Gauss-Seidel, whatever they can."""
+    mute = without("2.0", "canGetAndSetFMU", tmp_path / "mute.fmu")
+    runs = {}
+    for way in ("iterated", "gauss-seidel"):
+        diagram = cosim.Diagram("1/100")
+        one, two = add_mass(diagram, "one", 0), diagram.add(cosim.FMU(mute), "two")
+        diagram.connect(one["x"], two["x_other"])
+        runs[way] = diagram.build(way).simulate(0.5)
+        assert runs[way]["two.x"].std() > 0.1
+    same_bits(runs["iterated"]["two.x"], runs["gauss-seidel"]["two.x"])
+
+
+# --- algebraic loops ----------------------------------------------------------------------------------------------------------
+
+
+def feedback(gain, **settings):
+    """Return a loop y = gain * (r - y), which each step has to solve."""
+    diagram = cosim.Diagram(0.1)
+    source = diagram.add(cosim.Sine(amplitude=2.0, period=1.3, offset=1.0), "r")
+    difference = diagram.add(cosim.Sum("+-"), "e")
+    amplifier = diagram.add(cosim.Gain(gain), "y")
+    diagram.connect([source["y"], amplifier["y"]], difference["u"])
+    diagram.connect(difference["y"], amplifier["u"])
+    return diagram.build("iterated", **settings)
+
+
+@pytest.mark.parametrize("acceleration", ["anderson", "aitken"])
+@pytest.mark.parametrize("gain", [0.5, -3.0, 50.0])
+def test_a_loop_is_solved_at_each_step(gain, acceleration, run_both):
+    run = run_both(feedback(gain, acceleration=acceleration), 2)
+    np.testing.assert_allclose(run["y.y"], gain / (1 + gain) * run["r.y"], rtol=1e-7)
+
+
+def test_a_loop_that_does_not_converge_says_by_how_much():
+    for engine in ENGINES:
+        with pytest.raises(cosim.SimulationError) as caught:
+            feedback(50.0, acceleration=None, iterations=7).simulate(1, engine=engine)
+        text = str(caught.value)
+        assert text.startswith(
+            "The run stopped at t = 0 s (step 0): the coupling of 'e' and 'y' did not converge in 7 iterations: "
+        )
+        assert "still changes by " in text
+        assert (
+            "the tolerance is 1e-08. Take a smaller step than 0.1 s, more iterations, another acceleration, or put"
+            in text
+        )
+        assert len(caught.value.result.time) == 0
+
+
+def test_loops_are_refused_with_the_remedy_where_they_are_not_iterated():
+    diagram = cosim.Diagram(0.1)
+    one, two = diagram.add(cosim.Gain(0.5), "one"), diagram.add(cosim.Gain(0.5), "two")
+    diagram.connect(one["y"], two["u"])
+    diagram.connect(two["y"], one["u"])
+    for way in (None, "jacobi", Coupling("gauss-seidel", step_error=1e-3)):
+        with pytest.raises(cosim.AlgebraicLoopError, match=r"solved at each step with build\(coupling='iterated'\)\.$"):
+            diagram.build(way)
+    assert diagram.build("iterated").schedule.describe() == "at t_k     one and two  (guessing two.y)"
+
+
+def test_a_block_with_a_memory_in_a_loop_makes_one_step(make_block, run_both):
+    """What the output function writes into the state is put back before each sweep."""
+
+    def lag(u, n, x, y):
+        n[0] = n[0] + 1.0
+        x[0] = 0.5 * x[0] + 0.5 * u[0]
+        y[0] = -0.8 * x[0]
+
+    block = make_block(inputs=(Port("u"),), outputs=(Port("y"),), output=lag, state={"n": 0.0, "x": 1.0})
+
+    def count(n, y):
+        y[0] = n[0]
+
+    diagram = cosim.Diagram(1)
+    node, back = diagram.add(block, "lag"), diagram.add(cosim.Gain(1.0), "back")
+    diagram.connect(node["y"], back["u"])
+    diagram.connect(back["y"], node["u"])
+    run = run_both(diagram.build("iterated", tolerance=1e-14), 5)
+    x, wanted = 1.0, []
+    for _ in range(6):  # x = .5 x_before + .5 u with u = -.8 x
+        x = 0.5 * x / 1.4
+        wanted.append(-0.8 * x)
+    np.testing.assert_allclose(run["lag.y"], wanted, rtol=1e-10)
+
+
+SAMPLED = """
+#include "model.h"
+
+void model_initialize(double *x)
+{
+    x[X_HIDDEN] = 0.0;
+    x[X_y] = 0.0;
+}
+
+int model_step(double *x, double h)
+{
+    if (x[X_u] > 1e6) {
+        return 42;
+    }
+    x[X_HIDDEN] += h * x[X_u];
+    x[X_y] = x[X_p] * x[X_u] + x[X_i] * x[X_HIDDEN];
+    return 0;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory):
+    """Return an FMU of a sampled controller: u goes through to y, and is summed."""
+    folder = tmp_path_factory.mktemp("controller")
+    source = folder / "controller.c"
+    source.write_text(SAMPLED)
+    model = Model(
+        name="Controller",
+        description="A controller with feedthrough and an integral",
+        source=source,
+        variables=(
+            Variable("u", "input", "Input", variability="discrete"),
+            Variable("y", "output", "Output", variability="discrete", dependencies=("u", "p", "i")),
+            Variable("p", "parameter", "Gain", start=2.0),
+            Variable("i", "parameter", "Gain of the integral", start=1.0),
+        ),
+        step=0.1,
+        hidden=1,
+        timing="sampled",
+    )
+    return {fmi: build_fmu(model, folder, fmi=fmi) for fmi in ("2.0", "3.0")}
+
+
+def sampled_loop(path, p=2.0, r=1.0):
+    diagram = cosim.Diagram(0.1)
+    source, error = diagram.add(cosim.Constant(r), "r"), diagram.add(cosim.Sum("+-"), "e")
+    fmu = diagram.add(cosim.FMU(path, parameters={"p": p}), "c")
+    diagram.connect([source["y"], fmu["y"]], error["u"])
+    diagram.connect(error["y"], fmu["u"])
+    return diagram
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_a_sampled_fmu_in_a_loop_is_put_back_before_each_sweep(fmi, controller, run_both):
+    run = run_both(sampled_loop(controller[fmi]).build("iterated", tolerance=1e-13), 2)
+    integral, wanted = 0.0, []
+    for _ in range(21):  # y = 2 u + s + .1 u with u = 1 - y
+        y = (2.1 + integral) / 3.1
+        integral += 0.1 * (1 - y)
+        wanted.append(y)
+    np.testing.assert_allclose(run["c.y"], wanted, rtol=1e-10)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_fmu_that_fails_while_it_is_iterated_is_named(engine, controller):
+    diagram = sampled_loop(controller["2.0"], r=2e6)
+    with pytest.raises(
+        cosim.SimulationError,
+        match=r"at t = 0 s \(step 0\): block 'c' reported status 303\. fmi2DoStep returned Error\.",
+    ):
+        diagram.build("iterated").simulate(1, engine=engine)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_output_that_is_no_number_while_iterating_is_named(engine):
+    diagram = cosim.Diagram("1/10")
+    one, two = (add_mass(diagram, name, i, Masses(k=1e300, c=1e300)) for i, name in enumerate(("one", "two")))
+    for here, there in ((one, two), (two, one)):
+        diagram.connect(here["x"], there["x_other"])
+    with pytest.raises(cosim.SimulationError, match=r"at t = 0\.1 s \(step 1\): one\.[xv] came out (NaN|infinite)"):
+        diagram.build("iterated").simulate(1, engine=engine)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_output_that_jumps_ends_step_doubling_in_a_sentence(engine, make_block):
+    """A block between the FMUs that is never the same twice lets no step be small enough."""
+
+    def restless(t, u, y):
+        y[0] = u[0] + 10.0 * ((t * 1e7) % 2.0)
+
+    diagram = cosim.Diagram("1/10")
+    one, two = (add_mass(diagram, name, i) for i, name in enumerate(("one", "two")))
+    noise = diagram.add(make_block(inputs=(Port("u"),), outputs=(Port("y"),), output=restless), "noise")
+    diagram.connect(one["x"], noise["u"])
+    diagram.connect(noise["y"], two["x_other"])
+    diagram.connect(two["x"], one["x_other"])
+    with pytest.raises(
+        cosim.SimulationError,
+        match=r"no step of .* is small enough for step_error=1e-09: in one of 1\.53e-06 s the error of",
+    ):
+        diagram.build("jacobi", step_error=1e-9).simulate(1, engine=engine)
+
+
+# --- settings -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"method": "itterated"}, "coupling is 'itterated'; it must be 'gauss-seidel', 'jacobi' or 'iterated'"),
+        ({"acceleration": "newton"}, "acceleration='newton'; it must be None, 'aitken' or 'anderson'"),
+        ({"hold": "begin"}, "hold='begin'; it must be 'end' or 'mean'"),
+        ({"tolerance": 0}, "tolerance=0; it must be a positive number"),
+        ({"tolerance": None}, "tolerance=None; it must be a positive number"),
+        ({"step_error": float("nan")}, "step_error=nan; it must be a positive number"),
+        ({"iterations": 0}, "iterations=0; it must be a whole number"),
+        ({"iterations": 2.5}, "iterations=2.5; it must be a whole number"),
+        ({"hold": "mean"}, "hold='mean' needs the values at the end of a step, which only iterated coupling knows"),
+    ],
+)
+def test_settings_that_cannot_be(settings, sentence):
+    with pytest.raises(cosim.ModelError) as caught:
+        Coupling(**settings)
+    assert sentence in str(caught.value)
+
+
+def test_a_diagram_is_built_with_one_coupling():
+    diagram = cosim.Diagram(1).build("iterated", tolerance=1e-6)
+    assert diagram.build() is diagram
+    assert diagram.build(Coupling("iterated", tolerance=1e-6)) is diagram
+    with pytest.raises(
+        cosim.ModelError, match="built with iterated coupling already; it cannot be built anew with other"
+    ):
+        diagram.build("iterated")
+    with pytest.raises(TypeError, match="tol"):
+        cosim.Diagram(1).build("iterated", tol=1e-6)
+
+
+# --- acceleration on its own --------------------------------------------------------------------------------------------------
+
+
+def iterated(step, size, method, limit=40):
+    """Run the arithmetic of the acceleration on a fixed point; return the gaps."""
+    compute = _group_steps.build(
+        lambda machine, memory, t, h, k, record: memory.__setitem__(slice(None), step(memory)) or 0,
+        *[lambda machine, memory, slot: 0] * 3,
+        lambda machine, memory, h: None,
+    )
+    memory, gaps = np.zeros(size), []
+    places = np.arange(size)
+    work, numbers = np.zeros((_group_steps.WORK_ROWS, size)), np.zeros(_group_steps.NUMBERS)
+    record, none = np.zeros(3, dtype=np.int64), np.zeros((0, 5), dtype=np.int64)
+    for most in range(1, limit):
+        memory[:] = 0.0
+        status = compute(
+            None, memory, places, places, none, -1, work, numbers, 1e-12, most, method, 0.0, 1.0, 0.0, 0.0, 1.0, 0, record
+        )  # fmt: skip
+        gaps.append(numbers[_group_steps.GAP])
+        if status == 0:
+            return most, memory.copy()
+    return limit, memory.copy()
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_anderson_solves_a_linear_problem_in_as_many_guesses_as_values_and_two(size):
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        a, b = rng.normal(size=(size, size)), rng.normal(size=size)
+        a *= 2.0 / np.abs(np.linalg.eigvals(a)).max()  # plain iteration diverges
+        count, found = iterated(lambda x, a=a, b=b: a @ x + b, size, _group_steps.ANDERSON)
+        assert count <= size + 3
+        np.testing.assert_allclose(found, np.linalg.solve(np.eye(size) - a, b), rtol=1e-7, atol=1e-9)
+
+
+def test_aitken_and_anderson_are_the_secant_for_one_value():
+    def step(x):
+        return np.cos(3.0 * x)
+
+    counts = {m: iterated(step, 1, m) for m in (_group_steps.PLAIN, _group_steps.AITKEN, _group_steps.ANDERSON)}
+    assert counts[_group_steps.PLAIN][0] == 40  # it does not converge
+    for method in (_group_steps.AITKEN, _group_steps.ANDERSON):
+        count, found = counts[method]
+        assert count < 12
+        np.testing.assert_allclose(found, np.cos(3.0 * found), atol=1e-11)
+
+
+def test_anderson_on_a_nonlinear_problem_with_many_values():
+    rng = np.random.default_rng(1)
+    a = rng.normal(size=(12, 12))
+    a *= 0.9 / np.linalg.norm(a, 2)
+    plain, _ = iterated(lambda x: np.tanh(a @ x) + 1.0, 12, _group_steps.PLAIN, limit=400)
+    count, found = iterated(lambda x: np.tanh(a @ x) + 1.0, 12, _group_steps.ANDERSON)
+    assert count < plain
+    assert count < 40
+    np.testing.assert_allclose(found, np.tanh(a @ found) + 1.0, atol=1e-10)
