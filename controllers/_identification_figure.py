@@ -19,7 +19,10 @@ MOST = 600
 
 
 def draw(found: Identification) -> Figure:
-    """Return the figure: a row of held-out data and the errors' autocorrelation (grey: 95 % of white noise's) for each output, and the states' correlations."""
+    """Return the figure: for each output held-out data and the errors' autocorrelation, and what told the order.
+
+    Grey behind the autocorrelations is where 95 % of those of white noise are.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

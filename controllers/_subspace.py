@@ -93,7 +93,9 @@ def _fit(u: Floats, y: Floats, x: Floats, correlations: Floats, past: int, yards
     )
     e = y - np.hstack([now, one]) @ reading.T
     move = read & np.isfinite(following).all(axis=1) & np.isfinite(u).all(axis=1)
-    moving = np.linalg.lstsq(np.hstack([now, u, e, one])[move], following[move], rcond=None)[0].T
+    moving: Floats = np.asarray(
+        np.linalg.lstsq(np.hstack([now, u, e, one])[move], following[move], rcond=None)[0].T, dtype=np.float64
+    )
     return Innovations(
         A=moving[:, :n],
         B=moving[:, n : n + p],

@@ -59,7 +59,7 @@ def test_known_matrices_and_noise_come_back_within_their_sampling_error():
 
 
 def test_an_unstable_plant_is_identified_as_its_controller_holds_it():
-    table, names = record(20_000, A=UNSTABLE, feedback=np.array([[0.2, 0.2, 0.3]]))
+    table, names = record(10_000, A=UNSTABLE, feedback=np.array([[0.2, 0.2, 0.3]]))
     found = LinearModel.identify(table, **names)
     a, b, q, r = of_known_states(found.model)
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(a).real), [0.9, 1.1], atol=0.02)
