@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 from zipfile import ZipFile
+
+from numpy.typing import NDArray
 
 from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._model_exchange_info import ExchangeInfo, read_exchange
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
 
 Value = float | int | bool | str | tuple[Any, ...]
 """A value of a variable: of an array, tuples of tuples, row by row."""
+
+_Scalar = float | int | bool | str
+Given = _Scalar | Sequence[_Scalar | Sequence[_Scalar | Sequence[_Scalar]]] | NDArray[Any]
+"""A value as a user gives it: with a unit (``(30, "deg")``, ``([[1, 0], [0, 1]], "kg")``) or without."""
 
 REAL_TYPES = frozenset({"Real", "Float64"})
 """The types that ports can have: double-precision numbers of FMI 2 and FMI 3."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal, cast
 
 from bayesftc.cosim._fmi_archive import Archive, open_archive
-from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, read_description
+from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Given, Value, read_description
 from bayesftc.cosim._fmi_ports import choose, choose_tunable, late_outputs
 from bayesftc.cosim._fmi_values import as_floats, resolved, start_values, value_of
 from bayesftc.cosim._isolated_settings import check_isolation
@@ -97,7 +97,7 @@ class FMU(ExternalBlock):
     """
 
     path: str | PathLike[str]
-    parameters: Mapping[str, Any] | None = field(default=None, kw_only=True, hash=False)
+    parameters: Mapping[str, Given] | None = field(default=None, kw_only=True, hash=False)
     inputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
     outputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
     timing: Literal["plant", "direct", "sampled"] | None = field(default=None, kw_only=True)
@@ -137,7 +137,7 @@ class FMU(ExternalBlock):
         set_(self, "name", self.name or "".join(description.name.lower().split()))
         set_(self, "parameters", start_values(archive, description, self.parameters or {}))
         set_(self, "tunable", tuple(self.tunable) if isinstance(self.tunable, list | tuple) else self.tunable)
-        variables = resolved(archive, description, self.parameters or {})
+        variables = resolved(archive, description, self._given)
         chosen = {
             side: choose(archive, variables, side, self._without_tunable(f"{side}s"), exchange=exchange)
             for side in ("input", "output")
@@ -190,8 +190,8 @@ class FMU(ExternalBlock):
         >>> arm.start_value("L1"), arm.start_value("L2")
         (1.0446, 0.8)
         """
-        variables = resolved(*self._read(), self.parameters or {})
-        starts: dict[str, Value | None] = {v.name: v.start for v in variables.values()} | dict(self.parameters or {})
+        variables = resolved(*self._read(), self._given)
+        starts: dict[str, Value | None] = {v.name: v.start for v in variables.values()} | dict(self._given)
         if name not in starts:
             raise UnknownNameError(
                 f"The FMU {Path(self.path).name} has no variable {name!r}; {did_you_mean(name, starts)}"
@@ -231,7 +231,7 @@ class FMU(ExternalBlock):
 
     def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value], list[FMUVariable]]:
         """Return the start values, the inputs with their start values, and the outputs, by variable."""
-        given = self.parameters or {}
+        given = self._given
         variables = resolved(*self._read(), given)
         missing = [n for n in (*(p.name for p in self._ports), *given) if n not in variables]
         if missing:
@@ -251,6 +251,11 @@ class FMU(ExternalBlock):
         return [item for item in wanted if not (isinstance(item, Port) and item.name in self.tunable)]
 
     @property
+    def _given(self) -> Mapping[str, Value]:
+        """The parameters once they are checked."""
+        return cast("Mapping[str, Value]", self.parameters or {})
+
+    @property
     def _ports(self) -> tuple[Port, ...]:
         return tuple(p for p in (*(self.inputs or ()), *(self.outputs or ())) if isinstance(p, Port))
 
@@ -267,7 +272,7 @@ class FMU(ExternalBlock):
         meaning = definition.unit if definition else None
         if variable.causality == "output":
             return Port(variable.name, variable.shape, variable.unit, meaning=meaning)
-        default = as_floats(value_of(variable, self.parameters or {}))
+        default = as_floats(value_of(variable, self._given))
         feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
         return Port(variable.name, variable.shape, variable.unit, feedthrough, default, meaning=meaning)
 
