@@ -15,6 +15,7 @@ from bayesftc.examples.cruise_control import (
     kalman_validation,
     where_it_helps,
 )
+from bayesftc.examples.python_control_style import cruise_control as in_python_control
 from bayesftc.scenario import load_scenario, shipped_scenarios
 
 FOLDER = Path(bayesftc.examples.__path__[0]) / "cruise_control"
@@ -89,3 +90,14 @@ def test_a_failed_engine_is_told_from_failed_sensors(capsys):
     assert price["with frequent actuator faults"] > price["with actuator modes"]
     ((_, errors),) = actuator_faults.slow_engine(runs=1, lags=(0.5,), steps=300, compiled=False).items()
     assert errors["with actuator modes"] > 3 * errors["FixedPrecision"]  # a reason why they are no default
+
+
+def test_in_python_controls_style_only_the_line_of_the_plant_changes(capsys):
+    runs = in_python_control.main(10.0)
+    assert len(capsys.readouterr().out.splitlines()) == 5
+    for law in ("PI", "Bayesian"):
+        np.testing.assert_allclose(runs[law, "FMU"].outputs, runs[law, "nlsys"].outputs, rtol=1e-12, atol=1e-12)
+    goal = runs["PI", "FMU"].inputs[0]
+    blind, alert = (np.abs(runs[law, "FMU"].outputs[0] - goal)[350:].max() for law in ("PI", "Bayesian"))
+    assert blind > 20.0
+    assert alert < 2.0
