@@ -12,6 +12,7 @@ from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 BARS = {
     "plain_loop.engine_over_c", "plain_loop.engine_over_fmpy", "plain_loop.difference",
     "coupled.engine", "coupled.difference",
+    "model_exchange.free_cvode_over_fmpy", "model_exchange.driven_cvode_over_fmpy",
     "full_loop.engine", "full_loop.engine_over_user", "full_loop.difference", "full_loop.rmse_ratio",
     "learners.per_sensor", "learners.growth",
     "startup.import", "startup.help", "startup.scenario", "startup.scenario_compiled", "startup.second_engine",
