@@ -232,6 +232,8 @@ def _parse(archive: Archive, validate: bool) -> ModelDescription:
         return read_model_description(_checked_xml(archive), validate=validate)
     except ValidationError as error:
         problems = [str(p).removesuffix(".") for p in error.problems]
+    except KeyError as error:
+        problems = [f"it refers to a variable {error}, which it does not define"]
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
         problems = [(str(error) or type(error).__name__).removesuffix(".")]
     more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
@@ -284,11 +286,17 @@ def _declared(variable: ModelVariable, attribute: str) -> Any:
 
 def _unit(unit: Any) -> UnitDefinition:
     base, meaning = unit.baseUnit, None
-    if base is not None:
+    if base is not None and _is_factor(base.factor):
         powers = {name: int(getattr(base, symbol)) for symbol, name in zip(_SYMBOLS, BASE, strict=True)}
         powers = {name: power for name, power in powers.items() if power}
         meaning = Unit(powers, float(base.factor), float(base.offset), cycles="Hz" in unit.name)
-    return UnitDefinition(meaning, {d.name: (float(d.factor), float(d.offset)) for d in unit.displayUnits})
+    return UnitDefinition(
+        meaning, {d.name: (float(d.factor), float(d.offset)) for d in unit.displayUnits if _is_factor(d.factor)}
+    )
+
+
+def _is_factor(value: float) -> bool:
+    return math.isfinite(value) and value != 0.0
 
 
 def _feedthrough(model: ModelDescription) -> dict[str, tuple[str, ...] | None]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from math import isfinite
 from typing import Literal
 
 import numpy as np
 
 from bayesftc.cosim._fmi_description import FMUVariable, Value
-from bayesftc.cosim._fmi_groups import Group, element_names, groups, type_range
+from bayesftc.cosim._fmi_groups import element_names, groups, type_range
 from bayesftc.cosim._fmi_library import CallError, Library
 from bayesftc.cosim._fmi_messages import STATUS, Messages
 from bayesftc.cosim._fmi_states import SavedState, States
@@ -166,8 +167,8 @@ class Instance(StepFunctions):
             return self._misfit(status == UNFIT_INPUT)
         where, code = status // 100 * 100, status % 100
         names = {
-            GET: _either(self._groups[1]),
-            SET: _either(self._groups[0]),
+            GET: self._called(1),
+            SET: self._called(0),
             STEP: f"fmi{self._major}DoStep",
             EVENTS: "An FMI function of event mode",
         }
@@ -176,6 +177,15 @@ class Instance(StepFunctions):
         self._fatal = code == FATAL
         more = self._library.last_words(self._component) if where == STEP and code == DISCARD else ""
         return " ".join(s for s in (f"{function} returned {word}.", more, said) if s)
+
+    def _called(self, side: int) -> str:
+        """Return which function has failed to read or set values, and whose."""
+        failing = [g for g in self._groups[side] if self._plain or g.begin == self._scratch[UNFIT]]
+        if not failing or self._plain:
+            return failing[0].name if failing else "An FMI function"
+        begin, end = failing[0].begin, failing[0].begin + failing[0].size
+        names = dict.fromkeys(variable.name for _, variable in self._elements[side][begin:end])
+        return f"{failing[0].name} of {' and '.join(map(repr, names))}"
 
     def _misfit(self, is_input: bool) -> str:
         place = int(self._scratch[UNFIT])
@@ -209,13 +219,16 @@ class Instance(StepFunctions):
 
 def _check_step(library: Library, name: str, step: Fraction) -> None:
     fixed = library.description.capabilities.get("fixedInternalStepSize")
-    size = float(fixed) if fixed else 0.0
-    if size > 0.0 and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size:
+    try:
+        size = float(fixed or 0.0)
+    except ValueError:  # of a description that nobody has validated
+        size = 0.0
+    if (
+        isfinite(size)
+        and size > 0.0
+        and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size
+    ):
         raise StepSizeError(
             f"The FMU {library.description.name!r} makes steps of {size:g} s only (fixedInternalStepSize), but {name!r} is to "
             f"make steps of {show(step)} s: choose dt, or every=, so that its step is a whole multiple of {size:g} s."
         )
-
-
-def _either(side: Sequence[Group]) -> str:
-    return " or ".join(dict.fromkeys(group.name for group in side)) or "An FMI function"

@@ -173,6 +173,7 @@ class StepFunctions:
                 return UNFIT_OUTPUT
             status = _failed(GET, status)
             if status:
+                self._scratch[UNFIT] = group.begin
                 return status
         return 0
 
@@ -211,7 +212,10 @@ class StepFunctions:
         if unfit >= 0:
             self._scratch[UNFIT] = unfit
             return UNFIT_INPUT
-        return _failed(SET, status)
+        status = _failed(SET, status)
+        if status:
+            self._scratch[UNFIT] = group.begin
+        return status
 
     def _in_parts(self, t: float, h: float) -> int:
         """Go on after a step of FMI 2 that was discarded: from where it came to, in smaller parts."""

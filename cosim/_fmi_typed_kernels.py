@@ -126,6 +126,14 @@ def _call(major, parameters, group, buffer):
 
 
 @register_jitable(error_model="numpy")
+def _noted(parameters, group, status):
+    """Remember whose call has failed."""
+    if status != 0:
+        put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN))
+    return status
+
+
+@register_jitable(error_model="numpy")
 def _put(major, parameters, inputs, group):
     begin = inputs + 8 * word(group, BEGIN)
     code, buffer = word(group, CODE), begin
@@ -137,7 +145,7 @@ def _put(major, parameters, inputs, group):
                 put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN) + i)
                 return UNFIT_INPUT
             store(buffer, i, code, value)
-    return failed(SET, _call(major, parameters, group, buffer))
+    return _noted(parameters, group, failed(SET, _call(major, parameters, group, buffer)))
 
 
 @register_jitable(error_model="numpy")
@@ -145,9 +153,9 @@ def _take(major, parameters, outputs, group):
     begin = outputs + 8 * word(group, BEGIN)
     code = word(group, CODE)
     if code == FLOAT64:
-        return failed(GET, _call(major, parameters, group, begin))
+        return _noted(parameters, group, failed(GET, _call(major, parameters, group, begin)))
     buffer = word(group, BUFFER)
-    status = failed(GET, _call(major, parameters, group, buffer))
+    status = _noted(parameters, group, failed(GET, _call(major, parameters, group, buffer)))
     if status != 0:
         return status
     for i in range(word(group, SIZE)):

@@ -77,7 +77,7 @@ def resolved(archive: Archive, description: FMUDescription, values: Mapping[str,
     structure = {v.name: v.start for v in description.variables} | dict(values)
     variables: dict[str, FMUVariable] = {}
     for variable in description.variables:
-        shape: tuple[int, ...] = tuple(_size(d, structure) for d in variable.dimensions)
+        shape: tuple[int, ...] = tuple(_size(archive, variable, d, structure) for d in variable.dimensions)
         count: int = math.prod(shape)
         if count > LARGEST:
             raise FMUError(
@@ -92,9 +92,15 @@ def resolved(archive: Archive, description: FMUDescription, values: Mapping[str,
     return variables
 
 
-def _size(dimension: int | str, structure: Mapping[str, Any]) -> int:
+def _size(archive: Archive, variable: FMUVariable, dimension: int | str, structure: Mapping[str, Any]) -> int:
     size = dimension if isinstance(dimension, int) else structure.get(dimension)
-    return size if isinstance(size, int) and size >= 0 else 0
+    if not isinstance(size, int) or isinstance(size, bool) or size < 0:
+        given = f"{dimension!r}, which is {size}" if isinstance(dimension, str) else str(size)
+        raise FMUError(
+            f"The array {variable.name!r} of the FMU {archive.path.name} is as large as {given}: that is no size; export the FMU "
+            "again."
+        )
+    return size
 
 
 def value_of(variable: FMUVariable, values: Mapping[str, Value]) -> Value:

@@ -224,6 +224,52 @@ def by_hand(path, n, K, x0, u):
     return rows
 
 
+ARRAY = '<Float64 name="y" valueReference="5" causality="output"><Dimension valueReference="1"/></Float64>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion valueReference="77"'),
+            "a variable 77, which it does not define",
+        ),
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion valueReference="6"'),
+            "'y' .* as large as 'k', which is 1.0",
+        ),
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion start="-5"'),
+            "'y' .* is as large as -5: that is no size",
+        ),
+        (ARRAY, ARRAY.replace('sion valueReference="1"', 'sion start="99999999999"'), "more than 10,000,000 numbers"),
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion start="5"'),
+            "fmi3GetFloat64 of 'y' and 'total' returned Error",
+        ),
+        ('start="1 0 0 1"', 'start="1 0 0"', r"'K' .* start value '1 0 0', which is no Float64 of shape \(2, 2\)"),
+        ('start="1 0 0 1"', 'start="1 a 0 1"', "start value '1 a 0 1', which is no Float64"),
+        ('<Int8 name="byte"', '<UInt16 name="byte"', "fmi3SetUInt16 of 'byte' returned Error"),
+        ('factor="1.8"', 'factor="0"', "what 'Rankine' means is not known"),
+    ],
+)
+def test_descriptions_of_arrays_that_lie_end_in_a_sentence(breadth, tmp_path, old, new, words):
+    text = DESCRIPTION["3"].replace("FLAGS", "")
+    assert old in text
+    with zipfile.ZipFile(breadth("3")) as source, zipfile.ZipFile(tmp_path / "lie.fmu", "w") as target:
+        for name in source.namelist():
+            content = text.replace(old, new).encode() if name == "modelDescription.xml" else source.read(name)
+            target.writestr(name, content)
+
+    values = {"x0": ([1, 2], "Rankine")} if "factor" in new else {}
+    with pytest.raises((FMUError, SimulationError), match=words):
+        alone(FMU(tmp_path / "lie.fmu", parameters=values, validate=False), 0.1).simulate(0.1, engine="interpreted")
+
+
 # --- types -------------------------------------------------------------------------------------------------------------------
 
 PAIRS = {
@@ -450,6 +496,8 @@ def test_steps_that_an_fmu_cannot_make_are_refused(breadth):
             StepSizeError, match=r"steps of 0.02 s only .*, but 'b' is to make steps of .* multiple of 0.02 s"
         ):
             alone(fixed, dt).simulate(1)
+    for size in ("x", "NaN", "INF", "-1"):  # what is no size binds nobody
+        alone(FMU(breadth("3", f'fixedInternalStepSize="{size}"'), validate=False, **REALS3), 0.1).simulate(1)
 
 
 def test_an_fmu_that_needs_a_tool_says_so(breadth):
