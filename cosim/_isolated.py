@@ -182,7 +182,7 @@ class Isolated:
 
     def _await_answer(self) -> None:
         if self.crash is not None:
-            raise self.crash
+            self._die()
         process = self._process
         end = time.monotonic() + self._limit
         while True:
@@ -256,7 +256,7 @@ class Isolated:
                     state.detach()
                 self._ask("close")
         except FMUCrashed as crash:
-            logging.getLogger("bayesftc.fmu").warning("%s: while it was freed: %s", self._name, crash)
+            logging.getLogger("bayesftc.fmu").warning("%s: while it was freed: %s", self._name, str(crash))
         except FMUError:
             pass  # it is over either way, and the results stand
         finally:
@@ -265,7 +265,7 @@ class Isolated:
     def _ask(self, *request: Any, limit: float | None = None) -> Any:
         """Have something done in the other process, and return what it returns."""
         if self.crash is not None:
-            raise self.crash
+            self._die()
         if self._process.is_over:
             raise FMUError(f"The instance {self._name!r} is closed.")
         if self._is_ready:  # before, it waits for requests alone
@@ -311,20 +311,23 @@ class Isolated:
                 message = self._process.talk.recv()
                 if message[0] == "log" and message[4] is not None:
                     self._lines.append(message[4])
-        self._die(f"crashed{_WHERE.get(self._phase, '')}: {self._process.obituary()}.")
+        self._note_crash(f"crashed{_WHERE.get(self._phase, '')}: {self._process.obituary()}.")
+        self._die()
 
     def _overdue(self, limit: float) -> NoReturn:
         self._process.kill()
         what = _WHAT.get(self._phase, "a call")
-        self._die(f"was ended, for {what} took more than {limit:g} s; if it needs longer, give a larger time_limit.")
+        self._note_crash(f"was ended, for {what} took more than {limit:g} s; if it needs longer, give a larger time_limit.")
+        self._die()
 
-    def _die(self, what: str) -> NoReturn:
-        raise self._note_crash(what)
-
-    def _note_crash(self, what: str) -> FMUCrashed:
+    def _note_crash(self, what: str) -> None:
         lines = tuple(self._lines)
         self.crash = FMUCrashed(f"The FMU of {self._name!r} {what} {quoted(lines)}", log=lines)
-        return self.crash
+
+    def _die(self) -> NoReturn:
+        # Another one each time: the traceback of what is raised would keep this instance alive through its own attribute.
+        assert self.crash is not None
+        raise FMUCrashed(str(self.crash), log=self.crash.log)
 
     @property
     def _phase(self) -> int:

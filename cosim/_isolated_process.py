@@ -87,8 +87,12 @@ class WorkerProcess:
         return not self._end.alive
 
     def wait(self, end: float) -> Collection[object]:
-        """Return which of `talk` and `steps` can be read, within what is left of the time until `end`; nothing if none can."""
-        return wait([self.talk, self.steps], max(end - time.monotonic(), 0.0))
+        """Return which of `talk` and `steps` can be read, as soon as one can; nothing if none can until `end`."""
+        while True:
+            left = max(end - time.monotonic(), 0.0)
+            ready = wait([self.talk, self.steps], min(left, 3600.0))
+            if ready or left == 0.0:
+                return ready
 
     def kill(self) -> None:
         """Kill the process and all that it has started."""

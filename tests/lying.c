@@ -144,7 +144,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 {
     logger = functions->logger;
     environment = functions->componentEnvironment;
-    if (strstr(name, "crashes at once")) {
+    if (strstr(name, "crashes_at_once")) {
         crash();
     }
     return original_Instantiate(name, type, guid, resources, functions, visible, on);
@@ -163,7 +163,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 {
     logger = log;
     environment = e;
-    if (strstr(name, "crashes at once")) {
+    if (strstr(name, "crashes_at_once")) {
         crash();
     }
     return original_Instantiate(name, token, resources, visible, on, event, early, required, n, e, log, update);
