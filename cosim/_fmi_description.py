@@ -196,6 +196,8 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         )
     model = _parse(archive, validate)
     kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
+    for kind in kinds:
+        _check_identifier(archive, getattr(model, kind).modelIdentifier or "")
     first = getattr(model, kinds[0]) if kinds else None
     experiment = model.defaultExperiment
     annotations = [element.get("timing") for element in root.iter("bayesftc")]
@@ -222,6 +224,20 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         units={u.name: _unit(u) for u in model.unitDefinitions},
         exchange=read_exchange(model, root, variables),
     )
+
+
+def _check_identifier(archive: Archive, identifier: str) -> None:
+    # It is the name of a file, read or (where sources are compiled) written.
+    if (
+        "/" in identifier
+        or "\\" in identifier
+        or identifier.startswith((".", "-"))
+        or not (identifier + "a").isprintable()
+    ):
+        raise FMUError(
+            f"The {DESCRIPTION} of {archive.path} calls its binary {identifier!r}, which could lead outside of the FMU. Do not "
+            "use this file; ask its maker for one whose modelIdentifier is a plain name."
+        )
 
 
 def _parse(archive: Archive, validate: bool) -> ModelDescription:

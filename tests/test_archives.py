@@ -175,6 +175,14 @@ def test_too_many_entries(tmp_path, cache, monkeypatch):
     refused(path, "entries, which no honest FMU has", cache=cache)
 
 
+@pytest.mark.parametrize("name", ["../../../evil", "/tmp/evil", "..", "-evil", "a\\b", "a&#10;b"])
+def test_a_binary_whose_name_leads_elsewhere(tmp_path, cache, name):
+    hostile = XML.replace(b'modelIdentifier="CruiseControl"', f'modelIdentifier="{name}"'.encode())
+    assert hostile != XML
+    path = archive_of(tmp_path / "name.fmu", [], description=hostile)
+    refused(path, "calls its binary", "which could lead outside of the FMU", cache=cache)
+
+
 LAUGHS = "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10 if i else "ha"}">' for i in range(10))
 DOCTYPES = {
     "empty": "<!DOCTYPE fmiModelDescription>",

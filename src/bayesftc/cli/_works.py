@@ -9,6 +9,7 @@ from typing import Literal
 
 from bayesftc.cosim._fmi_archive import Archive, open_archive
 from bayesftc.cosim._fmi_library import binary_entry
+from bayesftc.cosim._fmi_sources import read_sources
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.fmu import FMU, FMUDescription
 from bayesftc.cosim.ports import Port
@@ -74,9 +75,11 @@ def _runs_here(archive: Archive, description: FMUDescription) -> Verdict:
     if entry in archive.names:
         tool = " It says that it needs the tool that made it." if _flag(description, "needsExecutionTool") else ""
         return Verdict(what, "partly" if tool else "yes", f"it has a binary for {platform}.{tool}")
-    sources = any(name.startswith("sources/") and name.endswith(".c") for name in archive.names)
-    more = "its C sources can be compiled" if sources else "export it for this platform"
-    return Verdict(what, "partly" if sources else "no", f"it has no binary for {platform}; {more}.")
+    if read_sources(archive, description, exchange="coSimulation" not in description.kinds) is None:
+        return Verdict(what, "no", f"it has no binary for {platform}, nor sources; export it for this platform.")
+    return Verdict(
+        what, "partly", f"it has no binary for {platform}; at the first run a C compiler makes one of its sources."
+    )
 
 
 def _used_as(kind: str, block: FMU | str | None, description: FMUDescription) -> Verdict:
