@@ -198,3 +198,42 @@ def printed():
         return "\n".join(found)
 
     return text
+
+
+@pytest.fixture(scope="session")
+def casadi_fmu(tmp_path_factory):
+    """Return an FMU for model exchange that CasADi exports: q'' = -9.81 sin q - 0.1 q' + u, q(0) = 0.5, any output y."""
+
+    def export(name, output):
+        import fmpy
+
+        ca = pytest.importorskip("casadi")
+        compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
+        if compiler is None:
+            pytest.skip("there is no C compiler to build FMUs with")
+        dae = ca.DaeBuilder(name)
+        q, w, u, y = dae.add("q"), dae.add("w"), dae.add("u", "input"), dae.add("y", "output")
+        for state, value in (("q", w), ("w", -9.81 * ca.sin(q) - 0.1 * w + u)):
+            dae.eq(dae.der(dae.var(state)), value)
+        dae.eq(y, output(q, u))
+        dae.set_start("q", 0.5)
+        folder, here = tmp_path_factory.mktemp("casadi"), os.getcwd()
+        os.chdir(folder)  # it writes where one is
+        try:
+            files = dae.export_fmu()
+        finally:
+            os.chdir(here)
+        library = folder / f"{name}{fmpy.sharedLibraryExtension}"
+        sources = [str(folder / file) for file in files if file.endswith(".c")]
+        headers = [f"-I{Path(fmpy.__file__).parent / 'c-code'}", f"-I{folder}"]
+        subprocess.run(
+            [compiler, "-shared", "-fPIC", "-O2", "-w", *headers, *sources, "-o", str(library), "-lm"], check=True
+        )
+        target = folder / f"{name}.fmu"
+        with zipfile.ZipFile(target, "w") as archive:
+            for file, place in files.items():
+                archive.write(folder / file, place.removeprefix("./"))
+            archive.write(library, f"binaries/{fmpy.platform_tuple}/{library.name}")
+        return target
+
+    return export

@@ -67,6 +67,24 @@ def test_an_fmu_for_co_simulation_is_known_by_its_answers(name):
         assert model.matrix("C")[0] @ [*steady[:, 0], 1.0] == pytest.approx(GATE, abs=1e-9)
 
 
+def test_an_fmu_for_model_exchange_is_known_by_its_equations(casadi_fmu):
+    """Exactly, in the FMU's own states and values, where its derivatives are zero."""
+    path = casadi_fmu("swing", lambda q, u: 2 * q)
+    model = LinearModel.from_fmu(path, measured="y", actuated="u", dt=0.05, at={"u": 9.81 / 2})
+    rate = np.array([[0, 1, 0], [-9.81 * np.cos(np.pi / 6), -0.1, 1], [0, 0, 0]])
+    held = expm(0.05 * rate)
+    np.testing.assert_allclose(model.moving.matrix("A"), held[:2, :2], atol=1e-9)
+    np.testing.assert_allclose(model.moving.matrix("B"), held[:2, 2:], atol=1e-9)
+    np.testing.assert_allclose(model.matrix("C"), [[2, 0, 0]], atol=1e-9)
+    point = np.array([np.pi / 6, 0.0, 1.0])
+    np.testing.assert_allclose(model.matrix("A") @ point + model.matrix("B") @ [9.81 / 2], point, atol=1e-9)
+    controller = design(path, measured="y", actuated="u", dt=0.05, at={"u": 9.81 / 2})
+    np.testing.assert_allclose(controller.initial_mean, [0.5, 0.0, 1.0])  # where it starts
+    swings = casadi_fmu("through", lambda q, u: q + 0.5 * u)
+    with pytest.raises(ModelError, match="depends at once on an input"):
+        LinearModel.from_fmu(swings, measured="y", actuated="u", dt=0.05)
+
+
 def test_an_fmu_that_saves_no_state_is_made_anew_for_each_experiment(monkeypatch):
     settings = {"measured": "power", "actuated": "command", "at": {"command": 0.8}}
     saved = linearize(fmus.path("HydroTurbine"), **settings)  # it must first come to 0.8

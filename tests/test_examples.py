@@ -1,5 +1,6 @@
 """Every example runs, and shows what it says it shows."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from bayesftc.examples.cruise_control import (
     kalman_validation,
     where_it_helps,
 )
+from bayesftc.examples.design_from_fmu import four_plants
 from bayesftc.examples.python_control_style import cruise_control as in_python_control
 from bayesftc.scenario import load_scenario, shipped_scenarios
 
@@ -101,3 +103,24 @@ def test_in_python_controls_style_only_the_line_of_the_plant_changes(capsys):
     blind, alert = (np.abs(runs[law, "FMU"].outputs[0] - goal)[350:].max() for law in ("PI", "Bayesian"))
     assert blind > 20.0
     assert alert < 2.0
+
+
+@pytest.mark.parametrize("index", [0, 3])
+def test_a_controller_in_one_call_bears_a_failing_sensor(index, capsys):
+    """The beginning of each run, interpreted."""
+    case = replace(four_plants.CASES[index], duration=(4.5, 0, 0, 13.0)[index])
+    errors = four_plants.main(runs=1, engine="interpreted", cases=(case,))
+    tolerant, without, oracle = (errors[case.name, way] for way in four_plants.WAYS)
+    assert tolerant < 0.8 * without
+    assert tolerant < 1.2 * oracle
+    assert case.name in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_controllers_in_one_call_are_as_good_as_the_oracle(tmp_path):
+    errors = four_plants.main(10, tmp_path / "four.png")
+    for case in four_plants.CASES:
+        tolerant, without, oracle = (errors[case.name, way] for way in four_plants.WAYS)
+        assert tolerant < 0.6 * without
+        assert tolerant < 1.1 * oracle
+    assert (tmp_path / "four.png").stat().st_size > 10_000

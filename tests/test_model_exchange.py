@@ -151,40 +151,9 @@ def built(binary, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def pendulum(tmp_path_factory):
+def pendulum(casadi_fmu):
     """Return a pendulum that CasADi has exported: q'' = -9.81 sin q - 0.1 q' + u, y = q + 0.5 u, q(0) = 0.5."""
-    import os
-
-    import fmpy
-
-    ca = pytest.importorskip("casadi")
-    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
-    if compiler is None:
-        pytest.skip("there is no C compiler to build FMUs with")
-    dae = ca.DaeBuilder("pendulum")
-    q, w, u, y = dae.add("q"), dae.add("w"), dae.add("u", "input"), dae.add("y", "output")
-    for name, value in (("q", w), ("w", -9.81 * ca.sin(q) - 0.1 * w + u)):
-        dae.eq(dae.der(dae.var(name)), value)
-    dae.eq(y, q + 0.5 * u)
-    dae.set_start("q", 0.5)
-    folder, here = tmp_path_factory.mktemp("casadi"), os.getcwd()
-    os.chdir(folder)  # it writes where one is
-    try:
-        files = dae.export_fmu()
-    finally:
-        os.chdir(here)
-    library = folder / f"pendulum{fmpy.sharedLibraryExtension}"
-    sources = [str(folder / name) for name in files if name.endswith(".c")]
-    headers = [f"-I{Path(fmpy.__file__).parent / 'c-code'}", f"-I{folder}"]
-    subprocess.run(
-        [compiler, "-shared", "-fPIC", "-O2", "-w", *headers, *sources, "-o", str(library), "-lm"], check=True
-    )
-    target = folder / "pendulum.fmu"
-    with zipfile.ZipFile(target, "w") as archive:
-        for name, place in files.items():
-            archive.write(folder / name, place.removeprefix("./"))
-        archive.write(library, f"binaries/{fmpy.platform_tuple}/{library.name}")
-    return target
+    return casadi_fmu("pendulum", lambda q, u: q + 0.5 * u)
 
 
 def alone(path, dt, **options):
