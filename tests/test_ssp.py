@@ -1,7 +1,10 @@
 """System structures (SSP): opened as diagrams, saved for other tools, run by another tool with the same numbers."""
 
 import ctypes
+import json
+import os
 import pickle
+import subprocess
 import sys
 import zipfile
 from pathlib import Path
@@ -436,6 +439,11 @@ def test_hostile_files(tmp_path, cache):
     assert set(unpacked) <= {"SystemStructure.ssd", *(c.name for c in CAR.values())}
     with pytest.raises(SSPError):
         _zip.check(path, SSP_FILE)
+    with zipfile.ZipFile(tmp_path / "evil.fmu", "w") as archive:
+        archive.writestr("../evil", "evil")
+    evil = ssd(system(component("a", source="evil.fmu")))
+    path = packed(tmp_path, evil, **{"evil.fmu": (tmp_path / "evil.fmu").read_bytes()})
+    refused(path, "evil.fmu has an entry called '../evil'", error=cosim.FMUError)
 
 
 def two_cars(dt="1/50", fmi=("2.0", "2.0"), build=None):
@@ -476,6 +484,30 @@ def test_the_same_diagram_gives_the_same_bytes(tmp_path):
     first = cosim.save_ssp(two_cars(), tmp_path / "two.ssp").read_bytes()
     assert cosim.save_ssp(two_cars(), tmp_path / "two.ssp").read_bytes() == first
     assert [p.name for p in tmp_path.iterdir() if p.name != "cache"] == ["two.ssp"]
+
+
+def test_another_reader_finds_it_in_order(tmp_path):
+    from fmpy.ssp.ssd import read_ssd
+
+    system = read_ssd(str(cosim.save_ssp(two_cars(), tmp_path / "two.ssp")), validate=True).system
+    assert [(c.name, c.source) for c in system.elements] == [(n, "resources/CruiseControl.fmu") for n in "ab"]
+    assert [(c.startElement, c.endElement, c.endConnector) for c in system.connections] == [
+        ("b", "a", "disturbance"),
+        ("a", "b", "disturbance"),
+    ]
+
+
+def test_inspect_shows_components_values_and_connections(tmp_path):
+    path = cosim.save_ssp(two_cars(), tmp_path / "two.ssp")
+    command = [sys.executable, "-m", "bayesftc", "inspect", str(path)]
+    text = subprocess.run(
+        command, capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "120"}
+    ).stdout
+    for words in ("step  1/50 s", "v0 = 1.0, force = 100.0", "co-simulation", "b.disturbance", "0.01", "0.002"):
+        assert words in text
+    found = json.loads(subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout)
+    assert found["connections"][1] == {"from": "a.v", "to": "b.disturbance", "factor": 0.01, "offset": 0.002}
+    assert found["components"]["b"]["values"] == {"m": 120.0, "force": 3.0}
 
 
 def test_files_of_one_name(tmp_path):
@@ -554,8 +586,9 @@ def ecos():
     return pytest.importorskip("ecospy")
 
 
-def test_another_tool_gives_the_same_bits(tmp_path, ecos, same_bits):
-    path = cosim.save_ssp(two_cars(), tmp_path / "two.ssp")
+@pytest.mark.parametrize("fmi", [("2.0", "2.0"), ("2.0", "3.0")])
+def test_another_tool_gives_the_same_bits(tmp_path, ecos, same_bits, fmi):
+    path = cosim.save_ssp(two_cars(fmi=fmi), tmp_path / "two.ssp")
     ours = cosim.open_ssp(path).build("jacobi").simulate(2.0, engine="interpreted")
     theirs = {"a.v": [], "b.v": []}
     with ecos.EcosSimulation(ssp_path=str(path), step_size=H) as simulation:

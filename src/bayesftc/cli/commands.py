@@ -89,7 +89,7 @@ def run(
 
 @app.command()
 def inspect(
-    fmu: Annotated[str, typer.Argument(help="An FMU file, or the name of a shipped one, as CruiseControl.")],
+    fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
     validate: Annotated[bool, typer.Option(help="Whether its description must keep the rules of FMI.")] = True,
     everything: Annotated[bool, typer.Option("--all", help="Show local variables as well.")] = False,
     json: Json = False,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from bayesftc.cli._inspect_ssp import SUFFIXES, inspect_ssp
 from bayesftc.cli._works import Verdict, verdicts
 from bayesftc.cosim.errors import FMUError, did_you_mean
 from bayesftc.cosim.fmu import describe
@@ -33,7 +34,7 @@ def inspect_fmu(name: str, *, validate: bool, json: bool, everything: bool = Fal
     Parameters
     ----------
     name : str
-        A file, or a shipped FMU.
+        A file (FMU or SSP), or a shipped FMU.
     validate : bool
         Whether the description must keep the rules of FMI.
     json : bool
@@ -41,6 +42,9 @@ def inspect_fmu(name: str, *, validate: bool, json: bool, everything: bool = Fal
     everything : bool
         Print local variables as well.
     """
+    if Path(name).suffix.lower() in SUFFIXES:
+        inspect_ssp(Path(name).expanduser(), validate=validate, json=json)
+        return
     path = find_fmu(name)
     description = describe(path, validate=validate)
     works = verdicts(path, description, validate=validate)
