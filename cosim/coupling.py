@@ -40,8 +40,8 @@ class Coupling:
     iterations : int
         How often a step is repeated before the run stops because it does not converge.
     hold : {"end", "mean"}
-        What an FMU holds during an iterated step: the values at its end (first order, damps what is stiff), or the mean of
-        those at its beginning and its end (second order, keeps energy, but does not damp).
+        What an FMU holds during an iterated step: the values at its end (first order, takes energy out), or the mean of those at
+        its beginning and its end (second order, keeps the energy).
     step_error : float, optional
         With a number, FMUs that are coupled with each other go from t_k to t_k+1 in steps of their own, found by step doubling:
         as small as needed for the error that one step adds to an output ``y`` to stay below ``step_error * (1 + |y|)``. All other

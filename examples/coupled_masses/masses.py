@@ -93,7 +93,9 @@ class Masses:
         w = -decay * r + shape * omega * (turn * np.cos(omega * t) - swing * np.sin(omega * t))
         speed = (m1 * self.v0[0] + m2 * self.v0[1]) / whole
         centre = (m1 * self.x0[0] + m2 * self.x0[1]) / whole + speed * t
-        return np.array([centre + m2 / whole * r, centre - m1 / whole * r, speed + m2 / whole * w, speed - m1 / whole * w])
+        return np.array(
+            [centre + m2 / whole * r, centre - m1 / whole * r, speed + m2 / whole * w, speed - m1 / whole * w]
+        )
 
     def energy(self, x1: Floats, x2: Floats, v1: Floats, v2: Floats) -> Floats:
         """Return the energy in J, of motion relative to the centre of mass and of the spring."""
