@@ -42,6 +42,7 @@ from .faults import (
     Spikes as Spikes,
     Stuck as Stuck,
 )
+from ._model_exchange import Jacobians as Jacobians, ModelEquations as ModelEquations
 from .fmu import FMU as FMU
 from .loops import closed_loop as closed_loop
 from .mathblocks import Gain as Gain, Saturation as Saturation, Sum as Sum, UnitDelay as UnitDelay

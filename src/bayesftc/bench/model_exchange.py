@@ -48,6 +48,7 @@ def build_pendulum(folder: Path) -> Path:
     from bayesftc.fmus._compiler import compile_library
     from bayesftc.fmus._platforms import host
 
+    folder = folder.absolute()  # the compiler runs in another one
     library = folder / f"pendulum{fmpy.sharedLibraryExtension}"
     compile_library(Path(__file__).parent, ["pendulum.c"], library, host(), ["m"])
     rows = "".join(
