@@ -108,8 +108,8 @@ class Group:
         Their value references.
     begin, size : int
         Where their elements begin among those of all inputs or outputs, and how many they are.
-    discrete : bool
-        Of inputs: whether they may only change at events.
+    read : int
+        Of inputs that may only change at events: address of the FMI function that reads them; else 0.
     """
 
     def __init__(
@@ -120,19 +120,12 @@ class Group:
         references: Sequence[int],
         begin: int,
         size: int,
-        discrete: bool = False,
+        read: int = 0,
     ):
-        self.name, self.function, self.kind, self.begin, self.size, self.discrete = (
-            name,
-            function,
-            kind,
-            begin,
-            size,
-            discrete,
-        )
+        self.name, self.function, self.kind = name, function, kind
+        self.begin, self.size, self.read = begin, size, read
         self.references = np.array(references, dtype=np.uint32)
         self.buffer = np.zeros(max(size, 1), dtype=kind.dtype)
-        self.last = np.full(size, np.nan)
         self._mine = slice(begin, begin + size)
 
     def words(self) -> list[int]:
@@ -140,13 +133,25 @@ class Group:
         low, limit = (int(np.float64(x).view(np.int64)) for x in (self.kind.low, self.kind.limit))
         return [
             self.function, self.kind.code, self.references.ctypes.data, len(self.references), self.begin, self.size,
-            self.buffer.ctypes.data, low, limit, int(self.discrete), self.last.ctypes.data,
+            self.buffer.ctypes.data, low, limit, int(self.discrete), self.read,
         ]  # fmt: skip
+
+    @property
+    def discrete(self) -> bool:
+        """Whether they may only change at events."""
+        return self.read != 0
 
     @cached_property
     def _call(self) -> Callable[[int, int], int]:
+        return self._bound(self.function)
+
+    @cached_property
+    def _look(self) -> Callable[[int, int], int]:
+        return self._bound(self.read)
+
+    def _bound(self, function: int) -> Callable[[int, int], int]:
         references, count, buffer = self.references.ctypes.data, len(self.references), self.buffer.ctypes.data
-        two, three, size = VALUES2(self.function), VALUES3(self.function), self.size
+        two, three, size = VALUES2(function), VALUES3(function), self.size
 
         def call(major: int, component: int) -> int:
             if major == 2:
@@ -180,12 +185,10 @@ class Group:
             outputs[self._mine] = values
         return status, -1
 
-    def changed(self, inputs: Floats) -> bool:
-        """Return whether discrete inputs are others than at the last call, and remember them."""
-        values = inputs[self._mine]
-        changed = bool((values != self.last).any())
-        self.last[:] = values
-        return changed
+    def changed(self, component: int, inputs: Floats) -> tuple[int, bool]:
+        """Return FMI's status, and whether discrete inputs are others than the instance has."""
+        status = self._look(3, component)
+        return status, bool((inputs[self._mine] != self.buffer[: self.size].astype(np.float64)).any())
 
 
 def groups(
@@ -211,12 +214,13 @@ def groups(
     events : bool
         Whether inputs that are not continuous may only change at events.
     """
-    runs: list[tuple[tuple[str, NumericType, bool], list[int], int, int]] = []
+    runs: list[tuple[tuple[str, NumericType, int], list[int], int, int]] = []
     begin = 0
     for variable in variables:
         size = prod(variable.shape)
         discrete = events and verb == "Set" and variable.variability != "continuous"
-        key = function_name(variable, major, verb), numeric_type(variable, major), discrete
+        read = address(function_name(variable, major, "Get")) if discrete else 0
+        key = function_name(variable, major, verb), numeric_type(variable, major), read
         if runs and runs[-1][0] == key:
             _, references, start, before = runs.pop()
             runs.append((key, [*references, variable.reference], start, before + size))
@@ -224,8 +228,8 @@ def groups(
             runs.append((key, [variable.reference], begin, size))
         begin += size
     return [
-        Group(name, address(name), kind, references, start, size, discrete)
-        for (name, kind, discrete), references, start, size in runs
+        Group(name, address(name), kind, references, start, size, read)
+        for (name, kind, read), references, start, size in runs
     ]
 
 

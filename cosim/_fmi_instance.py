@@ -141,8 +141,6 @@ class Instance(StepFunctions):
     def restore(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.restore`."""
         self._states.restore(saved)
-        for group in self._groups[0]:
-            group.last.fill(np.nan)  # which discrete inputs it has now, nobody knows: they are set anew
         self._healthy = not self._fatal  # an FMU that has failed may be put back to where it had not
 
     def forget(self, saved: object) -> None:

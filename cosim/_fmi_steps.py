@@ -194,7 +194,10 @@ class StepFunctions:
         events, changed = self._addresses.enter_event_mode, False
         for group in self._groups[0]:
             if events and group.discrete:
-                changed = group.changed(inputs) or changed
+                status, other = group.changed(self._component, inputs)
+                if _failed(EVENTS, status):
+                    return EVENTS + status
+                changed = changed or other
                 continue
             status = self._put(group, inputs)
             if status:

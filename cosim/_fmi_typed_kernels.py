@@ -41,7 +41,7 @@ from bayesftc.cosim._fmi_kernels import (
 )
 
 # Words of a group.
-FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, LAST = range(11)
+FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ = range(11)
 GROUP_WORDS = 11
 
 # Codes of types: what lies in a buffer. Booleans and enumerations are integers of their size and range.
@@ -168,15 +168,22 @@ def _take(major, parameters, outputs, group):
 
 
 @register_jitable(error_model="numpy")
-def _changed(inputs, group):
-    """Return whether a group of discrete inputs is another than at the last call, and remember it."""
-    begin, last, changed = inputs + 8 * word(group, BEGIN), word(group, LAST), False
-    for i in range(word(group, SIZE)):
-        value = number(begin, i)
-        if value != number(last, i):
-            changed = True
-        put_number(last, i, value)
-    return changed
+def _changed(parameters, inputs, group):
+    """Return 1 if a group of discrete inputs is another than the instance has, 0 if it is not, else a status.
+
+    The instance is asked, for nobody else knows what it has once a saved state was restored.
+    """
+    component, buffer, size = word(parameters, COMPONENT), word(group, BUFFER), word(group, SIZE)
+    references, count = word(group, REFERENCES), word(group, COUNT)
+    status = failed(EVENTS, values3(word(group, READ), component, references, count, buffer, size))
+    if status != 0:
+        return status
+    begin, code = inputs + 8 * word(group, BEGIN), word(group, CODE)
+    for i in range(size):
+        has = number(buffer, i) if code == FLOAT64 else load(buffer, i, code)
+        if number(begin, i) != has:
+            return 1
+    return 0
 
 
 @register_jitable(error_model="numpy")
@@ -187,7 +194,10 @@ def _set_all(major, parameters, inputs):
     for i in range(count):
         group = first + 8 * GROUP_WORDS * i
         if events and word(group, DISCRETE) != 0:
-            changed = _changed(inputs, group) or changed
+            found = _changed(parameters, inputs, group)
+            if found > 1:
+                return found
+            changed = changed or found == 1
         else:
             status = _put(major, parameters, inputs, group)
             if status != 0:

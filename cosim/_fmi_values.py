@@ -74,6 +74,8 @@ def resolved(archive: Archive, description: FMUDescription, values: Mapping[str,
     FMUError
         If an array would be too large for any machine.
     """
+    if not any(v.dimensions for v in description.variables):
+        return {v.name: v for v in description.variables}
     structure = {v.name: v.start for v in description.variables} | dict(values)
     variables: dict[str, FMUVariable] = {}
     for variable in description.variables:

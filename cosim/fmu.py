@@ -19,6 +19,7 @@ from bayesftc.cosim._model_exchange_settings import checked_settings
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.units import UnitDefinition
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class FMU(ExternalBlock):
         if asked is None and self.timing == "direct" and not reaching:
             set_(self, "timing", "plant")  # there it is the same
         for side, ports in chosen.items():
-            set_(self, f"{side}s", tuple(self._port(v, reaching) for v in ports))
+            set_(self, f"{side}s", tuple(self._port(v, reaching, description.units) for v in ports))
         if asked is None and self.timing == "plant" and not exchange:
             late = late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
             if late:
@@ -267,8 +268,8 @@ class FMU(ExternalBlock):
         archive = open_archive(Path(self.path))
         return archive, read_description(archive, validate=self.validate)
 
-    def _port(self, variable: FMUVariable, reaching: Container[str]) -> Port:
-        definition = self.description.units.get(variable.unit or "")
+    def _port(self, variable: FMUVariable, reaching: Container[str], units: Mapping[str, UnitDefinition]) -> Port:
+        definition = units.get(variable.unit or "")
         meaning = definition.unit if definition else None
         if variable.causality == "output":
             return Port(variable.name, variable.shape, variable.unit, meaning=meaning)

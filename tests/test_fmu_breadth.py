@@ -433,6 +433,34 @@ def test_events_are_handled_and_steps_go_on_to_their_end(breadth, run_both, dt):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_a_restored_state_gets_its_discrete_inputs_anew(breadth, engine):
+    flags = f'{EVENTS} canGetAndSetFMUState="true"'
+    block = FMU(breadth("3", flags), parameters={"u": [1.0, 2.0]}, inputs=["u", "next"], outputs=["y", "count"])
+    diagram = alone(block, "1/8", ("next", cosim.Step(time=0.5, before=1.0, after=3.0)))
+    with diagram.start(engine=engine) as session:
+        session.advance(0.25)
+        before = session.save_state()
+        first = session.advance(1)
+        session.restore(before)
+        again = session.advance(1)
+    np.testing.assert_array_equal(first["b.y"], again["b.y"])
+    assert first["b.y"][-1, 0] > 2.0  # the changed input has told
+
+
+def test_in_a_process_of_its_own_it_gives_the_same_bits(breadth, same_bits):
+    runs = []
+    for isolate in (False, True):
+        block = FMU(
+            breadth("3", EVENTS), parameters={"n": 3, "u": [1, 2, 3], "mode": "on"}, tunable=["k"], isolate=isolate
+        )
+        runs.append(
+            alone(block, "1/3", ("k", cosim.Step(time=1, before=1.0, after=2.0))).simulate(3, engine="interpreted")
+        )
+    for name in runs[0]:
+        same_bits(runs[0][name], runs[1][name], name)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("stall", "words"),
     [

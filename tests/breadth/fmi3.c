@@ -186,6 +186,30 @@ int fmi3SetString(void *c, const unsigned *r, size_t n, const char *const *v, si
     return OK;
 }
 
+/* Saved states: copies of the whole instance */
+
+int fmi3GetFMUState(void *c, void **state)
+{
+    if (*state == NULL) {
+        *state = malloc(sizeof(Plant));
+    }
+    memcpy(*state, c, sizeof(Plant));
+    return OK;
+}
+
+int fmi3SetFMUState(void *c, void *state)
+{
+    memcpy(c, state, sizeof(Plant));
+    return OK;
+}
+
+int fmi3FreeFMUState(void *c, void **state)
+{
+    free(*state);
+    *state = NULL;
+    return OK;
+}
+
 /* Steps and events */
 
 static void happen(Plant *p)
