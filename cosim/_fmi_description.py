@@ -12,6 +12,7 @@ from zipfile import ZipFile
 
 from numpy.typing import NDArray
 
+from bayesftc.cosim._fmi_aliases import check_aliases
 from bayesftc.cosim._fmi_archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._model_exchange_info import ExchangeInfo, read_exchange
 from bayesftc.cosim.errors import FMUError, FMUVersionError
@@ -202,6 +203,8 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
     experiment = model.defaultExperiment
     annotations = [element.get("timing") for element in root.iter("bayesftc")]
     variables = tuple(_variable(archive, v) for v in model.modelVariables)
+    if validate and version == "2.0":
+        check_aliases(archive, variables)
     return FMUDescription(
         name=model.modelName or archive.path.stem,
         fmi_version=version,

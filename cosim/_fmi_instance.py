@@ -34,6 +34,9 @@ from bayesftc.cosim._fmi_steps import (
 from bayesftc.cosim.errors import FMUError, StepSizeError
 from bayesftc.cosim.timebase import show
 
+_UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
+"""The bits of a NaN that no computation makes."""
+
 
 class Instance(StepFunctions):
     """An initialized FMU instance; see `bayesftc.cosim.block.External`.
@@ -71,6 +74,7 @@ class Instance(StepFunctions):
         self._elements = element_names(list(inputs)), element_names(outputs)
         if addresses.enter_event_mode:
             self._first_events()
+        self._check_written()
 
     def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
         library, name = self._library, self._name
@@ -111,6 +115,21 @@ class Instance(StepFunctions):
             self.close()
             raise FMUError(
                 f"The FMU {self._library.description.name!r} could not be initialized as {self._name!r}: {what}"
+            )
+
+    def _check_written(self) -> None:
+        """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values."""
+        names = [name for name, _ in self._elements[1]]
+        values = np.full(len(names), _UNWRITTEN, dtype=np.int64)
+        if not names or self._read(values.view(np.float64)):
+            return  # the run will say so
+        missing = [name for name, bits in zip(names, values, strict=True) if bits == _UNWRITTEN]
+        if missing:
+            self.close()
+            raise FMUError(
+                f"The FMU {self._library.description.name!r} says that it has given its outputs, but has not written "
+                f"{', '.join(map(repr, missing[:3]))}{' and more' if missing[3:] else ''} of {self._name!r}: its binary and its "
+                "model description do not agree. Export it again."
             )
 
     @property

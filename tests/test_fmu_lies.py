@@ -1,0 +1,195 @@
+"""FMUs that lie: each ends in one clear sentence, in process and isolated, never in a hang or a silent zero."""
+
+import logging
+import time
+import zipfile
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim, fmus
+from bayesftc.cosim import _fmi_messages
+from bayesftc.cosim.errors import FMUError, SimulationError
+from bayesftc.cosim.fmu import describe
+
+FMI = ("2.0", "3.0")
+WHERE = pytest.mark.parametrize("isolate", [False, True], ids=["in process", "isolated"])
+STEP = Fraction(1, 50)
+
+
+def run(path, b, isolate, engine="interpreted", steps=50, name="car"):
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(cosim.FMU(path, parameters={"b": b, "force": 100.0}, isolate=isolate), name)
+    return diagram.simulate(steps * diagram.step, engine=engine)
+
+
+def stopped(*arguments, error=SimulationError, **options):
+    """Return the error of a run that must stop; its text is one sentence or a few, and quick to come."""
+    started = time.monotonic()
+    with pytest.raises(error) as caught:
+        run(*arguments, **options)
+    assert time.monotonic() - started < 30.0
+    text = str(caught.value)
+    assert len(text) < 1500
+    assert "\n" not in text
+    return caught.value
+
+
+def rewritten(fmi, target, *pairs):
+    """Copy the shipped car with other words in its model description."""
+    with zipfile.ZipFile(fmus.path("CruiseControl", fmi=fmi)) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                for before, after in pairs:
+                    assert before.encode() in content
+                    content = content.replace(before.encode(), after.encode())
+            new.writestr(name, content)
+    return target
+
+
+def speeds(b, steps):
+    v = [0.0]
+    for _ in range(steps):
+        v.append((1 - b / 100.0 * 0.02) * v[-1] + 0.02)
+    return np.array(v)
+
+
+# --- outputs ------------------------------------------------------------------------------------------------------------------
+
+
+@WHERE
+@pytest.mark.parametrize(("way", "word"), [("NOT_A_NUMBER", "NaN"), ("INFINITE", "infinite")])
+def test_outputs_that_are_no_numbers(lying, way, word, isolate):
+    path, ways = lying(FMI[way == "INFINITE"])
+    error = stopped(path, ways[way], isolate)
+    assert f"at t = 0.1 s (step 5): car.v came out {word}." in str(error)
+    np.testing.assert_allclose(error.result["car.v"], speeds(ways[way], 4), rtol=1e-12)
+
+
+@WHERE
+@pytest.mark.parametrize("fmi", FMI)
+def test_outputs_that_are_never_written(lying, fmi, isolate):
+    path, ways = lying(fmi)
+    error = stopped(path, ways["WRITES_NOTHING"], isolate, error=FMUError)
+    assert "says that it has given its outputs, but has not written 'v' of 'car'" in str(error)
+    assert str(error).endswith("Export it again.")
+
+
+@WHERE
+def test_arrays_of_another_size_than_the_binary_has(tmp_path, isolate):
+    pattern = '<Float64 name="{}" valueReference="{}"'
+    for name, reference, sentence in (
+        ("v", 2, "fmi3GetFloat64 of 'v"),
+        ("force", 0, "fmi3SetFloat64 of 'force'"),
+    ):
+        path = tmp_path / f"{name}.fmu"
+        with zipfile.ZipFile(fmus.path("CruiseControl", fmi="3.0")) as old:
+            text = old.read("modelDescription.xml").decode()
+        start = text.index(pattern.format(name, reference))
+        end = text.index("/>", start) + 2
+        element = text[start:end]
+        wide = element.replace('start="0.0"', 'start="0 0 0"').replace("/>", '><Dimension start="3"/></Float64>')
+        diagram = cosim.Diagram(dt=0.02)
+        diagram.add(cosim.FMU(rewritten("3.0", path, (element, wide)), isolate=isolate), "car")
+        with pytest.raises((SimulationError, FMUError)) as caught:
+            diagram.simulate(1.0, engine="interpreted")
+        assert "returned Error" in str(caught.value)
+        assert sentence.partition(" ")[0] in str(caught.value)
+        assert "Its log says: " in str(caught.value)
+
+
+# --- steps that fail ----------------------------------------------------------------------------------------------------------
+
+
+@WHERE
+@pytest.mark.parametrize("fmi", FMI)
+def test_steps_that_fail_at_random(lying, fmi, isolate):
+    path, ways = lying(fmi)
+    error = stopped(path, ways["RANDOM"], isolate, steps=1000)
+    assert f"fmi{fmi[0]}DoStep returned " in str(error)
+    assert any(word in str(error) for word in ("Discard", "Error", "Fatal"))
+    rows = len(error.result.time)
+    assert rows < 1000
+    np.testing.assert_allclose(error.result["car.v"], speeds(ways["RANDOM"], rows - 1), rtol=1e-9)
+    assert f"(step {rows - 1})" in str(error)
+
+
+@WHERE
+@pytest.mark.parametrize("fmi", FMI)
+def test_steps_that_are_discarded_for_ever(lying, fmi, isolate):
+    path, ways = lying(fmi)
+    error = stopped(path, ways["DISCARD"], isolate)
+    assert "at t = 0.1 s (step 5)" in str(error)
+    assert "Discard" in str(error)
+    assert len(error.result.time) == 6
+
+
+@WHERE
+def test_a_status_that_does_not_exist(lying, isolate):
+    path, ways = lying("2.0")
+    assert "fmi2DoStep returned 77." in str(stopped(path, ways["BAD_STATUS"], isolate))
+
+
+# --- logs ---------------------------------------------------------------------------------------------------------------------
+
+
+@WHERE
+@pytest.mark.parametrize("fmi", FMI)
+def test_ten_megabytes_of_log_in_one_message(lying, fmi, isolate, caplog):
+    path, ways = lying(fmi)
+    with caplog.at_level(logging.INFO, "bayesftc.fmu"):
+        result = run(path, ways["LONG_LINE"], isolate, steps=8)
+    assert len(result.time) == 9
+    assert [len(r.getMessage()) for r in caplog.records] == [len("car: ") + _fmi_messages.LENGTH] * 3
+
+
+@WHERE
+def test_ten_megabytes_of_log_in_a_million_messages(lying, isolate, caplog):
+    path, ways = lying(FMI[isolate])
+    with caplog.at_level(logging.INFO, "bayesftc.fmu"):
+        result = run(path, ways["MANY_LINES"], isolate, steps=8)
+    np.testing.assert_allclose(result["car.v"], speeds(ways["MANY_LINES"], 8), rtol=1e-12)
+    texts = [r.getMessage() for r in caplog.records]
+    assert len(texts) == _fmi_messages.FORWARDED + 1
+    assert set(texts[:-1]) == {"car: ten bytes."}
+    assert texts[-1] == "car: This FMU has logged 10000 messages; later ones are not forwarded any more."
+
+
+# --- value references ---------------------------------------------------------------------------------------------------------
+
+
+@WHERE
+@pytest.mark.parametrize("fmi", FMI)
+def test_value_references_that_the_binary_does_not_know(tmp_path, fmi, isolate):
+    output = rewritten(fmi, tmp_path / "output.fmu", ('valueReference="2"', 'valueReference="77"'))
+    error = stopped(output, 5.0, isolate)
+    get = "fmi2GetReal" if fmi == "2.0" else "fmi3GetFloat64"
+    assert f"at t = 0 s (step 0): block 'car' reported status 103. {get}" in str(error)
+    assert "value reference 77" in str(error)
+    assert len(error.result.time) == 0
+    entry = rewritten(fmi, tmp_path / "input.fmu", ('valueReference="1"', 'valueReference="77"'))
+    set_ = get.replace("Get", "Set")
+    error = stopped(entry, 5.0, isolate, error=FMUError)
+    assert f"could not be initialized as 'car': {set_} of 'disturbance' returned Error." in str(error)
+
+
+def test_value_references_that_two_variables_share(tmp_path):
+    two = ('valueReference="1"', 'valueReference="0"')
+    with pytest.raises(
+        FMUError, match=r"gives 'force' and 'disturbance' one value reference, 0, so that to set one would"
+    ) as e:
+        cosim.FMU(rewritten("2.0", tmp_path / "two.fmu", two))
+    assert str(e.value).endswith("try it all the same with validate=False.")
+    assert [port.name for port in cosim.FMU(tmp_path / "two.fmu", validate=False).inputs] == ["force", "disturbance"]
+    with pytest.raises(
+        FMUError, match=r"\"disturbance\" \(line \d+\) has the same value reference as variable \"force\""
+    ):
+        cosim.FMU(rewritten("3.0", tmp_path / "three.fmu", two))
+    with pytest.raises(FMUError, match="gives 'b' and 'm' one value reference, 3"):
+        cosim.FMU(rewritten("2.0", tmp_path / "b.fmu", ('valueReference="4"', 'valueReference="3"')))
+    # An output may show an input: that is what sharing is for.
+    shown = rewritten("2.0", tmp_path / "shown.fmu", ('valueReference="2"', 'valueReference="0"'))
+    assert {v.name for v in describe(shown).variables if v.reference == 0} == {"force", "v"}
+    assert run(shown, 5.0, False, steps=2)["car.v"].tolist() == [100.0] * 3
