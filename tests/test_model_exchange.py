@@ -510,3 +510,17 @@ def test_with_a_sample_time_events_happen_in_python_control_too(built, pendulum,
             np.testing.assert_array_equal(row, run[f"p.{port.name}"])
         with pytest.raises(ModelError, match=r"LinearModel\.from_fmu"):
             control.linearize(system, 0.0)
+
+
+@pytest.mark.parametrize(("model", "solver"), [("heater", "cvode"), ("ball", "scipy:RK45"), ("ball", "rk45")])
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_the_same_bits_in_a_process_of_its_own(model, solver, engine, built, same_bits):
+    runs = []
+    for isolate in (False, True):
+        diagram = cosim.Diagram(dt=0.25)
+        node = diagram.add(FMU(built(model, "3.0"), solver=solver, rtol=1e-9, isolate=isolate), "p")
+        if model == "heater":
+            diagram.connect(diagram.add(cosim.Step(time=10, before=10.0, after=5.0), "outside")["y"], node["Ta"])
+        runs.append(diagram.simulate(10, engine=engine))
+    for name in runs[0]:
+        same_bits(runs[1][name], runs[0][name], name)
