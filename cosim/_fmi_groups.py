@@ -104,6 +104,8 @@ class Group:
         Its address.
     kind : NumericType
         Their type.
+    major : int
+        2 or 3: the version of FMI.
     references : sequence of int
         Their value references.
     begin, size : int
@@ -117,16 +119,21 @@ class Group:
         name: str,
         function: int,
         kind: NumericType,
+        major: int,
         references: Sequence[int],
         begin: int,
         size: int,
         read: int = 0,
     ):
-        self.name, self.function, self.kind = name, function, kind
+        self.name, self.function, self.kind, self.major = name, function, kind, major
         self.begin, self.size, self.read = begin, size, read
         self.references = np.array(references, dtype=np.uint32)
         self.buffer = np.zeros(max(size, 1), dtype=kind.dtype)
         self._mine = slice(begin, begin + size)
+
+    def place(self) -> tuple[int, int, int, int]:
+        """Return the function, the value references, how many they are and how many values."""
+        return self.function, self.references.ctypes.data, len(self.references), self.size
 
     def words(self) -> list[int]:
         """Return the group as the compiled functions see it."""
@@ -142,39 +149,34 @@ class Group:
         return self.read != 0
 
     @cached_property
-    def _call(self) -> Callable[[int, int], int]:
+    def _call(self) -> Callable[[int], int]:
         return self._bound(self.function)
 
     @cached_property
-    def _look(self) -> Callable[[int, int], int]:
+    def _look(self) -> Callable[[int], int]:
         return self._bound(self.read)
 
-    def _bound(self, function: int) -> Callable[[int, int], int]:
+    def _bound(self, function: int) -> Callable[[int], int]:
         references, count, buffer = self.references.ctypes.data, len(self.references), self.buffer.ctypes.data
-        two, three, size = VALUES2(function), VALUES3(function), self.size
+        call: Any = (VALUES2 if self.major == 2 else VALUES3)(function)
+        size = () if self.major == 2 else (self.size,)
+        return lambda component: int(call(component, references, count, buffer, *size))
 
-        def call(major: int, component: int) -> int:
-            if major == 2:
-                return int(two(component, references, count, buffer))
-            return int(three(component, references, count, buffer, size))
-
-        return call
-
-    def put(self, major: int, component: int, inputs: Floats) -> tuple[int, int]:
+    def put(self, component: int, inputs: Floats) -> tuple[int, int]:
         """Set the group's inputs; return FMI's status, and the place of a value that the type does not hold, or -1."""
         values = inputs[self._mine]
         bad = self.kind.misfit(values)
         if bad >= 0:
             return 0, self.begin + bad
         self.buffer[: self.size] = values
-        return self._call(major, component), -1
+        return self._call(component), -1
 
-    def take(self, major: int, component: int, outputs: Floats) -> tuple[int, int]:
+    def take(self, component: int, outputs: Floats) -> tuple[int, int]:
         """Read the group's outputs; return FMI's status, and the place of a value that is no double, or -1."""
         buffer, code = self.buffer[: self.size], self.kind.code
         if code == 0:
             buffer[:] = outputs[self._mine]  # what a failing FMU does not write stays as it is, as in compiled code
-        status = self._call(major, component)
+        status = self._call(component)
         if code == 0 or status in {0, 1}:
             values = buffer.astype(np.float64)
             exact = (values > -EXACT) & (values < EXACT)
@@ -187,7 +189,7 @@ class Group:
 
     def changed(self, component: int, inputs: Floats) -> tuple[int, bool]:
         """Return FMI's status, and whether discrete inputs are others than the instance has."""
-        status = self._look(3, component)
+        status = self._look(component)
         return status, bool((inputs[self._mine] != self.buffer[: self.size].astype(np.float64)).any())
 
 
@@ -228,7 +230,7 @@ def groups(
             runs.append((key, [variable.reference], begin, size))
         begin += size
     return [
-        Group(name, address(name), kind, references, start, size, read)
+        Group(name, address(name), kind, major, references, start, size, read)
         for (name, kind, read), references, start, size in runs
     ]
 
@@ -241,4 +243,9 @@ def type_range(variable: FMUVariable, major: int) -> tuple[float, float]:
 
 def element_names(variables: Sequence[FMUVariable]) -> list[tuple[str, FMUVariable]]:
     """Return the name, with its index, and the variable of every element of ports."""
-    return [(v.name + "".join(f"[{i}]" for i in index), v) for v in variables for index in np.ndindex(*v.shape)]
+    scalar, array = ((),), np.ndindex
+    return [
+        (v.name + "".join(f"[{i}]" for i in index), v)
+        for v in variables
+        for index in (array(*v.shape) if v.shape else scalar)
+    ]

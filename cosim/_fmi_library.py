@@ -68,10 +68,13 @@ class Library(ABC):
         self._slave = slave
         self._keep = keep  # a handle of our own: the binary stays even if someone closes fmpy's
         self.alive = 0
+        self._addresses: dict[str, int] = {}
 
     def function_address(self, name: str) -> int:
         """Return the address of an FMI function."""
-        return ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0
+        if name not in self._addresses:
+            self._addresses[name] = ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0
+        return self._addresses[name]
 
     @cached_property
     def state_addresses(self) -> tuple[int, int, int]:

@@ -101,18 +101,18 @@ class StepFunctions:
         self._scratch = np.zeros(SCRATCH_WORDS, dtype=np.int64)
         sides = (inputs, outputs)
         self._plain = all(len(s) <= 1 for s in sides) and not any(g.kind.code or g.discrete for s in sides for g in s)
-        self._rows = [np.array([g.words() for g in side], dtype=np.int64) for side in sides]
+        into = out = 0, 0, 0, 0
         if self._plain:
-            into, out = ((*side[0].words()[:4], side[0].size) if side else (0, 0, 0, 0, 0) for side in sides)
+            into, out = (side[0].place() if side else (0, 0, 0, 0) for side in sides)
             counts = 0, 0, 0, 0
         else:
-            into = out = 0, 0, 0, 0, 0
+            self._rows = [np.array([g.words() for g in side], dtype=np.int64) for side in sides]
             counts = self._rows[0].ctypes.data, len(inputs), self._rows[1].ctypes.data, len(outputs)
         size, a = int(np.float64(h).view(np.int64)), addresses
         self.table = np.array(
             [
-                component, out[0], into[0], a.do_step, into[2], into[3], out[2], out[3], size, self._scratch.ctypes.data,
-                into[4], out[4], a.real_status, a.boolean_status, a.enter_event_mode, a.update_discrete, a.enter_step_mode,
+                component, out[0], into[0], a.do_step, into[1], into[2], out[1], out[2], size, self._scratch.ctypes.data,
+                into[3], out[3], a.real_status, a.boolean_status, a.enter_event_mode, a.update_discrete, a.enter_step_mode,
                 *counts,
             ],
             dtype=np.int64,
@@ -167,7 +167,7 @@ class StepFunctions:
 
     def _read(self, outputs: Floats) -> int:
         for group in self._groups[1]:
-            status, unfit = group.take(self._major, self._component, outputs)
+            status, unfit = group.take(self._component, outputs)
             if unfit >= 0:
                 self._scratch[UNFIT] = unfit
                 return UNFIT_OUTPUT
@@ -211,7 +211,7 @@ class StepFunctions:
         return status or self._settle()
 
     def _put(self, group: Group, inputs: Floats) -> int:
-        status, unfit = group.put(self._major, self._component, inputs)
+        status, unfit = group.put(self._component, inputs)
         if unfit >= 0:
             self._scratch[UNFIT] = unfit
             return UNFIT_INPUT

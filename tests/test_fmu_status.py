@@ -57,7 +57,7 @@ def test_status_of_every_kind_in_both_engines(major, values, step, writes, expec
     get, advance = (functions[0], functions[2]) if major == 2 else (functions[1], functions[3])
     values_at, step_at = (ctypes.cast(f, ctypes.c_void_p).value for f in (get, advance))
     addresses = _fmi_steps.Addresses(step_at)
-    into, out = (_fmi_groups.Group("", values_at, _fmi_groups.FLOAT64, [i], 0, 1) for i in range(2))
+    into, out = (_fmi_groups.Group("", values_at, _fmi_groups.FLOAT64, major, [i], 0, 1) for i in range(2))
     u, y = np.zeros(1), np.zeros(1)
     entry = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
     for timing in ("plant", "sampled"):
@@ -87,7 +87,7 @@ def test_both_engines_have_the_same_codes():
     for i, name in enumerate(codes):
         assert getattr(_fmi_typed_kernels, name) == i
         assert np.dtype(name.lower()) == _fmi_groups.NumericType(i, 0.0, 0.0).dtype
-    group = _fmi_groups.Group("", 0, _fmi_groups.FLOAT64, [0], 0, 1)
+    group = _fmi_groups.Group("", 0, _fmi_groups.FLOAT64, 2, [0], 0, 1)
     assert len(group.words()) == _fmi_typed_kernels.GROUP_WORDS
     steps = _fmi_steps.StepFunctions(2, _fmi_steps.Addresses(0), 0, [], [], 0.01, "plant")
     assert len(steps.table) == _fmi_kernels.WORDS
