@@ -181,7 +181,14 @@ def read_description(archive: Archive, *, validate: bool = True) -> FMUDescripti
     with _lock:
         key = (archive.digest, validate)
         if key not in _known:
-            _known[key] = _read(archive, validate)
+            try:
+                _known[key] = _read(archive, validate)
+            except (ValueError, TypeError, LookupError, AttributeError) as error:
+                # Where a description is not validated, anything may stand where a number or a name should.
+                raise FMUError(
+                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI so that it cannot be read ({error}); export it "
+                    "again."
+                ) from None
         return _known[key]
 
 

@@ -255,7 +255,7 @@ class _Reader:
     def transformation(self, element: Element, what: str) -> Linear:
         for child in element:
             if child.tag == f"{SSC}LinearTransformation":
-                factor, offset = (float(child.get(n, d)) for n, d in (("factor", "1"), ("offset", "0")))
+                factor, offset = (self.number(child, *default) for default in (("factor", 1.0), ("offset", 0.0)))
                 if not (isfinite(factor) and isfinite(offset)):
                     self.refuse(f"has a transformation of {what} that is not finite")
                 return Linear(factor, offset)
@@ -335,13 +335,20 @@ class _Reader:
                 found.append(parameter)
         return found
 
+    def number(self, element: Element, name: str, default: float) -> float:
+        text = element.get(name)
+        try:
+            return default if text is None else type(default)(text)
+        except ValueError:
+            self.refuse(f"has {name}={text!r}, which is no number")
+
     def unit_definitions(self, root: Element) -> Iterator[tuple[str, Unit]]:
         for unit in (e for e in root if e.tag.endswith("}Units")):
             for definition in unit.findall(f"{SSC}Unit"):
                 base = definition.find(f"{SSC}BaseUnit")
                 if base is not None:
-                    powers = {_BASE_UNITS[n]: int(base.get(n, "0")) for n in _BASE_UNITS}
-                    factor, offset = float(base.get("factor", "1")), float(base.get("offset", "0"))
+                    powers = {full: int(self.number(base, n, 0)) for n, full in _BASE_UNITS.items()}
+                    factor, offset = self.number(base, "factor", 1.0), self.number(base, "offset", 0.0)
                     if not (isfinite(factor) and factor and isfinite(offset)):
                         self.refuse(f"defines the unit {definition.get('name')!r} with a factor of {factor:g}")
                     yield definition.get("name", ""), Unit({n: p for n, p in powers.items() if p}, factor, offset)
@@ -366,7 +373,11 @@ def _problems(content: bytes) -> Iterator[str]:
     """Yield what breaks the schemas, in the file itself and in parameter sets and mappings that stand in it."""
     from lxml import etree
 
-    root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
+    try:
+        root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:  # it is stricter than the parser before it
+        yield str(error.msg).removesuffix(".")
+        return
     inner = [root, *root.iter(f"{SSV}ParameterSet", f"{SSM}ParameterMapping")]
     for element in dict.fromkeys(inner):
         kind = _SCHEMAS.get(element.tag[: element.tag.index("}") + 1])

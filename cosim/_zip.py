@@ -164,7 +164,7 @@ def check_xml(content: bytes, what: str, kind: Kind) -> bytes:
     FMUError
         If it has one, is no XML, is nested too deeply, or in an encoding that parsers may read differently.
     """
-    parser = ParserCreate()
+    parser = ParserCreate(namespace_separator=" ")
     depth = 0
 
     def refuse(reason: str) -> None:

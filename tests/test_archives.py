@@ -1,5 +1,6 @@
 """Hostile archives: nothing of them is unpacked, loaded, or read by a parser that would expand it."""
 
+import re
 import stat
 import struct
 import tracemalloc
@@ -13,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import fmus
-from bayesftc.cosim import FMUError, _zip
+from bayesftc.cosim import BayesFTCError, FMUError, _zip
 from bayesftc.cosim.fmu import FMU, describe
 
 SHIPPED = fmus.path("CruiseControl")
@@ -263,3 +264,20 @@ def test_any_damage_ends_in_a_sentence(tmp_path_factory, data):
     path.write_bytes(content[: data.draw(st.integers(len(content) // 2, len(content) * 3))])
     with suppress(FMUError):  # a sentence, or what the damage left as it was; nothing else is raised
         assert describe(path).kinds
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_any_description_ends_in_a_sentence(tmp_path_factory, data):
+    """Values of attributes are put in each other's place, and what is not validated is read all the same."""
+    pieces = re.findall(r'"[^"]*"|[^"]+', XML.decode())
+    places = [i for i, piece in enumerate(pieces) if piece.startswith('"')]
+    strange = ['"NaN"', '""', '"1e999"', '"-1"', '"99999999999999999999"', '"true"', '"../x"', '"1 2 3"']
+    for _ in range(data.draw(st.integers(1, 3))):
+        pieces[data.draw(st.sampled_from(places))] = data.draw(
+            st.sampled_from([*strange, *(pieces[i] for i in places)])
+        )
+    path = tmp_path_factory.mktemp("strange") / "strange.fmu"
+    archive_of(path, [(DESCRIPTION, "".join(pieces))], shipped=False)
+    with suppress(BayesFTCError):
+        FMU(path, validate=False)

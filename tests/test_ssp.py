@@ -4,13 +4,17 @@ import ctypes
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
+import warnings
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim, fmus
 from bayesftc.cosim import SSPError, _zip
@@ -444,6 +448,26 @@ def test_hostile_files(tmp_path, cache):
     evil = ssd(system(component("a", source="evil.fmu")))
     path = packed(tmp_path, evil, **{"evil.fmu": (tmp_path / "evil.fmu").read_bytes()})
     refused(path, "evil.fmu has an entry called '../evil'", error=cosim.FMUError)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_any_structure_ends_in_a_sentence(tmp_path_factory, data):
+    """Values of attributes are put in each other's place; what is not validated is read all the same."""
+    inner = system(component("b"), link("in", "b.disturbance"), name="s", connectors=middle("km/h"))
+    wire = link("a.v", "s.in", '<ssc:LinearTransformation factor="2" offset="3"/>', suppressUnitConversion="false")
+    text = ssd(system(component("a", bindings=START) + inner, wire, bindings=inline(values(s__b__m=9.0))), UNITS)
+    pieces = re.findall(r'"[^"]*"|[^"]+', text)
+    places = [i for i, piece in enumerate(pieces) if piece.startswith('"')]
+    strange = ['"NaN"', '""', '"-1"', '"../x"', '"output"', '"calculatedParameter"']
+    for _ in range(data.draw(st.integers(1, 3))):
+        pieces[data.draw(st.sampled_from(places))] = data.draw(
+            st.sampled_from([*strange, *(pieces[i] for i in places)])
+        )
+    path = packed(tmp_path_factory.mktemp("strange"), "".join(pieces))
+    with suppress(cosim.BayesFTCError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of values for what does not exist
+        cosim.open_ssp(path, dt=H, validate=data.draw(st.booleans()))
 
 
 def two_cars(dt="1/50", fmi=("2.0", "2.0"), build=None):
