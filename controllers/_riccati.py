@@ -30,9 +30,10 @@ class Regulator:
     @property
     def root(self) -> Floats:
         """Return G with ``G' G = cost_to_go``, a row for each direction that costs anything."""
-        values, vectors = np.linalg.eigh(self.cost_to_go)
+        units = _units(self.cost_to_go)
+        values, vectors = np.linalg.eigh(self.cost_to_go * np.outer(units, units))
         costly = values > 1e-14 * values[-1]
-        return np.asarray(np.sqrt(values[costly])[:, None] * vectors[:, costly].T)
+        return np.asarray(np.sqrt(values[costly])[:, None] * vectors[:, costly].T / units)
 
 
 def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cost: Floats) -> Regulator:
@@ -48,8 +49,12 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
     plant = model.states - model.disturbances
     A, B, H = model.matrix("A")[:plant, :plant], model.matrix("B")[:plant], outputs[:, :plant]
     others = np.vstack([model.matrix("A")[:plant, plant:], -outputs[:, plant:]])
+    if len(H) > B.shape[1]:
+        raise ModelError(
+            f"There are {len(H)} goals but {B.shape[1]} controls: no more outputs can be held at values of their own than there "
+            "are controls; set goals for fewer outputs, or actuate further inputs."
+        )
     refuse_unseen_by_goal(A, H)
-    to_goal, to_others = _steady(A, B, H, input_cost, others)
     try:
         P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))
     except (LinAlgError, ValueError) as error:
@@ -58,23 +63,30 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
             "the controls' weights nearer to each other in size."
         ) from None
     P = (P + P.T) / 2
+    to_goal, to_others = _steady(A, B, H, input_cost, others, _units(P))
     gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
     return Regulator(P, gain, to_goal[:plant], to_others[:plant], to_goal[plant:], to_others[plant:])
 
 
-def _steady(A: Floats, B: Floats, H: Floats, input_cost: Floats, others: Floats) -> tuple[Floats, Floats]:
+def _units(P: Floats) -> Floats:
+    """Return of each state the deviation that costs 1: units in which rounding is the same whatever the user's are."""
+    costs = np.diag(P)
+    return np.asarray(1.0 / np.sqrt(np.where(costs > 0, costs, 1.0)))
+
+
+def _steady(
+    A: Floats, B: Floats, H: Floats, input_cost: Floats, others: Floats, units: Floats
+) -> tuple[Floats, Floats]:
     """Return the maps from the goal and from the other states to the cheapest (x_ss, u_ss), one below the other.
 
     ``x = A x + B u + ...`` and ``H x + ... = r`` leave as many directions free as there are controls beyond the goals; of all
-    solutions the one with the smallest ``u' input_cost u`` is taken, and among these that with the smallest x.
+    solutions the one with the smallest ``u' input_cost u`` is taken, and among these that with the smallest x, in `units`.
     """
-    n, goals = len(A), len(H)
-    if goals > B.shape[1]:
-        raise ModelError(
-            f"There are {goals} goals but {B.shape[1]} controls: no more outputs can be held at values of their own than there "
-            "are controls; set goals for fewer outputs, or actuate further inputs."
-        )
-    M = np.block([[np.eye(n) - A, -B], [H, np.zeros((goals, B.shape[1]))]])
+    n = len(A)
+    root = np.linalg.cholesky(input_cost)
+    change = (np.eye(n) - A) * np.outer(1 / units, units)
+    effect = np.linalg.solve(root, B.T).T / units[:, None]  # of controls whose cost is the sum of their squares
+    M = np.block([[change, -effect], [H * units, np.zeros((len(H), B.shape[1]))]])
     scale = np.linalg.norm(M, axis=1)
     left, sizes, right = np.linalg.svd(M / np.where(scale > 0, scale, 1.0)[:, None])
     if sizes[-1] <= 1e-10 * sizes[0]:
@@ -82,10 +94,10 @@ def _steady(A: Floats, B: Floats, H: Floats, input_cost: Floats, others: Floats)
             "The goals cannot be held in steady state, each at a value of its own: with the controls held, an output stays where "
             "it is whatever they are (the plant has a zero at 1), or goals depend on each other; set goals for other outputs."
         )
-    rhs = np.block([[np.zeros((n, goals)), others[:n]], [np.eye(goals), others[n:]]])
+    rhs = np.block([[np.zeros((n, len(H))), others[:n] / units[:, None]], [np.eye(len(H)), others[n:]]])
     whole = right[: len(sizes)].T @ ((left.T @ (rhs / scale[:, None])) / sizes[:, None])
     free = right[len(sizes) :].T
     if free.shape[1]:
-        root = np.linalg.cholesky(input_cost).T
-        whole = whole - free @ np.linalg.pinv(root @ free[n:]) @ (root @ whole[n:])
-    return whole[:, :goals], whole[:, goals:]
+        whole = whole - free @ np.linalg.pinv(free[n:]) @ whole[n:]
+    whole = np.vstack([units[:, None] * whole[:n], np.linalg.solve(root.T, whole[n:])])
+    return whole[:, : len(H)], whole[:, len(H) :]

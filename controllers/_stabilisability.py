@@ -17,9 +17,13 @@ _REACH = 1e-9
 
 def unreached(A: Floats, B: Floats, *, edge: float = _EDGE) -> list[complex]:
     """Return the eigenvalues of A, each that does not die out, at which [lambda I - A, B] loses rank."""
+    from scipy.linalg import matrix_balance
+
+    # In units in which the states move each other alike, and each control as much as they do: no choice of units decides.
+    A, (units, _) = matrix_balance(A, permute=False, separate=True)
+    B = B / units[:, None]
     n, found = len(A), []
     size = max(float(np.abs(A).max()), 1.0)
-    # In units in which each control moves as much as the states move each other, so that no choice of units decides.
     columns = np.linalg.norm(B, axis=0)
     reach = B * (size / np.where(columns > 0, columns, 1.0))
     for eigenvalue in np.linalg.eigvals(A):

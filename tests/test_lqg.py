@@ -73,6 +73,38 @@ def test_the_one_step_posterior_is_the_regulators_law(name):
     assert np.abs(found).max() < 1
 
 
+@pytest.mark.parametrize("seed", range(25))
+def test_the_law_of_random_plants_in_any_units(seed):
+    """Up to 6 states, 3 controls and as many goals or fewer, spectral radius up to 1.2, units from 1e-3 to 1e3."""
+    rng = np.random.default_rng(seed)
+    n, p = int(rng.integers(1, 7)), int(rng.integers(1, 4))
+    r = int(rng.integers(1, min(n, p) + 1))
+    units = 10 ** rng.uniform(-3, 3, n)
+    A = rng.normal(size=(n, n))
+    A *= rng.uniform(0.3, 1.2) / np.abs(np.linalg.eigvals(A)).max()
+    A, B = A * np.outer(units, 1 / units), rng.normal(size=(n, p)) * units[:, None]
+    H, C = rng.normal(size=(r, n)) / units, np.diag(1 / units)
+    model = LinearModel(A, B, C, 1e-4 * units**2, 1e-2, dt=0.1)
+    covariances = rng.uniform(0.01, 1.0, r), rng.uniform(0.1, 10.0, p)
+    belief = "joint" if seed % 2 else "filtered"
+    controller = LQGController(
+        model, goal_on=H, goal_covariance=covariances[0], control_covariance=covariances[1], belief=belief
+    )
+    cost = H.T @ np.diag(1 / covariances[0]) @ H
+    gain, _, _ = control.dlqr(A, B, (cost + cost.T) / 2, np.diag(1 / covariances[1]))
+    goal = rng.normal(size=r)
+    out = controller.online(compiled=False)(y=rng.normal(size=n), goal=goal)
+    # The cheapest steady state: minimise u' R u subject to it, by the equations of Lagrange.
+    hold = np.block([[np.eye(n) - A, -B], [H, np.zeros((r, p))]])
+    price = np.diag(np.concatenate([np.zeros(n), 1 / covariances[1]]))
+    whole = np.block([[price, hold.T], [hold, np.zeros((n + r, n + r))]])
+    scale = np.concatenate([units, np.ones(p), 1 / units, np.ones(r)])
+    whole, rhs = whole * np.outer(scale, scale), np.concatenate([np.zeros(2 * n + p), goal])
+    steady = np.linalg.lstsq(whole, rhs * scale, rcond=1e-14)[0] * scale
+    law = steady[n : n + p] - gain @ (np.ravel(out.x_hat) - steady[:n])
+    np.testing.assert_allclose(np.atleast_1d(out.u), law, rtol=1e-9, atol=1e-9 * np.abs(law).max())
+
+
 @pytest.mark.parametrize(("make", "radius"), [(servo, 3.5), (two_masses, 5.3)])
 def test_a_goal_for_the_next_step_alone_is_short_sighted(make, radius):
     model = make()
@@ -138,6 +170,24 @@ def test_a_constant_load_leaves_no_steady_error():
         x = A @ x + B @ (u + 0.7)
     assert x[0] == pytest.approx(1.0, abs=1e-6)
     assert u[0] == pytest.approx(-0.7, abs=1e-6)
+
+
+@pytest.mark.parametrize(("arrives", "load"), [(1.0, 0.5), (0.5, 0.0)])
+def test_an_actuator_fault_that_is_found_leaves_no_steady_error(arrives, load):
+    model = LinearModel([[0.9]], [[0.1]], [[1], [1]], 1e-6, 1e-4, dt=0.1)
+    modes = [controllers.InputOffset(), controllers.LostEffect()]
+    left = {}
+    for actuator_modes in (modes, []):
+        precision = controllers.SwitchingPrecision(actuator_modes=actuator_modes)
+        controller = LQGController(model, precision, goal_covariance=0.01, initial_covariance=1e-4)
+        step, x, rng, reached = controller.online(compiled=False), 0.0, np.random.default_rng(1), []
+        for k in range(300):
+            u = step(y=x + 1e-2 * rng.normal(size=2), goal=[1.0]).u[0]
+            x = 0.9 * x + 0.1 * (u if k < 100 else arrives * u + load) + 1e-3 * rng.normal()
+            reached.append(x)
+        left[len(actuator_modes)] = abs(np.mean(reached[200:]) - 1.0)
+    assert left[2] < 0.02
+    assert left[2] < 0.2 * left[0]
 
 
 @pytest.mark.parametrize(
