@@ -337,7 +337,12 @@ def check_groups(run: Run) -> None:
                     f"needs: put a UnitDelay into a connection of {node.name!r} with the others, so that a delay of one step "
                     "stands where one can see it, or export the FMU with that capability."
                 )
-            if group.doubling and not (getattr(instance, "can_resize", False) and step_word(instance)):
+            if group.doubling and not step_word(instance):
+                raise FMUError(
+                    f"step_error varies the steps of {names}, but {node.name!r} is isolated or a model exchange FMU, whose steps "
+                    "are of one size: leave step_error out, or take a co-simulation FMU in this process."
+                )
+            if group.doubling and not cast("VariableStep", instance).can_resize:
                 raise FMUError(
                     f"The FMU {node.name!r} makes steps of one size only (canHandleVariableCommunicationStepSize), but "
                     f"step_error varies those of {names}; leave step_error out, or export the FMU with that capability."

@@ -206,7 +206,9 @@ class Grouping:
                         parts += [Part(j, "ahead", (), self._ahead[j]) for j in stepped]
                         done |= set(stepped)
                     continue
-            parts.append(Part(i, "ahead", gathers(i, late=True) if late else (), self._ahead[i]))
+            # What feeds through a plant as well (`timing="direct"`) is brought again, as it is at the end.
+            again = late or (coupling.iterated and any(port.feedthrough for port in schedule.nodes[i].block.inputs))
+            parts.append(Part(i, "ahead", gathers(i, late=True) if again else (), self._ahead[i]))
             done.add(i)
         torn = list(dict.fromkeys(torn))
         back = {self._ahead[i] + e: self._now[i] + e for i in nodes for e in range(self._width(i))}
