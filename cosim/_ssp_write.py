@@ -196,8 +196,7 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
             _add_values(component, node, values)
     if len(connections):
         system.append(connections)
-    experiment = SubElement(root, f"{SSD}DefaultExperiment", startTime="0.0")
-    annotation = SubElement(SubElement(experiment, f"{SSD}Annotations"), f"{SSC}Annotation", type="bayesftc")
+    annotation = SubElement(SubElement(system, f"{SSD}Annotations"), f"{SSC}Annotation", type="bayesftc")
     SubElement(annotation, "bayesftc", step=str(diagram.step))
     indent(root)
     return root

@@ -36,6 +36,7 @@ def open_ssp(
     *,
     dt: float | str | Fraction | None = None,
     variant: str = SSP_FILE.main,
+    isolate: bool = False,
     validate: bool = True,
 ) -> Diagram:
     """Return the diagram that an .ssp or .ssd describes: its FMUs, with their parameters, connected.
@@ -56,6 +57,8 @@ def open_ssp(
         FMUs name in their default experiment.
     variant : str
         Which ``.ssd`` of an ``.ssp`` to open.
+    isolate : bool
+        Run each FMU in a process of its own (see `FMU`).
     validate : bool
         False to accept files that break the schemas of SSP and FMI, at your own risk.
 
@@ -107,7 +110,7 @@ def open_ssp(
     for place, component in flat.components.items():
         values = {p.name: _value(p, flat, variables[place][p.name], place) for p in flat.values(place).values()}
         joined = [*feeds[place], *(f.output for fed in feeds.values() for f in fed.values() if f.component == place)]
-        block = _fmu(files[place], component, values, joined, validate)
+        block = _fmu(files[place], component, values, joined, isolate, validate)
         nodes[place] = diagram.add(block, "_".join(".".join(place).split()))
     for place, node in nodes.items():
         for name, feed in feeds[place].items():
@@ -176,7 +179,7 @@ def _fmu(file: Path, component: Component, values: dict[str, Value], joined: Seq
     timing = None if block.kind == "model exchange" else "plant"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that it is a plant is said in the docstring
-        return replace(block, **ports, timing=timing)  # type: ignore[arg-type]
+        return replace(block, **ports, timing=timing, isolate=isolate)  # type: ignore[arg-type]
 
 
 def _value(parameter: Parameter, flat: Flat, variable: Variable, place: Place) -> Value:

@@ -140,6 +140,13 @@ def test_two_components(tmp_path, fmi):
     check_chain(run(tmp_path / "folder" / "SystemStructure.ssd"))
 
 
+def test_isolated_components(tmp_path, same_bits):
+    text = ssd(system(component("a", bindings=START) + component("b"), link("a.v", "b.disturbance")))
+    path = packed(tmp_path, text)
+    assert cosim.open_ssp(path, isolate=True)["b"].block.isolate
+    same_bits(run(path, isolate=True, steps=10)["b.v"], run(path, steps=10)["b.v"])
+
+
 def test_a_connection_may_be_written_from_its_end(tmp_path):
     text = ssd(system(component("a", bindings=START) + component("b"), link("b.disturbance", "a.v")))
     check_chain(run(packed(tmp_path, text)))
