@@ -167,7 +167,14 @@ def _step(
     return step
 
 
-def _fmu(file: Path, component: Component, values: dict[str, Value], joined: Sequence[str], validate: bool) -> FMU:
+def _fmu(
+    file: Path,
+    component: Component,
+    values: dict[str, Value],
+    joined: Sequence[str],
+    isolate: bool,
+    validate: bool,
+) -> FMU:
     """Return the block of a component; what is `joined` to others is a port, also where others of its type are none."""
     block = FMU(file, parameters=values, validate=validate, kind=_KINDS[component.implementation])
     ports = {side: [p.name for p in getattr(block, side) if isinstance(p, Port)] for side in ("inputs", "outputs")}
