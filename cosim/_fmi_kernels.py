@@ -94,10 +94,10 @@ def values3(typingctx, function, component, references, count, values, size):
 
 @intrinsic
 def step2(typingctx, function, component, t, h):
-    """int32 (*)(void *, double, double, int): fmi2DoStep, never to go back before this point."""
+    """int32 (*)(void *, double, double, int): fmi2DoStep, with no promise that nobody goes back: states may be restored."""
 
     def codegen(context, builder, signature, args):
-        return _call(builder, args[0], [*args[1:], ir.Constant(_I32, 1)])
+        return _call(builder, args[0], [*args[1:], ir.Constant(_I32, 0)])
 
     return types.int32(types.int64, types.int64, types.float64, types.float64), codegen
 
@@ -111,7 +111,7 @@ def step3(typingctx, function, component, t, h, scratch):
 
     def codegen(context, builder, signature, args):
         places = [builder.add(args[4], ir.Constant(_I64, 8 * i)) for i in (EVENT, TERMINATE, RETURNED_EARLY, REACHED)]
-        return _call(builder, args[0], [*args[1:4], ir.Constant(_I32, 1), *places])
+        return _call(builder, args[0], [*args[1:4], ir.Constant(_I32, 0), *places])
 
     return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64), codegen
 

@@ -183,11 +183,11 @@ class StepFunctions:
             return status
         h = self._h
         if self._major == 2:
-            status = self._do_step(self._component, t, h, 1)
+            status = self._do_step(self._component, t, h, 0)
             if status == DISCARD and self._addresses.real_status:
                 return self._in_parts(t, h)
             return _failed(STEP, status)
-        status = _failed(STEP, self._do_step(self._component, t, h, True, *self._places[:4]))
+        status = _failed(STEP, self._do_step(self._component, t, h, False, *self._places[:4]))
         return status or self._go_on(t, h)
 
     def _set(self, inputs: Floats) -> int:
@@ -249,7 +249,7 @@ class StepFunctions:
                 return 0
             if part > left - TOLERANCE * h:
                 part = left
-            status = self._do_step(self._component, now, part, 1)
+            status = self._do_step(self._component, now, part, 0)
         return ENDLESS
 
     def _go_on(self, t: float, h: float) -> int:
@@ -268,7 +268,7 @@ class StepFunctions:
             if not reached > now:
                 return EARLY
             now = reached
-            status = _failed(STEP, self._do_step(self._component, now, end - now, True, *self._places[:4]))
+            status = _failed(STEP, self._do_step(self._component, now, end - now, False, *self._places[:4]))
             if status:
                 return status
         return ENDLESS

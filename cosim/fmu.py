@@ -206,6 +206,8 @@ class FMU(ExternalBlock):
         ------
         FMUError
             If the binary cannot be loaded, or the FMU refuses to be instantiated or initialized.
+        StepSizeError
+            If the FMU makes steps of a fixed size, and `step` is no multiple of it.
         FMUCrashed
             If it is isolated and its process dies meanwhile, or has to be ended.
         """

@@ -17,7 +17,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError, UnknownNameError
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmu import FMU
 
 SOURCES = Path(__file__).parent / "breadth"
 ENGINES = ("compiled", "interpreted")
@@ -526,7 +526,3 @@ def test_steps_that_an_fmu_cannot_make_are_refused(breadth):
             alone(fixed, dt).simulate(1)
     for size in ("x", "NaN", "INF", "-1"):  # what is no size binds nobody
         alone(FMU(breadth("3", f'fixedInternalStepSize="{size}"'), validate=False, **REALS3), 0.1).simulate(1)
-
-
-def test_an_fmu_that_needs_a_tool_says_so(breadth):
-    assert describe(breadth("3", 'needsExecutionTool="true"')).capabilities["needsExecutionTool"] is True

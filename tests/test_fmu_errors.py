@@ -18,6 +18,9 @@ STEP = Fraction(1, 50)
 SHIPPED = {fmi: fmus.path("CruiseControl", fmi=fmi) for fmi in ("2.0", "3.0")}
 
 
+NEEDY = '<CoSimulation needsExecutionTool="true" '
+
+
 def _fmi2(name, reference, causality, variability, value):
     attributes = f'name="{name}" valueReference="{reference}" causality="{causality}" variability="{variability}"'
     return f"<ScalarVariable {attributes}>{value}</ScalarVariable>"
@@ -207,6 +210,8 @@ def test_refused_instantiation_and_initialization(tmp_path, fmi):
         lambda: FMU(path).instantiate(STEP, "car"),
         "The FMU 'CruiseControl' refused to be instantiated as 'car'. Its log says: Instantiation: the token",
     )
+    needy = edited(path, tmp_path / "needy.fmu", lambda text: text.replace("<CoSimulation ", NEEDY))
+    refused(lambda: FMU(needy).instantiate(STEP, "car"), "to run (needsExecutionTool): install it here, or export")
     path = replaced(fmi, tmp_path / "reference.fmu", 'valueReference="3"', 'valueReference="77"')
     diagram_block = FMU(path, parameters={"b": 6.0})
     real = "fmi2SetReal" if fmi == "2.0" else "fmi3SetFloat64"
