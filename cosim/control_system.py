@@ -16,7 +16,7 @@ from bayesftc.cosim._control_equations import Equations
 from bayesftc.cosim._control_machine import Machine
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.diagram import Diagram, Node
-from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, UnconnectedInputError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.result import labels
@@ -148,12 +148,7 @@ def diagram_to_control(
         for side in ("inputs", "outputs")
     ]
     if inputs is None:
-        inputs = [
-            label
-            for name_, (node, port) in sides[0].items()
-            for label, i in zip(labels(name_, port.shape), range(port.size), strict=True)
-            if port.draw is None and port.default is None and diagram.source_of(node, port, i) is None
-        ]
+        inputs = list(_needed(diagram))
     return _system(diagram, (sides[1] | sides[0], sides[1]), inputs, outputs, seed, engine, name)
 
 
@@ -250,6 +245,17 @@ class _Outside(Block):
         return Definition(_hand_on)
 
 
+def _needed(diagram: Diagram) -> dict[str, tuple[Node, Port, int]]:
+    """Return the scalar inputs that have neither a source nor a start value."""
+    return {
+        label: (node, port, i)
+        for node in diagram.nodes
+        for port in node.block.inputs
+        for i, label in enumerate(labels(f"{node.name}.{port.name}", port.shape))
+        if port.draw is None and port.default is None and diagram.source_of(node, port, i) is None
+    }
+
+
 def _opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]]) -> tuple[Diagram, list[Element]]:
     """Return a copy of the diagram in which the given signals come from outside, and where they are put in.
 
@@ -257,10 +263,9 @@ def _opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]]) -> tuple[
     """
     whole = copy(diagram)
     coupling, whole._coupling = whole._coupling, None
-    if not given:
-        return whole.build(coupling), []
-    outside = whole.add(_Outside(len(given)), _OUTSIDE)
+    outside = whole.add(_Outside(len(given)), _OUTSIDE) if given else None
     for j, (node, port, i) in enumerate(given):
+        assert outside is not None
         targets = [(node.name, port.name, i)]
         if any(port.name == output.name for output in node.block.outputs):
             targets = [
@@ -270,6 +275,11 @@ def _opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]]) -> tuple[
             ]
         for target in targets:
             whole._sources[target] = outside["y"], j
+    for name, (node, _, _) in _needed(whole).items():
+        raise UnconnectedInputError(
+            f"The input {name} of {type(node.block).__name__} has neither a source nor a start value; name it among the inputs "
+            "of to_control, as it is by default."
+        )
     whole.build(coupling)
     return whole, [(_OUTSIDE, "u", j) for j in range(len(given))]
 

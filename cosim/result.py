@@ -133,13 +133,17 @@ class Result(Mapping[str, Floats]):
         attributes = {"metadata": json.dumps(self.metadata), "stopped": self.stopped or ""}
         return xr.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})}, attrs=attributes)
 
-    def to_control(self, outputs: Iterable[str] | None = None) -> control.TimeResponseData:
+    def to_control(
+        self, outputs: Iterable[str] | None = None, *, inputs: Iterable[str] = ()
+    ) -> control.TimeResponseData:
         """Return the signals as a time response of python-control, one output for each scalar (``y[0]``, ``y[1]``, ...).
 
         Parameters
         ----------
         outputs : iterable of str, optional
             Names of the signals to take; all by default.
+        inputs : iterable of str
+            Names of those to take as its inputs.
 
         Raises
         ------
@@ -148,11 +152,19 @@ class Result(Mapping[str, Floats]):
         """
         import control
 
-        names = list(self) if outputs is None else [outputs] if isinstance(outputs, str) else list(outputs)
-        columns = [self[name].reshape(len(self._recording), -1) for name in names]
-        scalars = [label for name in names for label in labels(name, self._columns[name][1])]
-        values = np.hstack([np.empty((len(self._recording), 0)), *columns]).T
-        return control.TimeResponseData(self.time, values, output_labels=scalars, issiso=False, title="bayesftc")
+        rows, names = self._scalars(list(self) if outputs is None else outputs)
+        driving, input_names = self._scalars(inputs)
+        given = {"inputs": driving, "input_labels": input_names} if input_names else {}
+        return control.TimeResponseData(
+            self.time, rows, output_labels=names, issiso=False, title="bayesftc", plot_inputs=False, **given
+        )
+
+    def _scalars(self, signals: Iterable[str]) -> tuple[Floats, list[str]]:
+        """Return the scalars of some signals, a row for each, and their names."""
+        chosen = [signals] if isinstance(signals, str) else list(signals)
+        columns = [self[name].reshape(len(self._recording), -1) for name in chosen]
+        names = [label for name in chosen for label in labels(name, self._columns[name][1])]
+        return np.hstack([np.empty((len(self._recording), 0)), *columns]).T, names
 
     def plot(self, signals: Iterable[str] | None = None) -> Figure:
         """Return a figure with one panel for each unit and kind of signal.

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError, UnknownNameError
+from bayesftc.cosim.errors import (
+    FMUError,
+    ModelError,
+    SimulationError,
+    StepSizeError,
+    UnconnectedInputError,
+    UnknownNameError,
+)
 
 DT, DRAG, MASS = 0.02, 5.0, 100.0
 A, B = 1 - DRAG / MASS * DT, DT / MASS
@@ -376,6 +383,28 @@ def foreign(tmp_path):
     return make
 
 
+@pytest.mark.parametrize("coupling", ["jacobi", "gauss-seidel", "iterated"])
+@pytest.mark.parametrize("own", [True, False])
+def test_coupled_fmus_give_the_numbers_of_their_coupling(foreign, coupling, own):
+    diagram = cosim.Diagram(DT)
+    first, second = (diagram.add(car() if own else foreign(), name) for name in ("first", "second"))
+    gain = diagram.add(cosim.Gain(-0.1))
+    diagram.connect(first["v"], second["disturbance"])
+    diagram.connect(second["v"], gain["u"])
+    diagram.connect(gain["y"], first["disturbance"])
+    ours = diagram.build(coupling).simulate(2.0, engine="interpreted")
+    system = diagram.to_control(outputs=["first.v", "second.v"], engine="interpreted")
+    for row, name in zip(response(system).outputs, ["first.v", "second.v"], strict=True):
+        np.testing.assert_array_equal(row, ours[name])
+
+
+def test_an_isolated_fmu_is_one_like_any_other():
+    system = car(isolate=True).to_control(DT, inputs=["force"], engine="interpreted")
+    twin = car().to_control(DT, inputs=["force"], engine="interpreted")
+    force = 500.0 * np.sin(T)
+    np.testing.assert_array_equal(response(system, force).outputs, response(twin, force).outputs)
+
+
 @pytest.mark.parametrize("saves", [True, False])
 @pytest.mark.parametrize("fmi", FMI)
 def test_any_fmu_stands_in_a_loop_of_python_control(foreign, fmi, saves):
@@ -522,6 +551,11 @@ def test_a_missing_sample_passes_through_a_system_of_its_own():
             lambda: brain().to_control(outputs=["precison"]),
             UnknownNameError,
             "no output 'precison'; did you mean 'precision'",
+        ),
+        (
+            lambda: brain().to_control(inputs=["y"]),
+            UnconnectedInputError,
+            r"controller\.goal\[0\] of BayesianController .* name it",
         ),
         (lambda: brain().to_control(outputs=["u[3]"]), UnknownNameError, r"no output 'u\[3\]'"),
         (lambda: brain().to_control(outputs=["u", "u"]), ModelError, "one of its outputs twice"),
@@ -702,6 +736,10 @@ def test_results_are_responses_that_plot():
     shown = one.plot()
     assert [axes.get_ylabel() for axes in shown.axes[:, 0]] == one.output_labels
     np.testing.assert_array_equal(shown.lines[0, 0][0].get_ydata(), runs[0]["plant.v"])
+    driven = runs[0].to_control("plant.v", inputs=["reference.y", "controller.u"])
+    assert driven.input_labels == ["reference.y", "controller.u[0]"]
+    np.testing.assert_array_equal(driven.inputs, [runs[0]["reference.y"], runs[0]["controller.u"][:, 0]])
+    assert [len(driven.plot(plot_inputs=shown).axes) for shown in (None, True)] == [1, 3]
     several = control.combine_time_responses([run.to_control("plant.v") for run in runs], trace_labels=["a", "b"])
     lines = several.plot(overlay_traces=True).lines[0, 0]
     assert several.ntraces == len(lines) == 2
