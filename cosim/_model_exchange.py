@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import product
 from os import PathLike
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim._fmi_description import FMUVariable
+from bayesftc.cosim._fmi_groups import element_names
 from bayesftc.cosim._fmi_library import CallError
+from bayesftc.cosim._fmi_values import resolved
 from bayesftc.cosim._model_exchange_library import load_model
 from bayesftc.cosim._model_exchange_model import ExchangeModel, StopError
 from bayesftc.cosim.block import Floats
@@ -47,7 +46,7 @@ class ModelEquations:
     Attributes
     ----------
     state_names, input_names, output_names : tuple of str
-        Elements of x, u and y; of an array each with its index, as ``"T[0]"`` (of a matrix ``"T[0,1]"``).
+        Elements of x, u and y; of an array each with its index, as ``"T[0]"`` (of a matrix ``"T[0][1]"``).
     x0, u0 : ndarray
         States after initialization, start values of the inputs.
     nominals : ndarray
@@ -80,8 +79,12 @@ class ModelEquations:
             )
         start, inputs, outputs = fmu._variables()
         self._model = ExchangeModel(load_model(archive, description), fmu.default_name, start, inputs, outputs)
-        self.state_names = _elements(info.states, self._model.nx)
-        self.input_names, self.output_names = _elements(tuple(inputs)), _elements(outputs)
+        given: Any = fmu.parameters or {}
+        variables = resolved(archive, description, given)
+        self.state_names, self.input_names, self.output_names = (
+            tuple(name for name, _ in element_names(side))
+            for side in ([variables[v.name] for v in info.states], list(inputs), outputs)
+        )
         self.has_directional_derivatives = info.directional
         self._knowns = np.array([v.reference for v in (*info.states, *inputs)], dtype=np.uint32)
         self._unknowns = np.array([v.reference for v in (*info.derivatives, *outputs)], dtype=np.uint32)
@@ -223,21 +226,6 @@ class ModelEquations:
                 f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {what}; evaluate it where its "
                 f"equations hold. {model.messages.quoted()}"
             ) from None
-
-
-def _elements(variables: Sequence[FMUVariable], total: int | None = None) -> tuple[str, ...]:
-    names = []
-    for variable in variables:
-        if variable.shape:
-            names += [
-                f"{variable.name}[{','.join(map(str, index))}]"
-                for index in product(*(range(n) for n in variable.shape))
-            ]
-        else:
-            names.append(variable.name)
-    if total is not None and len(names) != total:  # structural parameters have changed sizes
-        return tuple(f"x{i}" for i in range(total))
-    return tuple(names)
 
 
 __all__ = ["Jacobians", "ModelEquations"]

@@ -46,10 +46,18 @@ class ExchangeInstance:
         When outputs are read; see `bayesftc.cosim.FMU`.
     """
 
-    table: np.ndarray[Any, np.dtype[np.int64]]
+    #: The word of the table that holds the step size, which may be any.
+    step_word = words.STEP_WORD
+    can_resize = True
 
     def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing):
-        self._model, self._step, self._h, self._timing = model, step, float(step), timing
+        self._model, self._step, self._timing = model, step, timing
+        self.table = np.array([model.table.ctypes.data, 0], dtype=np.int64)
+        self.resize(float(step))
+
+    def resize(self, h: float) -> None:
+        """See `bayesftc.cosim.block.VariableStep.resize`."""
+        self.table.view(np.float64)[words.STEP_WORD] = h
 
     def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
         """See `bayesftc.cosim.block.External.update`."""
@@ -122,8 +130,6 @@ class CompiledInstance(ExchangeInstance):
     ):
         super().__init__(model, step, timing)
         table, reals = model.table, model.reals
-        self.table = np.array([table.ctypes.data], dtype=np.int64)
-        reals[words.H] = float(step)
         table[words.NUMERATOR], table[words.DENOMINATOR] = step.numerator, step.denominator
         table[words.LIMIT] = INTERNAL_STEPS
         self._name, self._cvode = {"cvode": "CVODE", "rk45": "Runge-Kutta"}[solver], None
@@ -165,7 +171,7 @@ class CompiledInstance(ExchangeInstance):
     def _call(self, role: str, inputs: Floats, outputs: Floats, t: float) -> int:
         entry = _compiled(role)[1]
         addresses = self.table.ctypes.data, inputs.ctypes.data, outputs.ctypes.data
-        return int(entry(0, *addresses, t, round(t / self._h)))
+        return int(entry(0, *addresses, t, round(t / float(self._step))))
 
     def _set_tolerances(self) -> None:
         if self._model.nx or self._model.nz:
@@ -196,7 +202,6 @@ class ScipyInstance(ExchangeInstance):
 
     def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing, solver: Any):
         super().__init__(model, step, timing)
-        self.table = np.zeros(0, dtype=np.int64)
         self._solver, self._reason = solver, ""
         self._raised: BaseException | None = None
         self._views: dict[tuple[int, int], Floats] = {}
@@ -220,6 +225,7 @@ class ScipyInstance(ExchangeInstance):
 
         def entry(state: int, parameters: int, inputs: int, outputs: int, t: float, k: int) -> int:
             try:
+                self.resize(ctypes.c_double.from_address(parameters + 8 * words.STEP_WORD).value)
                 return function(view(inputs, sizes[0]), view(outputs, sizes[1]), t)
             except BaseException as error:  # noqa: BLE001 - C code has no way for it; `explain` raises it
                 self._raised = error
@@ -277,8 +283,11 @@ class ScipyInstance(ExchangeInstance):
     def _advance(self, inputs: Floats, t: float) -> None:
         """Take the FMU from `t` to the next communication point, from event to event, as the compiled functions do."""
         self._take(inputs)
-        model, h = self._model, self._h
-        end = (round(t / h) + 1) * self._step.numerator / self._step.denominator
+        model, h = self._model, float(self.table.view(np.float64)[words.STEP_WORD])
+        end = t + h
+        point = (round(t / float(self._step)) + 1) * self._step.numerator / self._step.denominator
+        if abs(end - point) <= words.SAME * h:
+            end = point
         near = words.NEAR * max(abs(end), h)
         quiet, before = 0, model.time
         while True:

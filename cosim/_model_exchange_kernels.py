@@ -1,8 +1,8 @@
 """A communication step of a model exchange FMU, with all its events, as compiled functions with the engine's signature.
 
-At the address ``parameters`` they find the address of the table of `bayesftc.cosim._model_exchange_words`. Nothing here
-returns to Python, so that a right-hand side costs what the FMU's own functions cost. `bayesftc.cosim._model_exchange_instance`
-does the same in Python, for integrators of scipy.
+At the address ``parameters`` they find the address of the table of `bayesftc.cosim._model_exchange_words`, and the step size.
+Nothing here returns to Python, so that a right-hand side costs what the FMU's own functions cost.
+`bayesftc.cosim._model_exchange_instance` does the same in Python, for integrators of scipy.
 """
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
@@ -57,11 +57,13 @@ from bayesftc.cosim._model_exchange_words import (
     RESTART,
     ROLE,
     RTOL,
+    SAME,
     SET_REALS,
     SET_STOP,
     SET_TIME,
     SET_TOLERANCES,
     STATES,
+    STEP_WORD,
     STEPS,
     STOPPED,
     TIME,
@@ -71,7 +73,6 @@ from bayesftc.cosim._model_exchange_words import (
     UPDATE_DISCRETE,
     VECTOR,
     WANTS_STEPS,
-    H,
     X,
 )
 
@@ -254,12 +255,14 @@ def _stretch(table, target):
 
 
 @register_jitable(error_model="numpy")
-def _advance(table, inputs, k):
+def _advance(parameters, inputs, t, k):
     """Take the FMU to the next communication point, from event to event."""
+    table, h = word(parameters, 0), number(parameters, STEP_WORD)
     if _take(table, inputs) != 0:
         return STOPPED
-    h = number(table, H)
-    end = (k + 1) * word(table, NUMERATOR) / word(table, DENOMINATOR)
+    end, point = t + h, (k + 1) * word(table, NUMERATOR) / word(table, DENOMINATOR)
+    if abs(end - point) <= SAME * h:
+        end = point  # as the engine counts time; a part of a step ends in between
     near = NEAR * max(abs(end), h)
     quiet, before = 0, number(table, TIME)
     while True:
@@ -305,15 +308,14 @@ def read_direct(state, parameters, inputs, outputs, t, k):
 
 def advance(state, parameters, inputs, outputs, t, k):
     """Set the inputs and go to the next communication point."""
-    return _advance(word(parameters, 0), inputs, k)
+    return _advance(parameters, inputs, t, k)
 
 
 def sampled(state, parameters, inputs, outputs, t, k):
     """Set the inputs, go to the next communication point, and read the outputs there."""
-    table = word(parameters, 0)
-    if _advance(table, inputs, k) != 0:
+    if _advance(parameters, inputs, t, k) != 0:
         return STOPPED
-    return _read(table, outputs)
+    return _read(word(parameters, 0), outputs)
 
 
 def tolerances(state, parameters, inputs, outputs, t, k):

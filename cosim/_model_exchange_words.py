@@ -30,18 +30,24 @@ NAMES = (
     MAJOR, COMPONENT, STATES, INDICATORS, WANTS_STEPS, NO_RETURN, IN_REFERENCES, IN_COUNT, IN_SIZE, INPUTS, OUT_REFERENCES,
     OUT_COUNT, OUT_SIZE, X,
 ) = range(12, 26)  # fmt: skip
-# Doubles: its time, its next time event (infinity for none), seconds of a communication step; and that step as a fraction.
-TIME, NEXT_EVENT, H, NUMERATOR, DENOMINATOR = range(26, 31)
+# Doubles: its time, its next time event (infinity for none); and the seconds of a communication step as a fraction.
+TIME, NEXT_EVENT, NUMERATOR, DENOMINATOR = range(26, 30)
 # The integrator: which one, absolute tolerances (an array), relative and absolute tolerance (doubles; -1 for that of nominal
 # values), most steps in a stretch, memory to work in; CVODE's memory, vectors of states and tolerances, and functions.
 (
     INTEGRATOR, TOLERANCES, RTOL, ATOL, LIMIT, WORK, MEMORY, VECTOR, TOLERANCE_VECTOR, INTEGRATE, RESTART, SET_STOP,
     SET_TOLERANCES,
-) = range(31, 44)  # fmt: skip
+) = range(30, 43)  # fmt: skip
 # What is written: time reached (double), flags of a completed step, the role and status of a call that failed and its time
 # (double), why a step stopped, what the integrator returned, its steps; and what an event update answers.
-REACHED, ENTER, TERMINATE, ROLE, STATUS, WHEN, REASON, FLAG, STEPS, INFO = range(44, 54)
-WORDS = 60
+REACHED, ENTER, TERMINATE, ROLE, STATUS, WHEN, REASON, FLAG, STEPS, INFO = range(43, 53)
+WORDS = 59
+
+STEP_WORD = 1
+"""Word of what the engine keeps of an instance - the table's address and the step size in seconds - that may be changed."""
+
+SAME = 1e-9
+"""Part of a step that its end may be off a communication point and is that point all the same."""
 
 NONE, CVODE, RUNGE_KUTTA = range(3)
 """Integrators."""

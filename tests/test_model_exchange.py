@@ -35,6 +35,8 @@ MODELS = {
     "counter": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("n", 6, N, None)], {"der(x)": "x"}, 0, {"x": [], "n": []}, True),
     "gate": ([("u", 4, U, 0.0), ("d", 5, D, 0.0), ("n", 6, N, None), ("y", 7, Y, None)], {}, 0, {"n": [], "y": None}, False),
     "clock": ([("n", 6, N, None)], {}, 0, {"n": []}, False),
+    "lag": ([("x", 0, ("local", "continuous", "exact"), "1 2 3"), ("der(x)", 2, X, None), ("u", 4, U, "0 0 0"),
+             ("y", 7, Y, None)], {"der(x)": "x"}, 0, {"y": []}, False),
 } | {
     name: ([("x", 0, Y, None), ("der(x)", 2, X, None)], {"der(x)": "x"}, 0, {"x": []}, False)
     for name in ("endless", "ends", "nan", "fails", "past")
@@ -81,8 +83,10 @@ def description3(model, save):
     for name, number, (causality, variability, initial), start in variables:
         more = (f' initial="{initial}"' if initial else "") + (f' start="{start}"' if start is not None else "")
         more += f' derivative="{reference[derivatives[name]]}"' if name in derivatives else ""
+        size = '<Dimension start="3"/>' if model == "lag" else ""
         rows.append(
-            f'<Float64 name="{name}" valueReference="{number}" causality="{causality}" variability="{variability}"{more}/>'
+            f'<Float64 name="{name}" valueReference="{number}" causality="{causality}" variability="{variability}"{more}>'
+            f"{size}</Float64>"
         )
     rows += [
         f'<Float64 name="z{i}" valueReference="{80 + i}" causality="local" variability="continuous" initial="calculated"/>'
@@ -317,6 +321,37 @@ def test_equations_and_jacobians(pendulum, built):
         fails.derivatives([0.0], [], 0.5)
 
 
+def lags(path):
+    diagram = cosim.Diagram(dt=0.25)
+    a, b = (diagram.add(FMU(path, name=name, parameters={"x": x})) for name, x in (("a", [1, 2, 3]), ("b", [0, 0, -1])))
+    diagram.connect(a["y"], b["u"])
+    diagram.connect(b["y"], a["u"])
+    return diagram
+
+
+def test_arrays_are_vector_ports(built, run_both):
+    diagram = cosim.Diagram(dt=0.25)
+    diagram.add(FMU(built("lag", "3.0"), rtol=1e-9, parameters={"x": [1, 2, 3], "u": [0, 2, 5]}), "p")
+    result = run_both(diagram, 3)
+    expected = [0, 2, 5] + np.exp(-result.time)[:, None] * [1, 0, -2]
+    np.testing.assert_allclose(result["p.y"], expected, atol=1e-8)
+    with ModelEquations(FMU(built("lag", "3.0"))) as model:
+        assert model.state_names == ("x[0]", "x[1]", "x[2]")
+        np.testing.assert_array_equal(model.derivatives([1, 2, 3], [0, 2, 5]), [-1, 0, 2])
+        known = -np.eye(3), np.eye(3), np.eye(3), np.zeros((3, 3))
+        np.testing.assert_allclose(model.jacobians([1, 2, 3], [0, 2, 5]), known, atol=1e-9)
+
+
+def test_coupled_with_iteration_and_with_steps_of_any_size(built, run_both):
+    # (x + z)' = 0 and (x - z)' = -2 (x - z)
+    sums, differences = np.array([1, 2, 2]), np.array([1, 2, 4])
+    for settings, bound in (({"coupling": "jacobi"}, 0.4), ({"coupling": "iterated", "hold": "mean"}, 0.02),
+                            ({"coupling": "iterated", "hold": "mean", "step_error": 1e-6}, 1e-4)):  # fmt: skip
+        result = run_both(lags(built("lag", "3.0")).build(**settings), 3)
+        exact = (sums + differences * np.exp(-2 * result.time)[:, None]) / 2
+        assert np.abs(result["a.y"] - exact).max() < bound, settings
+
+
 # --- saved states ---------------------------------------------------------------------------------------------------------------
 
 
@@ -404,11 +439,6 @@ def test_ctrl_c_and_errors_of_python_come_through_compiled_code(pendulum, monkey
         monkeypatch.setattr(ScipySolver, "_derivatives", lambda *_, error=error: (_ for _ in ()).throw(error))
         with pytest.raises(error):
             alone(pendulum, 0.1, solver="scipy:RK45").simulate(1, engine="compiled")
-
-
-def test_isolated(built):
-    alike = [alone(built("ball"), "1/50", isolate=i).simulate(2, engine="interpreted")["p.h"] for i in (False, True)]
-    np.testing.assert_array_equal(*alike)
 
 
 def test_thousands_of_instances_leave_nothing(built):

@@ -11,6 +11,7 @@
  *   nan      x' = -1 + 0 sqrt(x), x(0) = 0.35
  *   fails    x' = 1, an error from t = 0.35 on
  *   past     announces time events in the past, from t = 0.2 on
+ *   lag      x' = u - x for arrays of three, in FMI 3 only; y = x
  *   clock    a time event every second; no states, no indicators; n counts them
  */
 #include <math.h>
@@ -21,9 +22,9 @@
 #include "fmi2Functions.h"
 #include "fmi3Functions.h"
 
-enum { BALL, HEATER, PULSE, RELAY, COUNTER, GATE, ENDLESS, ENDS, NOT_A_NUMBER, FAILS, PAST, CLOCK, MODELS };
+enum { BALL, HEATER, PULSE, RELAY, COUNTER, GATE, ENDLESS, ENDS, NOT_A_NUMBER, FAILS, PAST, CLOCK, LAG, MODELS };
 static const char *TOKENS[MODELS] = {"ball", "heater", "pulse", "relay", "counter", "gate", "endless", "ends", "nan", "fails",
-                                     "past", "clock"};
+                                     "past", "clock", "lag"};
 enum { START, INIT, EVENT, CONTINUOUS };
 /* Value references: 0, 1 states; 2, 3 derivatives; 4, 5 inputs; 6 n or on; 7 y; 10.. parameters. */
 enum { NV = 16 };
@@ -40,7 +41,7 @@ typedef struct {
     void *environment;
 } Instance;
 
-static int states(int model) { return model == BALL ? 2 : (model == GATE || model == CLOCK) ? 0 : 1; }
+static int states(int model) { return model == LAG ? 3 : model == BALL ? 2 : (model == GATE || model == CLOCK) ? 0 : 1; }
 static int indicators(int model) { return model == BALL || model == RELAY ? 1 : model == HEATER ? 2 : 0; }
 
 static int say(Instance *m, int status, const char *text) {
@@ -79,6 +80,7 @@ static int derivatives(Instance *m, double *dx) {
     case PULSE: dx[0] = v[6]; break;
     case RELAY: dx[0] = v[4] - v[6]; break;
     case NOT_A_NUMBER: dx[0] = -1 + 0 * sqrt(v[0]); break;
+    case LAG: for (int i = 0; i < 3; i++) dx[i] = v[4 + i] - v[i]; break;
     case FAILS: if (s->t >= 0.35) return say(m, 3, "the valve is stuck"); dx[0] = 1; break;
     default: if (states(s->model)) dx[0] = 1;
     }
@@ -254,8 +256,20 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean td, fmi3Float
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return into(M, INIT, EVENT); }
 fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3Reset(fmi3Instance c) { return fmi2Reset(c); }
-fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 x[], size_t nx) { return fmi2GetReal(c, r, n, x); }
-fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 x[], size_t nx) { return fmi2SetReal(c, r, n, x); }
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 x[], size_t nx) {
+    if (M->s.model != LAG) return fmi2GetReal(c, r, n, x);
+    if (nx != 3 * n) return say(M, 3, "arrays of three");
+    for (size_t i = 0; i < n; i++)
+        if (r[i] == 2) derivatives(M, x + 3 * i);
+        else memcpy(x + 3 * i, M->s.v + (r[i] == 4 ? 4 : 0), 3 * sizeof(double));
+    return fmi3OK;
+}
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 x[], size_t nx) {
+    if (M->s.model != LAG) return fmi2SetReal(c, r, n, x);
+    if (nx != 3 * n) return say(M, 3, "arrays of three");
+    for (size_t i = 0; i < n; i++) memcpy(M->s.v + r[i], x + 3 * i, 3 * sizeof(double));
+    return fmi3OK;
+}
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *s) { return fmi2GetFMUstate(c, s); }
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState s) { return fmi2SetFMUstate(c, s); }
 fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *s) { return fmi2FreeFMUstate(c, s); }
