@@ -67,6 +67,22 @@ def test_an_fmu_for_co_simulation_is_known_by_its_answers(name):
         assert model.matrix("C")[0] @ [*steady[:, 0], 1.0] == pytest.approx(GATE, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("name", "radius"), [("PositionServo", 3.53), ("TwoMasses", 5.27), ("CartPendulum", 1.10), ("HydroTurbine", 1.09)]
+)
+def test_on_none_of_the_four_a_goal_for_the_next_step_alone_will_do(name, radius):
+    *_, measured, actuated, _ = PLANTS[name]
+    goal = "x2" if name == "TwoMasses" else measured[0]
+    controller = design(fmus.path(name), measured=measured, actuated=actuated, goal=goal)
+    model = controller.model.moving
+    with pytest.warns(controllers.UnstableLoopWarning):
+        naive = controllers.BayesianController(
+            model, goal_on=controller.goal_matrix[:, : model.states], goal_covariance=1e-12
+        )
+    assert np.abs(naive.closed_loop_poles()).max() == pytest.approx(radius, abs=0.006)
+    assert np.abs(controller.closed_loop_poles()).max() < 1
+
+
 def test_an_fmu_for_model_exchange_is_known_by_its_equations(casadi_fmu):
     """Exactly, in the FMU's own states and values, where its derivatives are zero."""
     path = casadi_fmu("swing", lambda q, u: 2 * q)
