@@ -132,7 +132,11 @@ def extract(archive: Archive, wanted: str) -> Path:
     try:
         with FileLock(root / f"{archive.digest}.lock"):
             if not (folder / wanted).exists():  # else another process was faster
-                shutil.rmtree(folder, ignore_errors=True)
+                for left in (
+                    folder,
+                    *root.glob(f".{archive.digest[:16]}-*"),
+                ):  # of a process that was killed meanwhile, too
+                    shutil.rmtree(left, ignore_errors=True)
                 _unpack(archive, folder)
     except OSError as error:
         raise archive.kind.error(

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import fmus
-from bayesftc.cosim import BayesFTCError, FMUError, _zip
+from bayesftc.cosim import BayesFTCError, FMUError, _fmi_archive, _zip
 from bayesftc.cosim.fmu import FMU, describe
 
 SHIPPED = fmus.path("CruiseControl")
@@ -229,6 +229,14 @@ def test_a_document_type_may_stand_where_no_program_reads(tmp_path):
     comment = XML.replace(b"?>", b"?><!-- <!DOCTYPE f> -->", 1)
     path = archive_of(tmp_path / "page.fmu", [("documentation/index.xml", page)], description=comment)
     FMU(path).instantiate(Fraction(1, 50), "car").close()
+
+
+def test_what_a_killed_process_has_left_is_cleared_away(cache):
+    archive = _fmi_archive.open_archive(SHIPPED)
+    left = cache / "fmus" / f".{archive.digest[:16]}-killed" / "content"
+    left.mkdir(parents=True)
+    folder = _fmi_archive.extract(archive, DESCRIPTION)
+    assert {p.name for p in folder.parent.iterdir()} == {archive.digest, f"{archive.digest}.lock"}
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
