@@ -14,7 +14,17 @@ from bayesftc.bench._machine import describe_machine
 if TYPE_CHECKING:
     from rich.table import Table
 
-SECTIONS = ("plain_loop", "coupled", "model_exchange", "python_control", "full_loop", "learners", "startup", "memory")
+SECTIONS = (
+    "plain_loop",
+    "coupled",
+    "model_exchange",
+    "python_control",
+    "full_loop",
+    "isolation",
+    "learners",
+    "startup",
+    "memory",
+)
 """The measurements, each a module of this package."""
 
 

@@ -24,8 +24,14 @@ RECORD = ("plant.v", "freeze_0.y", "controller.u", "controller.x_hat", "controll
 """The signals of the eight columns that both loops record."""
 
 
-def full_diagram(setting: Setting = SETTING, precision: PrecisionLearner | None = None, sensors: int = 2) -> Diagram:
-    """Return the loop as a diagram of this package; by default with the learner of the user's loop."""
+def full_diagram(
+    setting: Setting = SETTING,
+    precision: PrecisionLearner | None = None,
+    sensors: int = 2,
+    *,
+    isolate: bool = False,
+) -> Diagram:
+    """Return the loop as a diagram of this package; by default with the learner of the user's loop, and the FMU in process."""
     from bayesftc import controllers, cosim, fmus
 
     s = setting
@@ -40,7 +46,7 @@ def full_diagram(setting: Setting = SETTING, precision: PrecisionLearner | None 
     if precision is None:
         precision = controllers.GammaPrecision(forgetting=s.forgetting, prior_shape=s.prior_shape)
     return cosim.closed_loop(
-        plant=cosim.FMU(fmus.path(CAR), parameters={"v0": s.start_speed}),
+        plant=cosim.FMU(fmus.path(CAR), parameters={"v0": s.start_speed}, isolate=isolate),
         controller=controllers.BayesianController(model, precision=precision, initial_mean=s.start_speed),
         control="force",
         measured="v",
