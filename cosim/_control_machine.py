@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from math import isfinite
 from typing import Any
@@ -69,6 +70,7 @@ class Machine:
         self._state = state_places(schedule)
         self._carried = np.array([place for place, _ in self._state], dtype=np.int64)
         self._stack = ExitStack()
+        weakref.finalize(self, self._stack.close)
         self._open()
         self.initial = np.concatenate([schedule.initial[self._carried], *(e.initial for e in self._externals)])
         self.names = [name for _, name in self._state] + [name for e in self._externals for name in e.names]
@@ -109,7 +111,7 @@ class Machine:
                 self._warn_of_zeros(key[1])
             self._evaluate(key)
             k, self._evaluated, self._stepped = key[0], None, None
-            self._check(self._engine.step(k))
+            self._make(self._engine.step, k)
             parts = [external.leave(k, self._run.memory) for external in self._externals]
             self._after = np.concatenate([self._run.memory[self._carried], *parts])
             self._stepped = key
@@ -151,7 +153,7 @@ class Machine:
             external.load(k, part)
         if self._draws is not None:
             self._draws.fill(k)
-        self._check(self._engine.evaluate(k))
+        self._make(self._engine.evaluate, k)
         for external in self._externals:
             external.evaluated(k)
         self._evaluated = asked
@@ -163,13 +165,17 @@ class Machine:
             begin += len(external.names)
         return parts
 
-    def _check(self, failure: Failure | None) -> None:
-        if failure is None:
-            return
-        sentence = explain(failure, self._run)
-        for external in self._externals:
-            external.lose()
-        raise SimulationError(sentence.replace("; the signals up to the step before are kept", ""))
+    def _make(self, phase: Callable[[int], Failure | None], k: int) -> None:
+        """Make a phase of a step; where it fails or is interrupted, the FMUs are in no state that is known."""
+        try:
+            failure = phase(k)
+            if failure is not None:
+                sentence = explain(failure, self._run)
+                raise SimulationError(sentence.replace("; the signals up to the step before are kept", ""))
+        except BaseException:
+            for external in self._externals:
+                external.lose()
+            raise
 
     # A copy, as python-control makes of a system that stands twice in a diagram, has FMUs of its own.
     def __reduce__(self) -> tuple[Any, ...]:

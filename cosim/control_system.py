@@ -84,8 +84,11 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
                 f"The state of the FMU {self._machine.opaque[0]!r} is known to itself alone, so that it cannot be linearized in "
                 "python-control: LinearModel.from_fmu makes a linear model of it."
             )
-        self._machine.told = True  # about zeros, that is, if they are asked for here
-        return super().linearize(x0, u0, *args, **settings)
+        told, self._machine.told = self._machine.told, True  # whoever asks for zeros here means them
+        try:
+            return super().linearize(x0, u0, *args, **settings)
+        finally:
+            self._machine.told = told
 
 
 def initial_state(system: Any) -> Floats:

@@ -1,5 +1,6 @@
 """Blocks, diagrams and FMUs as systems of python-control, against our own engines and closed forms."""
 
+import gc
 import pickle
 import zipfile
 from copy import deepcopy
@@ -332,7 +333,7 @@ def test_our_fmus_have_their_numbers_as_state(fmi):
     found = control.linearize(system, [20.0], [0.0, 0.0])
     np.testing.assert_allclose(found.A, [[A]], atol=1e-8)
     np.testing.assert_allclose(found.B, [[B, 1.0]], atol=1e-8)
-    point = control.find_operating_point(system, [0.0], [0.0, 0.0], y0=[25.0], iu=[1], iy=[0])
+    point = control.find_operating_point(system, [10.0], [0.0, 0.0], y0=[25.0], iu=[1], iy=[0])
     np.testing.assert_allclose([*point.states, *point.inputs], [25.0, 125.0, 0.0], rtol=1e-9, atol=1e-9)
     force = 500.0 * np.sin(3 * T)
     got = response(system, np.vstack([force, 0 * T]), X0=[12.0])  # any state can be set
@@ -499,6 +500,41 @@ def test_failures_are_sentences_and_leave_the_system_as_it_was(foreign):
         ):
             response(system, np.full((2, len(T)), 1.7e308), X0=start)
         assert np.isfinite(response(system, np.zeros((2, len(T))), X0=start).outputs).all()
+
+
+def test_instances_are_freed_with_their_system():
+    from bayesftc.cosim._fmi_library import load_library
+
+    block = car()
+    library, systems = load_library(*block._read()), []
+    gc.collect()
+    before = library.alive
+    for _ in range(3):
+        systems.append(block.to_control(DT))
+        response(systems[-1], np.zeros((2, len(T))))
+    assert library.alive == before + 3
+    systems.clear()
+    gc.collect()
+    assert library.alive == before
+
+
+def test_an_interrupted_step_leaves_nothing_behind(foreign, monkeypatch):
+    for system in (car().to_control(DT, engine="interpreted"), foreign().to_control(DT, engine="interpreted")):
+        x, machine = system.initial_state, system._machine
+        first = system.dynamics(0.0, x, [100.0, 0.0])
+        step = machine._engine.step
+
+        def stopped(k, step=step):
+            step(k)
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(machine._engine, "step", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            system.dynamics(DT, first, [100.0, 0.0])
+        monkeypatch.undo()
+        assert system.output(DT, first, [0.0, 0.0]) == A * 20.0 + B * 100.0
+        again = system.dynamics(DT, first, [100.0, 0.0])
+        assert system.output(2 * DT, again, [0.0, 0.0]) == A * (A * 20.0 + B * 100.0) + B * 100.0
 
 
 # --- where it begins, times, names --------------------------------------------------------------------------------------------
