@@ -8,7 +8,7 @@ gives the bits of one that was not.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from functools import cache, cached_property
 from typing import Any, Literal
@@ -23,7 +23,7 @@ from bayesftc.cosim._model_exchange_model import ExchangeModel, SavedModel, Stop
 from bayesftc.cosim._model_exchange_reasons import CHATTERS, reason
 from bayesftc.cosim._model_exchange_settings import INTERNAL_STEPS, RESTARTED
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.errors import FMUError, UnknownNameError, did_you_mean
 
 INTERRUPTED = 502
 """Status: Python raised something, which the instance keeps until it is asked."""
@@ -95,6 +95,35 @@ class ExchangeInstance:
         """See `bayesftc.cosim.block.External.forget`."""
         self._model.forget(saved)
 
+    @property
+    def states(self) -> dict[str, float]:
+        """The continuous states by name, as they are now."""
+        return dict(zip(self._model.state_names, self._model.x.tolist(), strict=True))
+
+    def set_states(self, values: Mapping[str, float]) -> None:
+        """Set continuous states by name; events that belong to them happen at once.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such state.
+        FMUError
+            If the FMU refuses them.
+        """
+        model = self._model
+        names = model.state_names
+        for name, value in values.items():
+            if name not in names:
+                raise UnknownNameError(f"{model.name!r} has no continuous state {name!r}; {did_you_mean(name, names)}")
+            model.x[names.index(name)] = value
+        try:
+            model.write_states()
+            model.event()
+        except (CallError, StopError) as error:
+            what = error.sentence() if isinstance(error, CallError) else str(error)
+            raise FMUError(f"{model.name!r} refuses these states: {what}. {model.messages.quoted()}") from None
+        self._set_tolerances()
+
     def close(self) -> None:
         """Free the instance; the binary stays loaded."""
         self._model.close()
@@ -149,7 +178,11 @@ class CompiledInstance(ExchangeInstance):
 
             self._work = np.zeros(VECTORS * max(model.nx, 1) + 2 * model.nz)
             table[words.INTEGRATOR], table[words.WORK] = words.RUNGE_KUTTA, self._work.ctypes.data
-        self._set_tolerances()
+        try:
+            self._set_tolerances()
+        except StopError:
+            self.close()
+            raise
 
     @property
     def output_address(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 
 from bayesftc.cosim import _model_exchange_words as words
 from bayesftc.cosim._fmi_description import FMUVariable, Value
+from bayesftc.cosim._fmi_groups import element_names
 from bayesftc.cosim._fmi_library import CallError
 from bayesftc.cosim._fmi_messages import Messages
 from bayesftc.cosim._fmi_states import SavedState, States
@@ -173,6 +174,14 @@ class ExchangeModel:
     @next_event.setter
     def next_event(self, t: float) -> None:
         self.reals[words.NEXT_EVENT] = t
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of the continuous states, element by element."""
+        names = [name for name, _ in element_names(self.info.states)]
+        return (
+            names if len(names) == self.nx else [f"x[{i}]" for i in range(self.nx)]
+        )  # structural parameters changed sizes
 
     @property
     def sizes(self) -> tuple[int, int]:

@@ -388,6 +388,21 @@ def test_a_run_that_was_saved_and_restored_has_the_same_bits(model, solver, buil
         instance.close()
 
 
+@pytest.mark.parametrize("solver", ["rk45", "scipy:RK45"])
+def test_states_by_name_can_be_set(built, solver):
+    instance = FMU(built("heater"), solver=solver, outputs=["on"]).instantiate(Fraction(1, 10), "heater")
+    assert instance.states == {"T": 15.0}
+    instance.set_states({"T": 25.0})
+    on, Ta = np.ones(1), np.array([10.0])
+    instance.output(Ta, on, 0.0)
+    assert on == 0.0  # the event that belongs to the new temperature has happened
+    instance.update(Ta, on, 0.0)
+    np.testing.assert_allclose(instance.states["T"], 10 + 15 * math.exp(-0.02), rtol=1e-9)
+    with pytest.raises(cosim.errors.UnknownNameError, match="'heater' has no continuous state 't'"):
+        instance.set_states({"t": 1.0})
+    instance.close()
+
+
 def test_an_fmu_with_discrete_states_that_cannot_save(built):
     instance = FMU(built("ball", save="false")).instantiate(Fraction(1, 10), "ball")
     assert not instance.can_save
@@ -457,6 +472,20 @@ def test_thousands_of_instances_leave_nothing(built):
     before = resident()
     use(1500)
     assert resident() - before < 500_000
+
+
+def test_without_cvode_it_says_so_and_another_solver_works(built, monkeypatch):
+    import sys
+
+    from bayesftc.cosim import _model_exchange_cvode
+
+    _model_exchange_cvode._sundials.cache_clear()
+    monkeypatch.setitem(sys.modules, "fmpy.sundials", None)
+    with pytest.raises(FMUError, match=r"CVODE cannot be loaded.*SUNDIALS 7.*'rk45'"):
+        alone(built("ball"), 0.1).simulate(1, engine="interpreted")
+    alone(built("ball"), 0.1, solver="rk45").simulate(1, engine="interpreted")
+    monkeypatch.undo()
+    _model_exchange_cvode._sundials.cache_clear()
 
 
 def test_settings(built):
