@@ -1,7 +1,9 @@
 """FMUs that this project did not write, made by other exporters when the tests begin."""
 
 import logging
+import os
 import shutil
+import zipfile
 from importlib.metadata import version
 
 import numpy as np
@@ -10,6 +12,8 @@ import pytest
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.errors import FMUCrashed
 from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.fmus._compiler import CompilerError, compiler_command
+from bayesftc.fmus._platforms import host
 
 H, TAU = 0.1, 1.5
 
@@ -242,6 +246,65 @@ def test_an_fmu_of_fmus(pair, run_both):
     wanted = apart.build("jacobi").simulate(2, engine="interpreted")
     np.testing.assert_allclose(result["pair.v1"], wanted["lead.v"], rtol=1e-12)
     np.testing.assert_allclose(result["pair.v2"], wanted["follower.v"], rtol=1e-12, atol=1e-15)
+
+
+@pytest.fixture(scope="session")
+def pendulum(tmp_path_factory):
+    """Return a pendulum for model exchange as CasADi exports it: with its C sources, and no binary."""
+    import casadi as ca
+
+    try:
+        compiler_command(host())
+    except CompilerError as error:
+        pytest.skip(f"what brings sources needs a compiler: {error}")
+    dae = ca.DaeBuilder("pendulum")
+    q, w, u, y = dae.add("q"), dae.add("w"), dae.add("u", "input"), dae.add("y", "output")
+    for name, value in (("q", w), ("w", -9.81 * ca.sin(q) - 0.1 * w + u)):
+        dae.eq(dae.der(dae.var(name)), value)
+    dae.eq(y, q)
+    dae.set_start("q", 0.5)
+    folder, here = tmp_path_factory.mktemp("casadi"), os.getcwd()
+    os.chdir(folder)  # it writes where one is
+    try:
+        exported = dae.export_fmu({"no_warning": True})
+    finally:
+        os.chdir(here)
+    with zipfile.ZipFile(folder / "pendulum.fmu", "w") as archive:
+        for name, place in exported.items():
+            archive.write(folder / name, place.removeprefix("./"))
+    return folder / "pendulum.fmu"
+
+
+def test_a_model_with_sources_alone_is_compiled_and_integrated(pendulum):
+    from scipy.integrate import solve_ivp
+
+    assert describe(pendulum).platforms == ()
+    diagram = cosim.Diagram(dt=0.05)
+    diagram.add(FMU(pendulum, solver="scipy:RK45", rtol=1e-9), "p")
+    result = diagram.simulate(2.0, engine="interpreted")
+
+    def right(t, x):
+        return [x[1], -9.81 * np.sin(x[0]) - 0.1 * x[1]]
+
+    wanted = solve_ivp(right, (0, 2), [0.5, 0.0], t_eval=result.time, rtol=1e-11, atol=1e-12).y[0]
+    np.testing.assert_allclose(result["p.y"], wanted, atol=1e-6)
+
+
+def test_a_controller_designed_from_nothing_but_the_model(pendulum):
+    """The pendulum is held where it would not stay, with one of three sensors frozen; where it hangs is its rest."""
+    controller = controllers.design(FMU(pendulum), measured="y", actuated="u", dt=0.05, sensors=3, sensor_std=0.02)
+    loop = cosim.closed_loop(
+        plant=FMU(pendulum, solver="scipy:RK45"),
+        controller=controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=3, std=0.02),
+        faults=[cosim.Freeze(sensor=1, start=2.0)],
+        reference=cosim.Step(time=4.0, before=0.3, after=-0.2),
+    )
+    result = loop.simulate(10.0, seed=1, engine="interpreted")
+    np.testing.assert_allclose(result["plant.y"][[79, 199]], [0.3, -0.2], atol=0.05)
+    assert (result["controller.fault_probability"][-1] > 0.5).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("tool", EXPORTERS)
