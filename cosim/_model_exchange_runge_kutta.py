@@ -1,7 +1,7 @@
 """Runge-Kutta of order 5(4) by Dormand and Prince (1980), compiled, with roots found on its interpolant of order 4.
 
 It begins anew at full order at every communication point and after every event, where a multi-step method has to begin with
-order one. Tableau, error norm, step control and interpolant (Shampine 1986) are those of ``scipy.integrate.RK45``.
+order one. Tableau, error norm, first step and interpolant (Shampine 1986) are those of ``scipy.integrate.RK45``.
 """
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
