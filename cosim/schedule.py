@@ -318,11 +318,15 @@ class Schedule:
             f"  {self._edges[a][b][0]} -> {self._edges[a][b][1]}  ({self.nodes[b].name} feeds it through)"
             for a, b in pairwise(loop)
         ]
+        direct = [
+            self.nodes[i].name for i in sorted(set(loop)) if getattr(self.nodes[i].block, "timing", "") == "direct"
+        ]
         return (
             "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
             + "\n".join(lines)
             + "\nPut a UnitDelay into one of these connections, declare the input feedthrough=False where that is true, or let "
             "the loop be solved at each step with build(coupling='iterated')."
+            + (f" {direct[0]!r} with timing='plant' shows the inputs of the step before." if direct else "")
         )
 
     def _plants(self) -> list[int]:
