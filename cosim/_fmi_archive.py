@@ -157,6 +157,7 @@ def _unpack(archive: Archive, folder: Path) -> None:
             if hashlib.file_digest(file, "sha256").hexdigest() != archive.digest:
                 _read.cache_clear()
                 raise archive.kind.error(f"{archive.path} was changed while it was being read; read it again.")
+        _zip.check(copy, archive.kind)  # again: what was checked before was a file that others may have changed meanwhile
         _zip.unpack(copy, archive.kind, temporary / "content", archive.path)
         os.replace(temporary / "content", folder)
     finally:
