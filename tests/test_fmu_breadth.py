@@ -224,6 +224,24 @@ def by_hand(path, n, K, x0, u):
     return rows
 
 
+def test_arrays_of_another_exporter(tmp_path, run_both):
+    builder = pytest.importorskip("pythonfmu3").FmuBuilder
+    path = builder.build_FMU(str(SOURCES / "vessel.py"), dest=str(tmp_path))
+    mix = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 3.0]])
+    values = {"mix": mix, "flow": [1, 2, 3], "valves": [True, False, True], "count": [-5, 7]}
+    block = FMU(path, parameters=values, tunable=["gain"], timing="plant")
+    assert [(p.name, p.shape) for p in block.inputs] == [
+        ("flow", (3,)),
+        ("valves", (3,)),
+        ("count", (2,)),
+        ("gain", ()),
+    ]
+    run = run_both(alone(block, 0.1, ("gain", cosim.Step(time=0.5, before=1.0, after=2.0))), 1)
+    np.testing.assert_allclose(run["b.level"][-1], 1.5 * mix @ [1, 0, 3], rtol=1e-12)
+    assert run["b.seen"][-1].tolist() == [-5.0, 7.0]
+    assert run["b.steps"].tolist() == list(range(11))
+
+
 ARRAY = '<Float64 name="y" valueReference="5" causality="output"><Dimension valueReference="1"/></Float64>'
 
 
