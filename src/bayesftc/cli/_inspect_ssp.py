@@ -12,8 +12,6 @@ from bayesftc.cosim.mathblocks import Gain
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.ssp import open_ssp
 
-SUFFIXES = {".ssp", ".ssd"}
-
 
 def inspect_ssp(path: Path, *, validate: bool, json: bool) -> None:
     """Print tables (or JSON) of the diagram that an SSP makes.
@@ -106,4 +104,4 @@ def _print(found: dict[str, Any]) -> None:
         console.print(connections)
 
 
-__all__ = ["SUFFIXES", "inspect_ssp"]
+__all__ = ["inspect_ssp"]

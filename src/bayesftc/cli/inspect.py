@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bayesftc.cli._inspect_ssp import SUFFIXES, inspect_ssp
 from bayesftc.cli._works import Verdict, verdicts
 from bayesftc.cosim.errors import FMUError, did_you_mean
 from bayesftc.cosim.fmu import describe
@@ -42,7 +41,9 @@ def inspect_fmu(name: str, *, validate: bool, json: bool, everything: bool = Fal
     everything : bool
         Print local variables as well.
     """
-    if Path(name).suffix.lower() in SUFFIXES:
+    if Path(name).suffix.lower() in {".ssp", ".ssd"}:
+        from bayesftc.cli._inspect_ssp import inspect_ssp
+
         inspect_ssp(Path(name).expanduser(), validate=validate, json=json)
         return
     path = find_fmu(name)
