@@ -65,7 +65,7 @@ def open_ssp(
     Returns
     -------
     Diagram
-        Not built yet: controllers, sensors and faults can be added.
+        Not built yet: controllers, sensors and faults can be added. Of an ``.ssp``, its FMUs lie in this user's cache.
 
     Raises
     ------
