@@ -469,7 +469,7 @@ def test_an_fmu_that_cannot_save_is_stepped_in_order(foreign):
     with pytest.raises(
         ModelError, match="asked for its state after 1 steps, but it stands after 2 steps and cannot save"
     ):
-        system.output(DT, [1.0], [0.0, 0.0])
+        system.dynamics(DT, [1.0], [1.0, 0.0])
     assert system.output(0.0, [0.0], [0.0, 0.0]) == 20.0  # begins anew
     with pytest.raises(FMUError, match="has timing='sampled' and cannot save its state"):
         foreign(saves=False, timing="sampled").to_control(DT)
