@@ -24,6 +24,9 @@ _ACCELERATION = {None: steps.PLAIN, "aitken": steps.AITKEN, "anderson": steps.AN
 _SAVING = 0.5
 """Part of the growth of the error with the step size that is allowed for, lest every other step be too long."""
 
+_ERROR = 3
+"""FMI's word for what went wrong in Python."""
+
 _STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
 
 
@@ -73,7 +76,15 @@ class GroupRun:
                 f"the error of {name} is still {gap:.3g} (1 + its size is the measure). An output may jump there; allow a larger "
                 "error."
             )
-        return f"a state of {names} could not be saved or restored (status {status - steps.SAVING} of FMI)."
+        error = self._raised()
+        if error is not None and not isinstance(error, FMUError):
+            raise error  # Ctrl-C, say, which could not pass compiled code
+        why = str(error) if error is not None else f"it returned the status {status - steps.SAVING} of FMI."
+        return f"a state of {names} could not be saved or restored: {why}"
+
+    def _raised(self) -> BaseException | None:
+        """Return what the FMUs' Python methods raised while states were saved or restored."""
+        raise NotImplementedError
 
 
 class InterpretedGroup(GroupRun):
@@ -83,6 +94,7 @@ class InterpretedGroup(GroupRun):
         super().__init__(run, group)
         self._parts = [(part, self._bound(part)) for part in group.parts]
         self._saved: list[list[Any]] = [[], []]
+        self._error: FMUError | None = None
         self._compute = steps.build(_sweep, _save, _restore, _forget, _resize)
 
     def __call__(self, t: float, k: int) -> int:
@@ -117,25 +129,35 @@ class InterpretedGroup(GroupRun):
     def save(self, slot: int) -> int:
         """Save the states of all members."""
         memory = self.run.memory
-        kept = [memory[begin:end].copy() for begin, end in self.group.states]
-        self._saved[slot] = [*kept, *(self.run.instances[i].save() for i in self.group.externals)]
-        return 0
+        self._saved[slot] = [memory[begin:end].copy() for begin, end in self.group.states]
+        return self._tried(lambda i, _: self._saved[slot].append(self.run.instances[i].save()), slot)
 
     def restore(self, slot: int) -> int:
         """Go back to what was saved."""
         kept = self._saved[slot]
         for (begin, end), values in zip(self.group.states, kept, strict=False):
             self.run.memory[begin:end] = values
-        for i, saved in zip(self.group.externals, kept[len(self.group.states) :], strict=True):
-            self.run.instances[i].restore(saved)
-        return 0
+        return self._tried(lambda i, saved: self.run.instances[i].restore(saved), slot)
 
     def forget(self, slot: int) -> int:
         """Free what was saved."""
-        kept, self._saved[slot] = self._saved[slot], []
-        for i, saved in zip(self.group.externals, kept[len(self.group.states) :], strict=True):
-            self.run.instances[i].forget(saved)
+        status = self._tried(lambda i, saved: self.run.instances[i].forget(saved), slot)
+        self._saved[slot] = []
+        return status
+
+    def _tried(self, action: Callable[[int, Any], None], slot: int) -> int:
+        """Do something with each FMU and its saved state, None where there is none yet; return a status."""
+        saved = self._saved[slot][len(self.group.states) :]
+        try:
+            for j, i in enumerate(self.group.externals):
+                action(i, saved[j] if j < len(saved) else None)
+        except FMUError as error:
+            self._error = error
+            return steps.SAVING + _ERROR
         return 0
+
+    def _raised(self) -> BaseException | None:
+        return self._error
 
     def resize(self, h: float) -> None:
         """Let FMUs make steps of `h` seconds."""
@@ -236,6 +258,10 @@ class CompiledGroup(GroupRun):
         """Where its table lies, counted in numbers from the beginning of memory."""
         return (self._words.ctypes.data - self.run.memory.ctypes.data) // 8
 
+    def _raised(self) -> BaseException | None:
+        kept = [self.run.state_functions[i] for i in self.group.externals if i in self.run.state_functions]
+        return next((functions.raised for functions in kept if functions.raised is not None), None)
+
     def _function(self, part: Part) -> int:
         schedule = self.run.schedule
         instance = self.run.instances.get(part.node)
@@ -265,7 +291,9 @@ class StateFunctions:
     """
 
     def __init__(self, instance: External):
-        self._instance, self._kept, self._next = instance, {}, 0  # type: ignore[var-annotated]
+        self._instance, self._next = instance, 0
+        self._kept: dict[int, object] = {}
+        self.raised: BaseException | None = None
 
     @cached_property
     def addresses(self) -> tuple[int, int, int, int]:
@@ -292,8 +320,9 @@ class StateFunctions:
     def _tried(self, action: Callable[[], None]) -> int:
         try:
             action()
-        except FMUError:
-            return 3  # FMI's Error: an exception cannot pass compiled code
+        except BaseException as error:  # noqa: BLE001 - it cannot pass compiled code: `GroupRun.explain` says it
+            self.raised = error
+            return _ERROR
         return 0
 
 

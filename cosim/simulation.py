@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesftc.cosim._group_engines import check_groups, place_words
 from bayesftc.cosim._pacing import Pacer
-from bayesftc.cosim.block import ExternalBlock
+from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule
@@ -213,6 +213,8 @@ def explain(failure: Failure, run: Run) -> str:
     t = float(failure.k * run.schedule.step)
     when = f"at t = {t:g} s (step {failure.k})"
     if failure.note:
+        for instance in run.instances.values():
+            _date_crash(instance, failure.k, t)
         return f"The run stopped {when}: {failure.note}"
     if failure.status >= NOT_FINITE:
         place = failure.status - NOT_FINITE
@@ -223,13 +225,19 @@ def explain(failure: Failure, run: Run) -> str:
             f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
             f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
-    instance = run.instances.get(failure.node)
-    detail = instance.explain(failure.status) if instance is not None else ""
-    crash: FMUCrashed | None = getattr(instance, "crash", None)
-    if crash is not None:
-        crash.step, crash.time = failure.k, t
+    own = run.instances.get(failure.node)
+    detail = own.explain(failure.status) if own is not None else ""
+    if _date_crash(own, failure.k, t):
         return f"The run stopped {when}: t{detail[1:]}"
     return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
+
+
+def _date_crash(instance: External | None, k: int, t: float) -> bool:
+    """Tell the crash of an isolated FMU, if it is one, at which step it was noticed; return whether there is one."""
+    crash: FMUCrashed | None = getattr(instance, "crash", None)
+    if crash is not None:
+        crash.step, crash.time = k, t
+    return crash is not None
 
 
 def failed(stopped: str, result: Result, run: Run) -> SimulationError:

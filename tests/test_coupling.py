@@ -1,6 +1,8 @@
 """Tight coupling: FMUs that feed each other and algebraic loops, iterated; steps as small as the error asks."""
 
 import math
+import os
+import signal
 import zipfile
 
 import numpy as np
@@ -355,6 +357,23 @@ def test_isolated_fmus_are_iterated_with_the_same_bits(same_bits, run_both):
         cosim.FMUError, match="but 'two' is isolated or a model exchange FMU, whose steps are of one size"
     ):
         doubled.build(step_error=1e-3).simulate(0.1)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_isolated_fmu_that_is_gone_when_it_is_saved(engine):
+    diagram = cosim.Diagram("1/20")
+    one, two = add_mass(diagram, "one", 0), diagram.add(cosim.FMU(sprung_mass(), isolate=True), "two")
+    for here, there in ((one, two), (two, one)):
+        diagram.connect(here["x"], there["x_other"])
+    with diagram.build("iterated").start(engine=engine) as session:
+        session.advance(0.2)
+        os.killpg(session._run.instances[1]._process._process.pid, signal.SIGKILL)
+        with pytest.raises(
+            cosim.FMUCrashed, match=r"at t = 0\.2 s \(step 4\): a state of 'one' and 'two' could not"
+        ) as caught:
+            session.advance(0.2)
+        assert caught.value.step == 4
+        assert "The FMU of 'two'" in str(caught.value)
 
 
 def test_model_exchange_fmus_are_iterated_at_t_k_and_to_t_k_1(casadi_fmu, run_both, same_bits):

@@ -49,7 +49,7 @@ def sprung_mass(fmi: str = "2.0") -> Path:
 
 @cache
 def _folder() -> Any:
-    return tempfile.TemporaryDirectory(prefix="bayesftc-masses-")
+    return tempfile.TemporaryDirectory(prefix="coupled-masses-")
 
 
 @dataclass(frozen=True)
