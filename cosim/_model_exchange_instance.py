@@ -8,6 +8,7 @@ gives the bits of one that was not.
 from __future__ import annotations
 
 import ctypes
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from functools import cache, cached_property
@@ -33,7 +34,7 @@ Timing = Literal["plant", "direct", "sampled"]
 _ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
 
 
-class ExchangeInstance:
+class ExchangeInstance(ABC):
     """What all of them have in common; see `bayesftc.cosim.block.External`.
 
     Parameters
@@ -59,20 +60,34 @@ class ExchangeInstance:
         """See `bayesftc.cosim.block.VariableStep.resize`."""
         self.table.view(np.float64)[words.STEP_WORD] = h
 
+    @property
+    @abstractmethod
+    def output_address(self) -> int:
+        """Address of the output function."""
+
+    @property
+    @abstractmethod
+    def update_address(self) -> int:
+        """Address of the update function; 0 where all is done in the output function."""
+
+    @abstractmethod
+    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.output`."""
+
     def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
         """See `bayesftc.cosim.block.External.update`."""
         return 0 if self._timing == "sampled" else self._update(inputs, outputs, t)
 
-    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        raise NotImplementedError
+    @abstractmethod
+    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int: ...
 
     def explain(self, status: int) -> str:
         """Return why it stopped, with the last messages of the instance."""
         self._model.healthy = False
         return f"{self._why()}. {self._model.messages.quoted()}"
 
-    def _why(self) -> str:
-        raise NotImplementedError
+    @abstractmethod
+    def _why(self) -> str: ...
 
     @property
     def can_save(self) -> bool:
@@ -88,8 +103,8 @@ class ExchangeInstance:
         self._model.restore(saved)
         self._set_tolerances()
 
-    def _set_tolerances(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _set_tolerances(self) -> None: ...
 
     def forget(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.forget`."""

@@ -110,7 +110,7 @@ class ExchangeModel:
         if library.alive and self.info.once:
             raise FMUError(
                 f"{self.name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
-                "after the other, or in separate processes."
+                "after the other, or each in a process of its own with FMU(..., isolate=True)."
             )
         self.component, self._callbacks = library.create(self.name, self.messages)
         if not self.component:
@@ -144,17 +144,12 @@ class ExchangeModel:
         table[words.STATES], table[words.INDICATORS], table[words.X] = self.nx, self.nz, self.places.ctypes.data
         table[words.WANTS_STEPS] = self.info.needs_completed_step
         table[words.NO_RETURN] = not self.info.can_save  # else someone may go back to a saved state
-        into, out = self._references
-        table[words.IN_REFERENCES], table[words.IN_COUNT], table[words.IN_SIZE] = (
-            into.ctypes.data,
-            len(into),
-            self._sizes[0],
+        sides = (
+            (words.IN_REFERENCES, words.IN_COUNT, words.IN_SIZE),
+            (words.OUT_REFERENCES, words.OUT_COUNT, words.OUT_SIZE),
         )
-        table[words.OUT_REFERENCES], table[words.OUT_COUNT], table[words.OUT_SIZE] = (
-            out.ctypes.data,
-            len(out),
-            self._sizes[1],
-        )
+        for places, references, size in zip(sides, self._references, self._sizes, strict=True):
+            table[list(places)] = references.ctypes.data, len(references), size
         table[words.INPUTS] = self.inputs.ctypes.data
 
     @property
@@ -179,9 +174,9 @@ class ExchangeModel:
     def state_names(self) -> list[str]:
         """Names of the continuous states, element by element."""
         names = [name for name, _ in element_names(self.info.states)]
-        return (
-            names if len(names) == self.nx else [f"x[{i}]" for i in range(self.nx)]
-        )  # structural parameters changed sizes
+        if len(names) != self.nx:  # structural parameters have changed sizes
+            names = [f"x[{i}]" for i in range(self.nx)]
+        return names
 
     @property
     def sizes(self) -> tuple[int, int]:
