@@ -29,6 +29,12 @@ STEADY = 1e-7
 WAIT = 200
 """Responses' lengths to wait for a steady state."""
 
+ENOUGH = 1e-12
+"""Relative difference of the answers to two sizes of pulses at which no further size is tried."""
+
+BENDS = 0.05
+"""Relative difference of the answers up and down above which it is said."""
+
 AGREES = 1e-3
 """Relative error of the model's own responses above which it is said."""
 
@@ -41,7 +47,7 @@ class Experiments:
     """The same plant from the same state, as often as one likes: restored where it can be, else made anew and brought there."""
 
     def __init__(self, fmu: FMU, step: Fraction, held: Floats):
-        self._fmu, self._step, self._held = fmu, step, held
+        self._fmu, self._step, self.held = fmu, step, held
         self._waited = 0
         self._plant: External | None = None
         self._saved: object = None
@@ -55,6 +61,11 @@ class Experiments:
         self._close()
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(port.name for port in self._fmu.inputs or ())  # type: ignore[union-attr]
+
+    @property
     def waited(self) -> Fraction:
         """How long it took the plant to come to rest, in seconds."""
         return self._step * self._waited
@@ -64,7 +75,7 @@ class Experiments:
         plant = self._begin()
         rows, outputs = [], np.zeros(len(self._fmu.outputs or ()))
         for k in range(samples):
-            inputs = self._held + pulse if k == 0 and pulse is not None else self._held.copy()
+            inputs = self.held + pulse if k == 0 and pulse is not None else self.held.copy()
             self._advance(plant, inputs, outputs, self._waited + k)
             rows.append(outputs.copy())
         return np.array(rows)
@@ -83,7 +94,7 @@ class Experiments:
         for part in range(WAIT):
             seen = np.empty((SAMPLES, len(outputs)))
             for i in range(SAMPLES):
-                self._advance(plant, self._held.copy(), outputs, k)
+                self._advance(plant, self.held.copy(), outputs, k)
                 seen[i], k = outputs, k + 1
             first = seen if part == 0 else first
             size = max(size, float(np.abs(seen).max()), 1e-6)
@@ -94,7 +105,7 @@ class Experiments:
                 self._waited = part * SAMPLES
                 return np.array(seen[-1]), first
         raise ModelError(
-            f"The plant {self._fmu.default_name!r} finds no steady state: with its inputs held at {self._held.tolist()} its "
+            f"The plant {self._fmu.default_name!r} finds no steady state: with its inputs held at {self.held.tolist()} its "
             f"outputs still change after {show(self._step * k)} s. Give start values at which it rests (FMU(parameters=...)), or "
             "other inputs (at=...); of a plant that never rests identify a model from a recording (LinearModel.identify)."
         )
@@ -107,7 +118,7 @@ class Experiments:
         plant = self._plant = self._fmu.instantiate(self._step, self._fmu.default_name)
         outputs = np.zeros(len(self._fmu.outputs or ()))
         for k in range(self._waited):
-            self._advance(plant, self._held.copy(), outputs, k)
+            self._advance(plant, self.held.copy(), outputs, k)
         if plant.can_save:
             self._saved = plant.save()
         return plant
@@ -116,9 +127,9 @@ class Experiments:
         t = float(k * self._step)
         status = plant.output(inputs, outputs, t) or plant.update(inputs, outputs, t)
         if status:
-            raise ModelError(
-                f"The plant {self._fmu.default_name!r} failed in an experiment, at t = {t:g} s: {plant.explain(status)}"
-            )
+            why = plant.explain(status)
+            self._close()
+            raise ModelError(f"The plant {self._fmu.default_name!r} failed in an experiment, at t = {t:g} s: {why}")
 
     def _close(self) -> None:
         plant, self._plant, self._saved = self._plant, None, None
@@ -156,7 +167,7 @@ def realise(fmu: FMU, step: Fraction, held: Floats, scale: Floats, order: int | 
     held : ndarray
         The inputs at the operating point.
     scale : ndarray
-        The largest pulse of each input.
+        The largest pulse of each input, from the first on; inputs without one are held, and not in the model.
     order : int or None
         How many states; None for as many as stand out of the responses' own errors.
 
@@ -186,33 +197,50 @@ def realise(fmu: FMU, step: Fraction, held: Floats, scale: Floats, order: int | 
 
 
 def _markov(plant: Experiments, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and how uncertain they are.
+    """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and how uncertain they are."""
+    found = [_derivative(plant, j, full, len(plant.held)) for j, full in enumerate(scale)]
+    markov, error = (np.stack([column[part] for column in found], axis=2) for part in (0, 1))
+    useful = _useful(markov)
+    return markov[:useful], error[:useful]
+
+
+def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[Floats, Floats]:
+    """Return the derivative of the outputs by a pulse of one input (samples x outputs), and how uncertain it is.
 
     Central differences: the larger the pulse, the more it bends; the smaller, the more is lost to rounding.
     """
     best: tuple[Floats, Floats] | None = None
-    previous = None
+    previous, least, bend = None, np.inf, 0.0
+    rest = plant.respond()
     for decade in range(DECADES):
-        columns = []
-        for j, full in enumerate(scale):
-            pulse = np.zeros(len(scale))
-            pulse[j] = full * 10.0**-decade
-            try:
-                columns.append((plant.respond(pulse) - plant.respond(-pulse)) / (2 * pulse[j]))
-            except ModelError:  # too large for this plant
+        pulse = np.zeros(inputs)
+        pulse[j] = full * 10.0**-decade
+        try:
+            up, down = plant.respond(pulse) - rest, rest - plant.respond(-pulse)
+        except ModelError:  # too large for this plant
+            continue
+        found = (up + down) / (2 * pulse[j])
+        if not np.isfinite(found).all():
+            continue
+        if previous is not None:
+            error, size = np.abs(found - previous), np.abs(found).max(axis=0)
+            relative = float((error.max(axis=0) / np.where(size > 0, size, 1.0)).max())
+            if relative < least:
+                best, least = (found, error), relative
+                bend = float(np.abs(up - down).max() / max(np.abs(up + down).max(), 1e-300))
+            if relative < ENOUGH:
                 break
-        found = np.stack(columns, axis=2) if len(columns) == len(scale) else None
-        if found is not None and np.isfinite(found).all():
-            found = found[: _useful(found)]
-            if previous is not None:
-                shared = min(len(found), len(previous))
-                error = np.abs(found[:shared] - previous[:shared])
-                if best is None or error.max() < best[1].max():
-                    best = found[:shared], error
-            previous = found
+        previous = found
     if best is None:
         raise ModelError(
             "The plant fails in every experiment from its steady state; give other inputs (at=...) or start values."
+        )
+    if bend > BENDS:
+        warnings.warn(
+            f"The plant answers a pulse of {plant.names[j]!r} down otherwise than up, by {100 * bend:.0f} %, however small: it rests "
+            "at a limit or a kink, where a linear model is right on neither side. Give an operating point beside it (at=...).",
+            PoorFitWarning,
+            stacklevel=8,
         )
     return best
 

@@ -244,7 +244,7 @@ def _of_fmu(
     u = _operating(every, np.array(start), at)
     if fmu.description.exchange is not None and order is None:
         return _of_equations(fmu, u, len(inputs), tuple(inputs), tuple(outputs), step)
-    found = realise(fmu, step, u, np.maximum(np.abs(u), 1.0), order)
+    found = realise(fmu, step, u, np.maximum(np.abs(u[: len(inputs)]), 1.0), order)
     if found.waited and not at:
         warnings.warn(
             f"The plant {fmu.default_name!r} does not rest at its start; it was left alone for {show(found.waited)} s, and the "
@@ -253,7 +253,7 @@ def _of_fmu(
             stacklevel=4,
         )
     point = np.zeros(len(found.A)), u[: len(inputs)], found.y, found.start
-    return Linearization(found.A, found.B[:, : len(inputs)], found.C, *point, tuple(inputs), tuple(outputs), step)
+    return Linearization(found.A, found.B, found.C, *point, tuple(inputs), tuple(outputs), step)
 
 
 def _of_equations(

@@ -134,6 +134,26 @@ def test_too_low_an_order_is_said():
         LinearModel.from_fmu(fmus.path("TwoMasses"), measured=["x1", "x2"], actuated="force1", order=0)
 
 
+def test_pulses_that_the_plant_cannot_take_are_left_out():
+    """A gate that is nearly shut fails under large pulses down; small ones tell the same as by the equations."""
+    opening = 0.1
+    narrow = cosim.FMU(fmus.path("HydroTurbine"), parameters={"gate_0": opening, "command": opening})
+    found = linearize(narrow, measured="power", actuated="command")
+    known = np.exp(-0.05 * np.array([5.0, 2 / opening]))
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(found.A)), np.sort(known), rtol=1e-5)
+
+
+def test_a_plant_that_rests_at_a_limit_is_said(monkeypatch):
+    one_sided = Instance.update
+
+    def pump(self, inputs, outputs, t):  # the voltage cannot be negative
+        return one_sided(self, np.maximum(inputs, 0.0), outputs, t)
+
+    monkeypatch.setattr(Instance, "update", pump)
+    with pytest.warns(PoorFitWarning, match=r"'voltage' down otherwise than up, by 100 %"):
+        linearize(fmus.path("PositionServo"), measured="angle", actuated="voltage")
+
+
 def test_process_noise_comes_in_where_it_is_said():
     model = LinearModel.from_fmu(
         fmus.path("PositionServo"), measured="angle", actuated="voltage", noise={"load": 0.1}, sensor_std=[0.02]
