@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import zipfile
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from os import PathLike
@@ -15,7 +16,8 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent, regi
 import numpy as np
 
 from bayesftc.cosim._fmi_archive import open_archive
-from bayesftc.cosim._ssp_read import NAMESPACE, SSC, SSD, SSP_FILE, SSV, Linear
+from bayesftc.cosim._fmi_description import FMUVariable
+from bayesftc.cosim._ssp_read import FMU_TYPE, NAMESPACE, SSC, SSD, SSP_FILE, SSV, Linear
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import SSPError
 from bayesftc.cosim.fmu import FMU
@@ -24,7 +26,7 @@ from bayesftc.cosim.ports import Port
 from bayesftc.cosim.sources import Constant
 
 _STAMP = (1980, 1, 1, 0, 0, 0)
-_TYPES = {"Real": "Real", "Float64": "Real", "Float32": "Real", "Boolean": "Boolean"}
+_TYPES = {"Real": "Real", "Float64": "Real", "Float32": "Real", "Boolean": "Boolean", "String": "String"}
 _LARGEST_INTEGER = 2**31
 _IMPLEMENTATIONS = {"co-simulation": "CoSimulation", "model exchange": "ModelExchange"}
 
@@ -162,38 +164,7 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
     elements = SubElement(system, f"{SSD}Elements")
     connections = Element(f"{SSD}Connections")
     for node in nodes:
-        block = _fmu(node)
-        values: dict[str, Any] = dict(block.parameters or {})
-        component = SubElement(
-            elements,
-            f"{SSD}Component",
-            name=node.name,
-            type="application/x-fmu-sharedlibrary",
-            source=resources[Path(block.path)],
-            implementation=_IMPLEMENTATIONS[str(block.kind)],
-        )
-        connectors = SubElement(component, f"{SSD}Connectors")
-        for kind, ports in (("input", block.inputs or ()), ("output", block.outputs or ())):
-            for port in ports:
-                assert isinstance(port, Port)
-                if port.size != 1 or port.shape:
-                    _refuse(
-                        f"{node.name}.{port.name} is an array, which SSP 1.0 does not have; leave it out of the FMU's ports"
-                    )
-                # The unit is the FMU's own, and so is not repeated here.
-                connector = SubElement(connectors, f"{SSD}Connector", name=port.name, kind=kind)
-                SubElement(connector, f"{SSC}{_type(node, port.name)}")
-        for port in block.inputs or ():
-            assert isinstance(port, Port)
-            feed = _feed(diagram, node, port)
-            if feed is None:
-                continue
-            if feed.node is None:
-                values[port.name] = feed.transformation.offset
-            else:
-                _add_connection(connections, feed, node.name, port.name)
-        if values:
-            _add_values(component, node, values)
+        _add_component(elements, connections, diagram, node, resources[Path(_fmu(node).path)])
     if len(connections):
         system.append(connections)
     annotation = SubElement(SubElement(system, f"{SSD}Annotations"), f"{SSC}Annotation", type="bayesftc")
@@ -202,13 +173,49 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
     return root
 
 
-def _type(node: Node, name: str) -> str:
-    kind = next(v.type for v in _fmu(node).description.variables if v.name == name)
-    if kind == "Enumeration":
+def _add_component(elements: Element, connections: Element, diagram: Diagram, node: Node, source: str) -> None:
+    block = _fmu(node)
+    attributes = {"name": node.name, "type": FMU_TYPE, "source": source}
+    component = SubElement(elements, f"{SSD}Component", attributes, implementation=_IMPLEMENTATIONS[str(block.kind)])
+    connectors = Element(f"{SSD}Connectors")
+    values: dict[str, Any] = dict(block.parameters or {})
+    for port in _ports(block.inputs):
+        feed = _feed(diagram, node, port)
+        tunable = port.name in block.tunable
+        if feed is not None and feed.node is None:
+            values[port.name] = feed.transformation.offset
+        elif feed is not None and tunable:
+            _refuse(
+                f"{node.name}.{port.name} is a parameter that a signal changes, which SSP does not have; leave it unconnected"
+            )
+        elif feed is not None:
+            _add_connection(connections, feed, node.name, port.name)
+        if not tunable:
+            _add_connector(connectors, node, port, "input")
+    for port in _ports(block.outputs):
+        _add_connector(connectors, node, port, "output")
+    if len(connectors):
+        component.append(connectors)
+    if values:
+        _add_values(component, node, values)
+
+
+def _ports(side: Sequence[str | Port] | None) -> list[Port]:
+    return [port for port in side or () if isinstance(port, Port)]
+
+
+def _add_connector(connectors: Element, node: Node, port: Port, kind: str) -> None:
+    if port.shape:
+        _refuse(f"{node.name}.{port.name} is an array, which SSP 1.0 does not have; leave it out of the FMU's ports")
+    type_ = next(v.type for v in _fmu(node).description.variables if v.name == port.name)
+    if type_ == "Enumeration":
         _refuse(
-            f"{node.name}.{name} is an enumeration, which is no port of an SSP here; leave it out of the FMU's ports"
+            f"{node.name}.{port.name} is an enumeration, which is no port of an SSP here; leave it out of the FMU's ports"
         )
-    return _TYPES.get(kind, "Integer")
+    # The unit is the FMU's own, and so is not repeated here.
+    SubElement(
+        SubElement(connectors, f"{SSD}Connector", name=port.name, kind=kind), f"{SSC}{_TYPES.get(type_, 'Integer')}"
+    )
 
 
 def _feed(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
@@ -257,22 +264,25 @@ def _add_values(component: Element, node: Node, values: dict[str, Any]) -> None:
     whole = SubElement(inline, f"{SSV}ParameterSet", version="1.0", name="initialValues")  # ecos finds them by it
     parameters = SubElement(whole, f"{SSV}Parameters")
     for name, value in values.items():
-        items = {number: item for item, number in variables[name].items}
-        if items:
-            kind, text = "Enumeration", items[value]
-        elif isinstance(value, bool):
-            kind, text = "Boolean", "true" if value else "false"
-        elif isinstance(value, float):
-            kind, text = "Real", repr(value)
-        elif isinstance(value, int):
-            kind, text = "Integer", str(value)
-            if not -_LARGEST_INTEGER <= value < _LARGEST_INTEGER:
-                _refuse(f"{node.name}.{name} is {value}, and whole numbers of SSP have 32 bits")
-        elif isinstance(value, str):
-            kind, text = "String", value
-        else:
-            _refuse(f"{node.name}.{name} is an array, which SSP 1.0 does not have; leave it at its start value")
+        kind, text = _written(f"{node.name}.{name}", variables[name], value)
         SubElement(SubElement(parameters, f"{SSV}Parameter", name=name), f"{SSV}{kind}", value=text)
+
+
+def _written(where: str, variable: FMUVariable, value: Any) -> tuple[str, str]:
+    """Return the type and the text of a value; a number from a constant block becomes what the variable is."""
+    if variable.shape:
+        _refuse(f"{where} is an array, which SSP 1.0 does not have; leave it at its start value")
+    if variable.type == "String":
+        return "String", value
+    kind = _TYPES.get(variable.type, "Integer")
+    if kind == "Real":
+        return kind, repr(float(value))
+    if kind == "Boolean":
+        return kind, "true" if value else "false"
+    if value != int(value) or not -_LARGEST_INTEGER <= value < _LARGEST_INTEGER:
+        _refuse(f"{where} is {value}, and whole numbers of SSP have 32 bits")
+    items = {number: item for item, number in variable.items}
+    return ("Enumeration", items[int(value)]) if items else (kind, str(int(value)))
 
 
 __all__ = ["save_ssp"]

@@ -290,6 +290,14 @@ def test_a_model_with_sources_alone_is_compiled_and_integrated(pendulum):
     np.testing.assert_allclose(result["p.y"], wanted, atol=1e-6)
 
 
+def test_a_model_in_an_ssp(pendulum, tmp_path):
+    diagram = cosim.Diagram(dt=0.05)
+    diagram.add(FMU(pendulum, solver="scipy:RK45", parameters={"u": 0.5}), "p")
+    opened = cosim.open_ssp(cosim.save_ssp(diagram, tmp_path / "pendulum.ssp"))
+    assert opened["p"].block.kind == "model exchange"
+    assert dict(opened["p"].block.parameters) == {"u": 0.5}  # the solver is the tool's, so SSP does not say it
+
+
 def test_a_controller_designed_from_nothing_but_the_model(pendulum):
     """The pendulum is held where it would not stay, with one of three sensors frozen; where it hangs is its rest."""
     controller = controllers.design(FMU(pendulum), measured="y", actuated="u", dt=0.05, sensors=3, sensor_std=0.02)

@@ -250,7 +250,7 @@ def variable(name, reference, type, causality="parameter", variability="fixed"):
 MIXED = "\n".join(
     (
         variable("n", 20, '<Integer start="3"/>'),
-        variable("on", 21, '<Boolean start="true"/>'),
+        variable("on", 21, '<Boolean start="true"/>', variability="tunable"),
         variable("file", 22, '<String start="a"/>'),
         variable("gear", 23, '<Enumeration declaredType="Gear" start="1"/>'),
         variable("count", 24, '<Integer start="0"/>', "input", "discrete"),
@@ -301,6 +301,17 @@ def test_values_and_connections_of_every_type(tmp_path, mixed):
     assert '<ssv:Enumeration value="back" />' in text
     assert text.count("<ssc:Integer />") == 4
     assert cosim.open_ssp(tmp_path / "again.ssp")["a"].block.parameters == wanted
+    held = cosim.Diagram(dt=H)
+    c = held.add(cosim.FMU(mixed, tunable=["on"]), "c")
+    for port, value in (("count", 3.0), ("on", 0.0)):
+        held.connect(held.add(cosim.Constant(value), f"constant_{port}")["y"], c[port])
+    opened = cosim.open_ssp(cosim.save_ssp(held, tmp_path / "held.ssp"))
+    assert opened["c"].block.parameters == {"count": 3, "on": False}
+    assert [p.name for p in opened["c"].block.inputs] == ["force", "disturbance", "count"]
+    moved = cosim.Diagram(dt=H)
+    c = moved.add(cosim.FMU(mixed, tunable=["on"]), "c")
+    moved.connect(c["v"], c["on"])
+    not_saved(moved, tmp_path / "none" / "moved.ssp", "c.on is a parameter that a signal changes")
     bad = component("a", source="mixed.fmu", bindings=inline(values(gear='<ssv:Enumeration value="third"/>')))
     path = packed(tmp_path, ssd(system(bad)), **{"mixed.fmu": mixed.read_bytes()})
     refused(path, "'gear'", "'first' (1)", error=cosim.FMUError)
