@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from fractions import Fraction
-from math import isfinite
+from math import inf
 from numbers import Real
 from typing import Any
 
@@ -36,7 +36,7 @@ class Pacer:
     """
 
     def __init__(self, pace: Any, step: Fraction, k: int):
-        if not isinstance(pace, Real) or isinstance(pace, bool) or not (isfinite(pace) and pace > 0):
+        if not isinstance(pace, Real) or isinstance(pace, bool) or not 0 < float(pace) < inf:
             raise ModelError(
                 f"pace is {pace!r}; it must be a positive number of simulated seconds for each second, 1.0 for real time."
             )
