@@ -83,7 +83,7 @@ class Isolated:
 
     def __init__(self, block: ExternalBlock, step: Fraction, name: str, time_limit: float):
         self.crash: FMUCrashed | None = None
-        self._name, self._step, self._limit = name, step, time_limit
+        self._name, self._step, self._h, self._limit = name, step, float(step), time_limit
         self._lines: deque[str] = deque(maxlen=KEPT)
         self._interrupt: BaseException | None = None
         self._states: weakref.WeakSet[IsolatedState] = weakref.WeakSet()
@@ -99,7 +99,7 @@ class Isolated:
         self.table = np.array(
             [
                 *protocol.system_functions(), self._process.steps.fileno(), shared.words.ctypes.data, inputs, outputs,
-                ctypes.cast(self._attend, ctypes.c_void_p).value,
+                ctypes.cast(self._attend, ctypes.c_void_p).value, int(np.float64(self._h).view(np.int64)),
             ],
             dtype=np.int64,
         )  # fmt: skip
@@ -107,7 +107,8 @@ class Isolated:
             self._reply(STARTING)
             plain = copy.copy(block)
             object.__setattr__(plain, "isolate", False)
-            self.can_save = bool(self._ask(plain, step, name)["can_save"])
+            abilities = self._ask(plain, step, name)
+            self.can_save, self.can_resize = bool(abilities["can_save"]), bool(abilities["can_resize"])
             self._is_ready = True
         except BaseException:
             self._process.end()
@@ -147,12 +148,19 @@ class Isolated:
         """Do what `_isolated_kernels` does, in Python."""
         shared = self.shared
         shared.inputs[:] = inputs
-        shared.time[0] = t
+        shared.time[0], shared.size[0] = t, self._h
         shared.words[protocol.COUNT] = round(t * self._step.denominator / self._step.numerator)
         self._order(command)
         status = self.attend(0)
         self._raise_interrupt()
         return status
+
+    #: See `bayesftc.cosim.block.VariableStep`.
+    step_word = 8
+
+    def resize(self, h: float) -> None:
+        """Make steps of `h` seconds from now on, in interpreted runs."""
+        self._h = h
 
     def _order(self, command: int) -> None:
         self.shared.words[protocol.COMMAND] = command
@@ -317,7 +325,9 @@ class Isolated:
     def _overdue(self, limit: float) -> NoReturn:
         self._process.kill()
         what = _WHAT.get(self._phase, "a call")
-        self._note_crash(f"was ended, for {what} took more than {limit:g} s; if it needs longer, give a larger time_limit.")
+        self._note_crash(
+            f"was ended, for {what} took more than {limit:g} s; if it needs longer, give a larger time_limit."
+        )
         self._die()
 
     def _note_crash(self, what: str) -> None:

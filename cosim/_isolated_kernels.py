@@ -16,14 +16,15 @@ from bayesftc.cosim._fmi_kernels import number, word
 from bayesftc.cosim._loop import call_block
 
 # Words of the host's table.
-SEND, RECEIVE, WHERE, SOCKET, SHARED, INPUT_COUNT, OUTPUT_COUNT, ATTEND = range(8)
+SEND, RECEIVE, WHERE, SOCKET, SHARED, INPUT_COUNT, OUTPUT_COUNT, ATTEND, STEP_SIZE = range(9)
 
 # Words of the worker's table; the first six are the same.
-UPDATE, OUTPUT, TABLE, READS_AHEAD, NUMERATOR, DENOMINATOR, FOLLOWS = range(6, 13)
+UPDATE, OUTPUT, TABLE, READS_AHEAD, NUMERATOR, DENOMINATOR, STEP_WORD, FOLLOWS = range(6, 14)
 
 COMMAND, ANSWER, STATUS, RESULT = protocol.COMMAND, protocol.ANSWER, protocol.STATUS, protocol.RESULT
 AHEAD, READ_STATUS, LOGGED, PHASE = protocol.AHEAD, protocol.READ_STATUS, protocol.LOGGED, protocol.PHASE
-TIME, COUNT, HEADER, MESSAGE = protocol.TIME, protocol.COUNT, protocol.WORDS, protocol.MESSAGE
+TIME, SIZE, COUNT = protocol.TIME, protocol.SIZE, protocol.COUNT
+HEADER, MESSAGE = protocol.WORDS, protocol.MESSAGE
 READ, STEP = protocol.READ, protocol.STEP
 IDLE, STEPPING, READING = protocol.IDLE, protocol.STEPPING, protocol.READING
 PROCESSOR, INTERRUPTED = protocol.PROCESSOR, protocol.INTERRUPTED
@@ -90,6 +91,7 @@ def _exchange(command, parameters, inputs, t, k):
     for i in range(word(parameters, INPUT_COUNT)):
         set_number(shared, HEADER + i, number(inputs, i))
     set_number(shared, TIME, t)
+    set_number(shared, SIZE, number(parameters, STEP_SIZE))
     set_word(shared, COUNT, k)
     set_word(shared, PROCESSOR, processor(word(parameters, WHERE)))
     set_word(shared, COMMAND, command)
@@ -128,6 +130,7 @@ def serve(state, parameters, inputs, outputs, t, k):
     send, receive = word(parameters, SEND), word(parameters, RECEIVE)
     make_step, compute, ahead = word(parameters, UPDATE), word(parameters, OUTPUT), word(parameters, READS_AHEAD)
     numerator, denominator = word(parameters, NUMERATOR), word(parameters, DENOMINATOR)
+    own_size, step_word = numerator / denominator, word(parameters, STEP_WORD)
     where, follows = word(parameters, WHERE), word(parameters, FOLLOWS)
     u = shared + 8 * HEADER
     y = u + 8 * word(parameters, INPUT_COUNT)
@@ -143,12 +146,17 @@ def serve(state, parameters, inputs, outputs, t, k):
         elif command == STEP:
             set_word(shared, AHEAD, 0)
             set_word(shared, PHASE, STEPPING)
+            size = number(shared, SIZE)
+            if step_word != 0:
+                set_number(table, step_word, size)
             status = call_block(make_step, 0, table, u, y, instant, count)
             if status == 0 and ahead != 0:
                 set_word(shared, PHASE, READING)
-                count += 1
-                instant = count * numerator / denominator  # the engine's own next instant, to the last bit
-                set_word(shared, READ_STATUS, call_block(compute, 0, table, u, y, instant, count))
+                if size == own_size and instant == count * numerator / denominator:
+                    instant = (count + 1) * numerator / denominator  # the engine's own next instant, to the last bit
+                else:
+                    instant = instant + size
+                set_word(shared, READ_STATUS, call_block(compute, 0, table, u, y, instant, count + 1))
                 set_word(shared, AHEAD, 1)
         else:
             return command

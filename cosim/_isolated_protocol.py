@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Words of the shared memory.
-COMMAND, ANSWER, STATUS, RESULT, AHEAD, READ_STATUS, LOGGED, PHASE, TIME, COUNT, PROCESSOR = range(11)
-WORDS = 11
+COMMAND, ANSWER, STATUS, RESULT, AHEAD, READ_STATUS, LOGGED, PHASE, TIME, SIZE, COUNT, PROCESSOR = range(12)
+WORDS = 12
 
 # Commands: compute the outputs; make a step; look at the other connection.
 READ, STEP, TALK = 1, 2, 3
@@ -56,7 +56,7 @@ class Shared:
         self._map = mmap.mmap(descriptor, size(inputs, outputs))
         self.words: NDArray[np.int64] = np.frombuffer(self._map, dtype=np.int64, count=WORDS)
         numbers = np.frombuffer(self._map, dtype=np.float64)
-        self.time = numbers[TIME : TIME + 1]
+        self.time, self.size = numbers[TIME : TIME + 1], numbers[SIZE : SIZE + 1]
         self.inputs = numbers[WORDS : WORDS + inputs]
         self.outputs = numbers[WORDS + inputs : WORDS + inputs + outputs]
 

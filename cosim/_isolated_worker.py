@@ -18,13 +18,16 @@ import time
 import traceback
 from fractions import Fraction
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from bayesftc.cosim import _fmi_messages, _isolated_protocol as protocol
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import BayesFTCError, FMUError
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.block import VariableStep
 
 QUICK = 2e-4
 """Seconds for a step and all that the host does in between, up to which the FMU's process keeps to the host's processor."""
@@ -120,7 +123,8 @@ class _Worker:
         words[protocol.PHASE] = protocol.STARTING
         instance = self._instance = self._block.instantiate(self._step, self._name)
         words[protocol.PHASE] = protocol.IDLE
-        return {"can_save": instance.can_save}
+        can_resize = bool(getattr(instance, "can_resize", False)) and getattr(instance, "step_word", 0) > 0
+        return {"can_save": instance.can_save, "can_resize": can_resize}
 
     def _step_once(self) -> int:
         """Do what `_isolated_kernels.serve` does, in Python and for one command."""
@@ -135,11 +139,13 @@ class _Worker:
         elif command == protocol.STEP:
             words[protocol.AHEAD] = 0
             words[protocol.PHASE] = protocol.STEPPING
+            size = float(shared.size[0])
+            if getattr(instance, "step_word", 0) > 0:
+                cast("VariableStep", instance).resize(size)
             status = instance.update(shared.inputs, shared.outputs, t)
             if status == 0 and self._reads_ahead:
                 words[protocol.PHASE] = protocol.READING
-                t = (int(words[protocol.COUNT]) + 1) * self._step.numerator / self._step.denominator
-                words[protocol.READ_STATUS] = instance.output(shared.inputs, shared.outputs, t)
+                words[protocol.READ_STATUS] = instance.output(shared.inputs, shared.outputs, self._end(t, size))
                 words[protocol.AHEAD] = 1
         else:
             return command
@@ -147,6 +153,17 @@ class _Worker:
         words[protocol.PHASE] = protocol.IDLE
         self._steps.send(bytes(protocol.MESSAGE))
         return command
+
+    def _end(self, t: float, size: float) -> float:
+        """Return when a step ends: at the engine's own next instant, to the last bit, if it is no part of a step."""
+        k, numerator, denominator = (
+            int(self._shared.words[protocol.COUNT]),
+            self._step.numerator,
+            self._step.denominator,
+        )
+        if size == numerator / denominator and t == k * numerator / denominator:
+            return (k + 1) * numerator / denominator
+        return t + size
 
     def _do_compile(self) -> None:
         """Step in compiled code from now on."""
@@ -197,7 +214,7 @@ class _CompiledLoop:
         words = [
             *protocol.system_functions(), steps.fileno(), shared.words.ctypes.data, shared.inputs.size,
             instance.update_address, instance.output_address, instance.table.ctypes.data, reads_ahead,
-            step.numerator, step.denominator, 0,
+            step.numerator, step.denominator, getattr(instance, "step_word", 0), 0,
         ]  # fmt: skip
         self._table = np.array(words, dtype=np.int64)
         function: Any = _isolated_kernels.serve

@@ -138,7 +138,8 @@ def test_both_ends_of_the_way_have_the_same_words():
         assert getattr(kernels, name) == getattr(protocol, name)
     assert protocol.INTERRUPTED > 500  # no status of an FMU in process
     instance = car().instantiate(STEP, "car")
-    assert len(instance.table) == kernels.ATTEND + 1 <= 32
+    assert len(instance.table) == kernels.STEP_SIZE + 1 <= 32
+    assert instance.step_word == kernels.STEP_SIZE
     instance.close()
 
 
@@ -162,6 +163,23 @@ def test_states_stay_with_the_fmu_and_go_on_elsewhere_as_bytes(fmi, same_bits, n
     with diagram.start(seed=3) as session:
         session.restore(state)  # of a run that is closed
         same_bits(session.advance(1.0)["car.v"], first)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_coupled_tightly_and_in_steps_of_their_own(engine, same_bits, nothing_left):
+    ways = [cosim.Coupling("iterated", tolerance=1e-12), cosim.Coupling("jacobi", step_error=1e-3)]
+    for way in ways:
+        runs = []
+        for isolate in (False, True):
+            diagram = cosim.Diagram(dt="1/10")
+            a, b = (diagram.add(car(FMI[i], isolate, parameters={"v0": 1.0 + i}), "ab"[i]) for i in range(2))
+            for source, target in ((a, b), (b, a)):
+                gain = diagram.add(cosim.Gain(-50.0), f"from_{source.name}")
+                diagram.connect(source["v"], gain["u"])
+                diagram.connect(gain["y"], target["force"])
+            runs.append(diagram.build(way).simulate(1, engine=engine))
+        for name in runs[0]:
+            same_bits(runs[1][name], runs[0][name], name)
 
 
 def test_saved_states_are_forgotten_and_refused():
