@@ -47,8 +47,9 @@ def draw(found: Identification) -> Figure:
         )
         axis.set_ylim(low - 0.3 * (high - low), high + 0.3 * (high - low))
         axis.set_ylabel(name)
+        simulated = f", {found.simulated_fit[i]:.0f} % by simulation" if np.isfinite(found.simulated_fit[i]) else ""
         axis.set_title(
-            f"Held out: {found.fit[i]:.0f} % explained one sample ahead, {found.simulated_fit[i]:.0f} % by simulation",
+            f"Held out: {found.fit[i]:.0f} % explained one sample ahead{simulated}",
             fontsize=10,
             loc="left",
         )

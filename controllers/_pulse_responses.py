@@ -238,7 +238,7 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
     if bend > BENDS:
         warnings.warn(
             f"The plant answers a pulse of {plant.names[j]!r} down otherwise than up, by {100 * bend:.0f} %, however small: it "
-            "rests at a limit or a kink, where a linear model is right on neither side. Give an operating point beside it: at=...",
+            "rests at a limit or a kink, where a linear model is right on neither side; give a point beside it (at=...).",
             PoorFitWarning,
             stacklevel=8,
         )

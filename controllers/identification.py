@@ -51,7 +51,7 @@ class Identification:
         Of each output: share of its standard deviation that the prediction one sample ahead explains, in percent
         (``100 (1 - rms error / std)``), on held-out data.
     simulated_fit : ndarray
-        The same of a simulation from the inputs alone; of a plant that is noisy, integrating or unstable it says little.
+        The same of a simulation from the inputs alone; of a noisy or integrating plant it says little. NaN of an unstable one.
     whiteness : ndarray
         Of each output: probability that white residuals would be as correlated in time as these (Ljung and Box, 20 lags).
     correlations : ndarray
@@ -82,9 +82,12 @@ class Identification:
         poles = np.linalg.eigvals(self.model.moving.matrix("A"))
         lines = [f"Order {order}, poles {', '.join(f'{p:.4g}' for p in poles)}."]
         for i, name in enumerate(self.outputs):
+            simulated = "no simulation, for it is unstable"
+            if np.isfinite(self.simulated_fit[i]):
+                simulated = f"{self.simulated_fit[i]:.1f} % by simulation"
             lines.append(
-                f"{name}: {self.fit[i]:.1f} % explained one sample ahead, {self.simulated_fit[i]:.1f} % by simulation; residuals "
-                f"white with probability {self.whiteness[i]:.2g}."
+                f"{name}: {self.fit[i]:.1f} % explained one sample ahead, {simulated}; residuals white with probability "
+                f"{self.whiteness[i]:.2g}."
             )
         return "\n".join([*lines, *self.poor])
 
@@ -150,7 +153,10 @@ def _validated(
     spread = np.nanstd(measured, axis=0)
     spread = np.where(spread > 0, spread, 1.0)
     errors = np.sqrt(np.nanmean(residuals**2, axis=0))
-    with np.errstate(all="ignore"):
+    if np.abs(np.linalg.eigvals(model.moving.matrix("A"))).max() > 1 + 1e-3:
+        simulated[:] = np.nan
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")  # of means of nothing
         simulated_fit = 100 * (1 - np.sqrt(np.nanmean((measured - simulated[begin:]) ** 2, axis=0)) / spread)
     tests = [_whiteness(residuals[:, i]) for i in range(len(outputs))]
     yardstick = np.sqrt(np.diag(found.yardstick)) * size

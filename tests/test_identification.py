@@ -67,6 +67,9 @@ def test_an_unstable_plant_is_identified_as_its_controller_holds_it():
     np.testing.assert_allclose(q, Q, atol=0.003)
     np.testing.assert_allclose(np.diag(r), np.diag(R), rtol=0.05)
     assert found.whiteness.min() > 1e-3
+    assert np.isnan(found.simulated_fit).all()
+    assert "no simulation, for it is unstable" in found.describe()
+    found.plot()
 
 
 def test_without_noise_the_model_is_the_system():
