@@ -19,6 +19,9 @@ from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 
+USUAL_STEP = 0.02
+"""Sample time in seconds for which the default times of `SwitchingPrecision` are made; slower plants fail more slowly."""
+
 
 def design(
     plant: Any,
@@ -71,7 +74,7 @@ def design(
     goal_covariance, control_covariance : number, vector or matrix, optional
         Inverses of the costs, instead of the squares of the acceptable ones.
     precision : PrecisionLearner, optional
-        How far each sensor is trusted; by default `SwitchingPrecision`.
+        How far each sensor is trusted; by default `SwitchingPrecision`, slowed where samples are further apart than 20 ms.
     belief, u_min, u_max, u_rate
         See `BayesianController`.
 
@@ -132,7 +135,9 @@ def design(
         )
     return LQGController(
         model,
-        precision=SwitchingPrecision() if precision is None else precision,
+        precision=SwitchingPrecision().slowed(max(1.0, float(model.step) / USUAL_STEP))
+        if precision is None
+        else precision,
         goal_on=H,
         goal_covariance=goal_covariance,
         control_covariance=control_covariance,

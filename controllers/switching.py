@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -97,6 +97,33 @@ class SwitchingPrecision(PrecisionLearner):
             as_number("SwitchingPrecision has loss", value, above=0, below=1)
         object.__setattr__(self, "loss", each if len(each) > 1 else each[0])
 
+    def slowed(self, factor: float) -> SwitchingPrecision:
+        """Return the same learner for a plant that is `factor` times slower: all mean times of its modes are as much longer.
+
+        Parameters
+        ----------
+        factor : float
+            Positive. The default times are for samples of some 20 ms.
+
+        Examples
+        --------
+        >>> from bayesftc.controllers import SwitchingPrecision
+        >>> SwitchingPrecision().slowed(100.0).modes[0].time_to_recovery
+        2000.0
+        """
+        factor = as_number("SwitchingPrecision.slowed() has factor", factor, above=0)
+
+        def slow(modes: Sequence[Any]) -> tuple[Any, ...]:
+            times = ("time_to_fault", "time_to_recovery")
+            return tuple(replace(mode, **{name: factor * getattr(mode, name) for name in times}) for mode in modes)
+
+        return replace(
+            self,
+            modes=slow(self.modes),
+            actuator_modes=slow(self.actuator_modes),
+            process_modes=slow(self.process_modes),
+        )
+
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
         m, step = model.sensors, float(model.step)
@@ -156,12 +183,17 @@ class SwitchingPrecision(PrecisionLearner):
                 f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; {instead}, or leave "
                 "the actuator modes out."
             )
-        if self.process_modes not in ((), PROCESS_MODES):
+        if self.process_modes and not self._usual_process:
             raise ModelError(
                 f"{who} learns precisions apart from the state, so that modes of the process cannot be told; {instead}, or leave "
                 "the process modes out."
             )
         return replace(self, process_modes=())
+
+    @property
+    def _usual_process(self) -> bool:
+        """Whether the modes of the process are the default ones, at whatever pace: these are left out where they cannot act."""
+        return [m.scale for m in self.process_modes] == [m.scale for m in PROCESS_MODES]
 
     @property
     def _faults(self) -> tuple[int, ...]:
@@ -185,7 +217,7 @@ class SwitchingPrecision(PrecisionLearner):
         plant = model.states - model.disturbances
         if self._has_bank(model) and np.any(model.matrix("process_covariance")[:plant, :plant]):
             return tuple(self.process_modes)
-        if self.process_modes and self.process_modes != PROCESS_MODES:
+        if self.process_modes and not self._usual_process:
             raise ModelError(
                 "SwitchingPrecision has process_modes, which are told from sensors' faults in the joint form only, and scale the "
                 "process noise of the plant: leave joint=True, give sensors of independent noise, an Offset among the modes and "

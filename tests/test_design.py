@@ -191,6 +191,20 @@ def test_systems_of_python_control():
     np.testing.assert_array_equal(controller.initial_mean, [0.0, 0.0, 1.0])  # where it starts, and the constant
 
 
+def test_faults_of_a_slow_plant_last_as_many_samples():
+    tank = control.tf([1], [3600.0, 1.0], inputs=["inflow"], outputs=["level"])  # an hour
+    slow = controllers.design(tank, measured="level", actuated="inflow", dt=60.0, noise={"inflow": 0.1}, sensors=2)
+    assert slow.precision == controllers.SwitchingPrecision().slowed(3000.0)
+    fast = controllers.design(tank, measured="level", actuated="inflow", dt=0.01, noise={"inflow": 0.1}, sensors=2)
+    assert fast.precision == controllers.SwitchingPrecision()
+    loop = cosim.closed_loop(
+        cosim.StateSpace(tank), slow, control="inflow", measured="level", sensors=cosim.Sensors(2, 0.01),
+        faults=[cosim.Injection(sensor=1, start=3600.0, magnitude=0.3)], reference=1.0, dt=60.0,
+    )  # fmt: skip
+    probability = loop.simulate(7200.0, seed=1, engine="interpreted")["controller.fault_probability"]
+    assert probability[-1, 1] > 0.99 > 0.01 > probability[-1, 0]
+
+
 def test_of_a_linear_model_the_sensors_have_numbers():
     model = LinearModel([[1, 0.1], [0, 1]], [[0.005], [0.1]], [[1, 0], [1, 0], [0, 1]], [1e-6, 1e-6], 1e-4, dt=0.1)
     controller = design(model, goal=[1])
