@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from bayesftc.cosim import _group_steps as steps
 from bayesftc.cosim._groups import WORDS, Group, Part
+from bayesftc.cosim._state_functions import ERROR, StateFunctions
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.schedule import NOT_FINITE, bind
 from bayesftc.cosim.timebase import show
@@ -21,13 +21,8 @@ if TYPE_CHECKING:
     from bayesftc.cosim.engines import Run
 
 _ACCELERATION = {None: steps.PLAIN, "aitken": steps.AITKEN, "anderson": steps.ANDERSON}
-_SAVING = 0.5
+_MARGIN = 0.5
 """Part of the growth of the error with the step size that is allowed for, lest every other step be too long."""
-
-_ERROR = 3
-"""FMI's word for what went wrong in Python."""
-
-_STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
 
 
 class GroupRun:
@@ -44,7 +39,7 @@ class GroupRun:
         self.record = np.zeros(steps.RECORD_WORDS, dtype=np.int64)
         self.length = float(run.schedule.step * group.every)
         self.order = coupling.order
-        self.growth = _SAVING / 2 ** (self.order + 1)
+        self.growth = _MARGIN / 2 ** (self.order + 1)
         self.divisor = float(2**self.order - 1)
         self.error = coupling.step_error or 0.0
         self.tolerance, self.limit = coupling.tolerance, coupling.iterations
@@ -53,8 +48,7 @@ class GroupRun:
     def culprit(self) -> tuple[Part | None, int]:
         """Return the part that has failed, None if the group has as a whole, and the status."""
         part, status = int(self.record[steps.PART]), int(self.record[steps.STATUS])
-        whole = status in {steps.NOT_CONVERGED, steps.NO_STEP} or steps.SAVING <= status < NOT_FINITE
-        return (None if whole or part < 0 else self.group.parts[part]), status
+        return (self.group.parts[part] if part >= 0 else None), status
 
     def explain(self, status: int) -> str:
         """Return what a status of the whole group means, with the remedy."""
@@ -153,7 +147,7 @@ class InterpretedGroup(GroupRun):
                 action(i, saved[j] if j < len(saved) else None)
         except FMUError as error:
             self._error = error
-            return steps.SAVING + _ERROR
+            return steps.SAVING + ERROR
         return 0
 
     def _raised(self) -> BaseException | None:
@@ -210,7 +204,7 @@ class CompiledGroup(GroupRun):
     """The tables of a group's compiled form."""
 
     def __init__(self, run: Run, group: Group):
-        from bayesftc.cosim import _group_kernels as kernels, _loop
+        from bayesftc.cosim import _group_kernels as kernels
 
         super().__init__(run, group)
         schedule, memory = run.schedule, run.memory
@@ -226,7 +220,6 @@ class CompiledGroup(GroupRun):
                  len(gathers) + len(part.gathers), *(outputs if checked else (0, 0)), int(part.kind == "ahead")]
             )  # fmt: skip
             gathers += part.gathers
-        assert kernels.LATE == _loop.COLUMNS
         fmus = [
             (group.words + WORDS * j, schedule.slots[i].start["parameters"] + step_word(run.instances[i]))
             for j, i in enumerate(group.externals)
@@ -284,48 +277,6 @@ def _compiled() -> Any:
     return compile_raw(function)
 
 
-class StateFunctions:
-    """The functions by which compiled code saves an external block that has none in C: they call its Python methods.
-
-    The signatures are those of FMI; a state is a number under which the saved object is kept.
-    """
-
-    def __init__(self, instance: External):
-        self._instance, self._next = instance, 0
-        self._kept: dict[int, object] = {}
-        self.raised: BaseException | None = None
-
-    @cached_property
-    def addresses(self) -> tuple[int, int, int, int]:
-        """Address of the instance, which is not needed, and of the functions that save, restore and free."""
-        self._callbacks = [_STATE(f) for f in (self._save, self._restore, self._free)]
-        save, restore, free = (ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._callbacks)
-        return 0, save, restore, free
-
-    def _save(self, component: int, place: int) -> int:
-        return self._tried(lambda: self._put(place, self._instance.save()))
-
-    def _restore(self, component: int, key: int) -> int:
-        return self._tried(lambda: self._instance.restore(self._kept[key]))
-
-    def _free(self, component: int, place: int) -> int:
-        key = ctypes.c_int64.from_address(place).value
-        return self._tried(lambda: self._instance.forget(self._kept.pop(key)))
-
-    def _put(self, place: int, saved: object) -> None:
-        self._next += 1
-        self._kept[self._next] = saved
-        ctypes.c_int64.from_address(place).value = self._next
-
-    def _tried(self, action: Callable[[], None]) -> int:
-        try:
-            action()
-        except BaseException as error:  # noqa: BLE001 - it cannot pass compiled code: `GroupRun.explain` says it
-            self.raised = error
-            return _ERROR
-        return 0
-
-
 def step_word(instance: External) -> int:
     """Return which word of an instance's table holds its step size; 0 where none does."""
     return int(getattr(instance, "step_word", 0))
@@ -366,12 +317,7 @@ def check_groups(run: Run) -> None:
                     f"needs: put a UnitDelay into a connection of {node.name!r} with the others, so that a delay of one step "
                     "stands where one can see it, or export the FMU with that capability."
                 )
-            if group.doubling and not step_word(instance):
-                raise FMUError(
-                    f"step_error varies the steps of {names}, but {node.name!r} is isolated or a model exchange FMU, whose steps "
-                    "are of one size: leave step_error out, or take a co-simulation FMU in this process."
-                )
-            if group.doubling and not cast("VariableStep", instance).can_resize:
+            if group.doubling and not (step_word(instance) and cast("VariableStep", instance).can_resize):
                 raise FMUError(
                     f"The FMU {node.name!r} makes steps of one size only (canHandleVariableCommunicationStepSize), but "
                     f"step_error varies those of {names}; leave step_error out, or export the FMU with that capability."

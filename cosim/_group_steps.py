@@ -132,6 +132,11 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
             work[VALUE_BEFORE, i] = work[VALUE, i]
 
     @compiled
+    def is_fatal(status):
+        """Return whether an FMU has said that no function of it may be called any more."""
+        return status < NOT_FINITE and status % 100 == FATAL
+
+    @compiled
     def agree(machine, memory, torn, guesses, work, numbers, tolerance, limit, method, t, h, k, record):
         """Sweep from the same state until the values that were guessed come out; 0, or a status."""
         count = torn.size
@@ -171,8 +176,8 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 memory[torn[i]] = work[NEXT, i]
         if status == 0:
             status = NOT_CONVERGED
-        record[STATUS] = status if status == NOT_CONVERGED else record[STATUS]
-        if record[STATUS] % 100 != FATAL:
+            record[STATUS] = status
+        if not is_fatal(record[STATUS]):
             forget(machine, memory, INNER)
         return status
 
@@ -210,7 +215,6 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 own = length if part == 0 else 0.5 * length
                 at = start + own if part == 2 else start
                 resize(machine, memory, own)
-                record[STATUS] = 0
                 status = agree(
                     machine, memory, torn, guesses, work, numbers, tolerance, limit, method, at, own, k, record
                 )
@@ -222,7 +226,7 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                     each = abs(fine - memory[doubling[i, 3]]) / divisor / (1.0 + abs(fine))
                     if gap == gap and not each <= gap:
                         gap, where = each, i
-            elif record[STATUS] < NOT_FINITE and record[STATUS] % 100 == FATAL:
+            elif is_fatal(record[STATUS]):
                 return status
             if status == 0 and gap <= error:
                 status = forget(machine, memory, OUTER)
@@ -241,6 +245,7 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 return status
             else:
                 # Too long, or too long for the iteration or for an FMU.
+                record[PART], record[STATUS] = -1, 0
                 status = restore(machine, memory, OUTER)
                 if status == 0:
                     status = forget(machine, memory, OUTER)

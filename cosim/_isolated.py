@@ -29,6 +29,7 @@ from bayesftc.cosim._isolated_process import WorkerProcess
 from bayesftc.cosim._isolated_settings import DEFAULT_LIMIT
 from bayesftc.cosim.block import ExternalBlock, Floats
 from bayesftc.cosim.errors import FMUCrashed, FMUError
+from bayesftc.cosim.timebase import step_at
 
 STARTING = 60.0
 """Seconds that Python may take to start in the new process, or to load compiled code: no fault of the FMU."""
@@ -149,7 +150,7 @@ class Isolated:
         shared = self.shared
         shared.inputs[:] = inputs
         shared.time[0], shared.size[0] = t, self._h
-        shared.words[protocol.COUNT] = round(t * self._step.denominator / self._step.numerator)
+        shared.words[protocol.COUNT] = step_at(t, self._step)
         self._order(command)
         status = self.attend(0)
         self._raise_interrupt()

@@ -25,6 +25,7 @@ from bayesftc.cosim._model_exchange_reasons import CHATTERS, reason
 from bayesftc.cosim._model_exchange_settings import INTERNAL_STEPS, RESTARTED
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError, UnknownNameError, did_you_mean
+from bayesftc.cosim.timebase import step_at
 
 INTERRUPTED = 502
 """Status: Python raised something, which the instance keeps until it is asked."""
@@ -219,7 +220,7 @@ class CompiledInstance(ExchangeInstance):
     def _call(self, role: str, inputs: Floats, outputs: Floats, t: float) -> int:
         entry = _compiled(role)[1]
         addresses = self.table.ctypes.data, inputs.ctypes.data, outputs.ctypes.data
-        return int(entry(0, *addresses, t, round(t / float(self._step))))
+        return int(entry(0, *addresses, t, step_at(t, self._step)))
 
     def _set_tolerances(self) -> None:
         if self._model.nx or self._model.nz:
@@ -333,7 +334,7 @@ class ScipyInstance(ExchangeInstance):
         self._take(inputs)
         model, h = self._model, float(self.table.view(np.float64)[words.STEP_WORD])
         end = t + h
-        point = (round(t / float(self._step)) + 1) * self._step.numerator / self._step.denominator
+        point = (step_at(t, self._step) + 1) * self._step.numerator / self._step.denominator
         if abs(end - point) <= words.SAME * h:
             end = point
         near = words.NEAR * max(abs(end), h)

@@ -61,6 +61,11 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
     return count
 
 
+def step_at(t: float, step: Fraction) -> int:
+    """Return the number of the step at whose beginning, or within which, the time `t` lies."""
+    return math.floor(t * step.denominator / step.numerator + 1e-6)
+
+
 def whole_number(value: object, what: str) -> int:
     """Return a number of steps as an integer; `what` begins the sentence if it is none, as ``"decimation="``."""
     if isinstance(value, Real):
