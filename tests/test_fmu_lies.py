@@ -3,7 +3,6 @@
 import logging
 import time
 import zipfile
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -15,7 +14,10 @@ from bayesftc.cosim.fmu import describe
 
 FMI = ("2.0", "3.0")
 WHERE = pytest.mark.parametrize("isolate", [False, True], ids=["in process", "isolated"])
-STEP = Fraction(1, 50)
+EVERYWHERE = pytest.mark.parametrize(
+    ("fmi", "isolate"),
+    [("2.0", False), ("3.0", False), ("2.0", True), pytest.param("3.0", True, marks=pytest.mark.slow)],
+)
 
 
 def run(path, b, isolate, engine="interpreted", steps=50, name="car"):
@@ -68,8 +70,7 @@ def test_outputs_that_are_no_numbers(lying, way, word, isolate):
     np.testing.assert_allclose(error.result["car.v"], speeds(ways[way], 4), rtol=1e-12)
 
 
-@WHERE
-@pytest.mark.parametrize("fmi", FMI)
+@EVERYWHERE
 def test_outputs_that_are_never_written(lying, fmi, isolate):
     path, ways = lying(fmi)
     error = stopped(path, ways["WRITES_NOTHING"], isolate, error=FMUError)
@@ -103,8 +104,7 @@ def test_arrays_of_another_size_than_the_binary_has(tmp_path, isolate):
 # --- steps that fail ----------------------------------------------------------------------------------------------------------
 
 
-@WHERE
-@pytest.mark.parametrize("fmi", FMI)
+@EVERYWHERE
 def test_steps_that_fail_at_random(lying, fmi, isolate):
     path, ways = lying(fmi)
     error = stopped(path, ways["RANDOM"], isolate, steps=1000)
@@ -116,8 +116,7 @@ def test_steps_that_fail_at_random(lying, fmi, isolate):
     assert f"(step {rows - 1})" in str(error)
 
 
-@WHERE
-@pytest.mark.parametrize("fmi", FMI)
+@EVERYWHERE
 def test_steps_that_are_discarded_for_ever(lying, fmi, isolate):
     path, ways = lying(fmi)
     error = stopped(path, ways["DISCARD"], isolate)
@@ -135,8 +134,7 @@ def test_a_status_that_does_not_exist(lying, isolate):
 # --- logs ---------------------------------------------------------------------------------------------------------------------
 
 
-@WHERE
-@pytest.mark.parametrize("fmi", FMI)
+@EVERYWHERE
 def test_ten_megabytes_of_log_in_one_message(lying, fmi, isolate, caplog):
     path, ways = lying(fmi)
     with caplog.at_level(logging.INFO, "bayesftc.fmu"):
@@ -160,8 +158,7 @@ def test_ten_megabytes_of_log_in_a_million_messages(lying, isolate, caplog):
 # --- value references ---------------------------------------------------------------------------------------------------------
 
 
-@WHERE
-@pytest.mark.parametrize("fmi", FMI)
+@EVERYWHERE
 def test_value_references_that_the_binary_does_not_know(tmp_path, fmi, isolate):
     output = rewritten(fmi, tmp_path / "output.fmu", ('valueReference="2"', 'valueReference="77"'))
     error = stopped(output, 5.0, isolate)
