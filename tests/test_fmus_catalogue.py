@@ -39,7 +39,8 @@ def test_names_are_the_files():
 
 def test_an_unknown_name_names_the_near_ones():
     with pytest.raises(
-        ValueError, match=r"'cruisecontroll'.*did you mean 'CruiseControl'\?.*Shipped are: CartPendulum, CruiseControl, .*TwoMasses\."
+        ValueError,
+        match=r"'cruisecontroll'.*did you mean 'CruiseControl'\?.*Shipped are: CartPendulum, CruiseControl, .*TwoMasses\.",
     ):
         fmus.path("cruisecontroll")
     with pytest.raises(ValueError, match="Shipped are") as caught:
