@@ -17,6 +17,9 @@ from multiprocessing.connection import Connection, wait
 from bayesftc.cosim import _isolated_protocol as protocol
 from bayesftc.cosim.errors import FMUError
 
+GLANCE = 0.5
+"""Seconds after which it is seen whether a process that does not answer is alive."""
+
 LEAVING = 5.0
 """Seconds for a process to end by itself, or to vanish once it was killed."""
 
@@ -90,9 +93,11 @@ class WorkerProcess:
         """Return which of `talk` and `steps` can be read, as soon as one can; nothing if none can until `end`."""
         while True:
             left = max(end - time.monotonic(), 0.0)
-            ready = wait([self.talk, self.steps], min(left, 3600.0))
+            ready = wait([self.talk, self.steps], min(left, GLANCE))
             if ready or left == 0.0:
                 return ready
+            if self._is_dead():  # and something that the FMU has started holds the other ends open
+                return [self.steps]
 
     def kill(self) -> None:
         """Kill the process and all that it has started."""
@@ -100,11 +105,14 @@ class WorkerProcess:
 
     def obituary(self) -> str:
         """Return how the process ended, in words; it has closed its connections."""
-        try:
-            code = self._process.wait(LEAVING)
-        except subprocess.TimeoutExpired:
-            self.kill()
-            return "it closed its connections and had to be ended"
+        end = time.monotonic() + LEAVING
+        while not self._is_dead():
+            if time.monotonic() > end:
+                self.kill()
+                return "it closed its connections and had to be ended"
+            time.sleep(0.001)
+        _kill(self._process)  # what it has started, while its number is still its own
+        code = self._process.wait()
         if code >= 0:
             return f"it ended its own process with exit code {code}"
         try:
@@ -112,6 +120,13 @@ class WorkerProcess:
         except ValueError:
             return f"its process was killed by signal {-code}"
         return f"its process was killed by {_NAMES.get(number, 'a signal')} ({number.name})"
+
+    def _is_dead(self) -> bool:
+        """Return whether the process has ended, which leaves it to be waited for."""
+        try:
+            return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        except ChildProcessError:
+            return True
 
     def end(self) -> None:
         """End the process at once, if it is not over, and give back all that it had."""
@@ -141,15 +156,16 @@ if hasattr(os, "register_at_fork"):
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    if process.poll() is None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.kill()
+    if process.returncode is None:  # not waited for yet: the number is its own
+        for kill in (os.killpg, os.kill):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                kill(process.pid, signal.SIGKILL)
 
 
 def _end(process: subprocess.Popen[bytes], talk: Connection, steps: socket.socket, held: int) -> None:
     talk.close()
     steps.close()
-    os.close(held)  # upon which the system kills the process with all that it has started
+    _kill(process)
+    os.close(held)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(LEAVING)

@@ -35,6 +35,8 @@ QUICK = 2e-4
 
 def main(lifeline: int, memory: int, step_socket: int, connection: int) -> None:
     """Serve one FMU over the descriptors that the host has opened."""
+    for descriptor in (lifeline, memory, step_socket, connection):
+        os.set_inheritable(descriptor, False)  # programs that the FMU starts have no business with them
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, which ends this process as it sees fit
     _die_with_host(lifeline)
     resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))

@@ -6,6 +6,7 @@
 #include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/prctl.h>
 #include <unistd.h>
 
 #ifdef FMI2
@@ -28,7 +29,7 @@
 
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
-       STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING };
+       STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -123,6 +124,14 @@ static int step(COMPONENT c, double t)
         break;
     case LAST_WORDS: say("these are my last words"); crash(); break;
     case SLEEPS: usleep(300000); break;
+    case LEAVES_A_CHILD: /* which holds all that its parent held */
+        if (fork() == 0) {
+            prctl(PR_SET_NAME, "left-by-an-fmu");
+            sleep(1000);
+            _exit(0);
+        }
+        crash();
+        break;
     case STARTS_A_PROGRAM:
         if (fork() == 0) {
             execlp("sleep", "sleep", "1000.25", (char *)NULL);

@@ -73,6 +73,13 @@ def is_running(pid):
         return False
 
 
+def read(path):
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
+
+
 def until(condition, seconds=20.0):
     end = time.monotonic() + seconds
     while not condition():
@@ -314,6 +321,14 @@ def test_what_an_fmu_has_started_ends_with_it(lying, nothing_left):
     until(lambda: not sleepers())
 
 
+def test_a_crash_is_seen_and_all_is_ended_where_a_child_holds_everything_open(lying, nothing_left):
+    started = time.monotonic()
+    with pytest.raises(FMUCrashed, match=r"crashed in its step: its process was killed by a segmentation fault"):
+        alone(lying, "LEAVES_A_CHILD").simulate(1.0, engine="interpreted")
+    assert time.monotonic() - started < 8.0  # not the time limit
+    until(lambda: not [comm for comm in Path("/proc").glob("[0-9]*/comm") if "left-by-an-fmu" in read(comm)])
+
+
 def test_after_a_crash_the_session_begins_anew(lying, nothing_left):
     with alone(lying, "SEGFAULT").start(engine="interpreted") as session:
         begin = session.save_state()
@@ -529,6 +544,25 @@ def test_starting_loads_nothing_heavy(python):
         "print(json.dumps(sorted(sys.modules)))"
     )
     assert not {"scipy", "control", "matplotlib", "numba", "pandas", "sklearn", "casadi", "filterpy"} & set(loaded)
+
+
+def test_a_scenario_file_isolates_and_keeps_what_was_before_the_crash(lying, tmp_path):
+    from typer.testing import CliRunner
+
+    from bayesftc.cli.commands import app
+    from bayesftc.cosim.result import Result
+
+    path, ways = lying("2.0")
+    text = Path(cosim.__file__).parents[1].joinpath("examples/cruise_control/cruise_control.toml").read_text()
+    text = text.replace('fmu = "CruiseControl"', f'fmu = "{path}"\nisolate = true\ntime_limit = 5')
+    scenario, out = tmp_path / "car.toml", tmp_path / "out"
+    scenario.write_text(text.replace("{ v0 = 20.0 }", f"{{ b = {ways['SEGFAULT']} }}"))
+    done = CliRunner().invoke(app, ["run", str(scenario), "--engine", "interpreted", "--out", str(out), "--quiet"])
+    assert done.exit_code == FMUCrashed.exit_code == 17
+    said = " ".join(done.output.split())
+    assert "The run stopped at t = 0.1 s (step 5): the FMU of 'plant' crashed in its step" in said
+    assert "result.npz" in said
+    assert len(Result.load(out / "result.npz").time) == 6
 
 
 # --- plants travel ------------------------------------------------------------------------------------------------------------
