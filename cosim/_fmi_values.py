@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc.cosim._fmi_archive import Archive
 from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Value, flattened, shaped
 from bayesftc.cosim._fmi_groups import type_range
-from bayesftc.cosim.errors import FMUError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.units import conversion, split
 
 LARGEST = 10_000_000
@@ -30,6 +30,8 @@ def start_values(archive: Archive, description: FMUDescription, values: Mapping[
     dict
         Plain Python numbers and texts in the variables' own units; of arrays, tuples of tuples.
     """
+    if not isinstance(values, Mapping):
+        raise ModelError(f"FMU has parameters={values!r}; give values by name, as {{'m': 100.0}}.")
     known = {v.name: v for v in description.variables}
     for name in values:
         if name not in known:

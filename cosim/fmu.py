@@ -118,6 +118,10 @@ class FMU(ExternalBlock):
         if self.timing not in {None, "plant", "direct", "sampled"}:
             raise ModelError(f"FMU has timing={self.timing!r}; it must be 'plant', 'direct' or 'sampled'.")
         check_isolation(self.isolate, self.time_limit)
+        if not isinstance(self.path, str | PathLike):
+            raise ModelError(f"FMU has path={self.path!r}; it must be the path of an .fmu file.")
+        if not isinstance(self.validate, bool):
+            raise ModelError(f"FMU has validate={self.validate!r}; it must be True or False.")
         set_ = object.__setattr__
         set_(self, "path", Path(self.path).expanduser().absolute())
         archive, description = self._read()

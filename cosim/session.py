@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -205,7 +205,10 @@ class Session:
         try:
             run.memory[lies] = np.broadcast_to(np.asarray(value, dtype=np.float64), free[name][1].shape or (1,)).ravel()
         except (ValueError, TypeError):
-            raise ModelError(f"{name} cannot be set to {value!r}; give {lies.stop - lies.start} numbers.") from None
+            size = lies.stop - lies.start
+            raise ModelError(
+                f"{name} cannot be set to {value!r}; give {'one number' if size == 1 else f'{size} numbers'}."
+            ) from None
 
     @property
     def k(self) -> int:
@@ -293,6 +296,9 @@ class Session:
         if self._run is None:
             return "<Session: closed>"
         return f"<Session at t = {max(self._run.k, 0) * float(self._schedule.step):g} s: {self.engine}>"
+
+    def __reduce__(self) -> NoReturn:
+        raise ModelError("A live session cannot be pickled; pickle the diagram, and what save_state() returns.")
 
     def _open(self, seed: int) -> None:
         self._run, self._pacer = None, None

@@ -183,7 +183,7 @@ def test_inputs_that_nothing_feeds_are_set_between_steps():
             assert session.advance(2)["car.v"].tolist() == [0.0, 0.0, 0.0]
             with pytest.raises(cosim.UnknownNameError, match=r"no input 'car.farce' that nothing feeds; did you mean"):
                 session.set("car.farce", 1.0)
-            with pytest.raises(cosim.ModelError, match=r"car.force cannot be set to \[1, 2\]; give 1 numbers"):
+            with pytest.raises(cosim.ModelError, match=r"car.force cannot be set to \[1, 2\]; give one number"):
                 session.set("car.force", [1, 2])
 
 
@@ -255,6 +255,14 @@ def test_an_interrupted_session_goes_back(make_block):
             session.advance(1)
         session.restore(state)
         assert session.advance(2)["block.y"].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_a_live_session_does_not_pickle():
+    with (
+        arm().start(engine="interpreted") as session,
+        pytest.raises(cosim.ModelError, match=r"pickle the diagram, and what save"),
+    ):
+        pickle.dumps(session)
 
 
 def test_a_dropped_session_frees_its_fmus():
