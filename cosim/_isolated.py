@@ -315,6 +315,9 @@ class Isolated:
 
     def _bury(self) -> NoReturn:
         """Say what has become of a process that is gone."""
+        if self._process.is_anothers:
+            self._note_crash("belongs to the process that this one was forked from; begin a new run here.")
+            self._die()
         with contextlib.suppress(EOFError, OSError):
             while self._process.talk.poll(0):  # its last words
                 message = self._process.talk.recv()

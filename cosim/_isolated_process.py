@@ -82,6 +82,8 @@ class WorkerProcess:
             )
         # Where nobody closes it. In a forked process, which runs what is registered as well, it is let go of (`_forked`).
         self._end = weakref.finalize(self, _end, self._process, self.talk, self.steps, self._held)
+        self.is_anothers = False
+        """Whether a fork has made this a copy, in a process that has not started it."""
         _alive.add(self)
 
     @property
@@ -91,6 +93,8 @@ class WorkerProcess:
 
     def wait(self, end: float) -> Collection[object]:
         """Return which of `talk` and `steps` can be read, as soon as one can; nothing if none can until `end`."""
+        if self.is_anothers:
+            return [self.steps]
         while True:
             left = max(end - time.monotonic(), 0.0)
             ready = wait([self.talk, self.steps], min(left, GLANCE))
@@ -100,8 +104,9 @@ class WorkerProcess:
                 return [self.steps]
 
     def kill(self) -> None:
-        """Kill the process and all that it has started."""
-        _kill(self._process)
+        """Kill the process and all that it has started, if it is this process's own."""
+        if not self.is_anothers:
+            _kill(self._process)
 
     def obituary(self) -> str:
         """Return how the process ended, in words; it has closed its connections."""
@@ -135,6 +140,7 @@ class WorkerProcess:
 
     def let_go(self) -> None:
         """Close this process's copies after a fork: the FMU belongs to the process that started it."""
+        self.is_anothers = True
         self._end.detach()
         with contextlib.suppress(OSError):
             os.close(self._held)

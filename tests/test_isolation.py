@@ -477,6 +477,29 @@ def test_a_fork_does_not_end_it(nothing_left):
     instance.close()
 
 
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
+def test_a_fork_that_uses_it_is_refused_and_does_not_end_it(engine, nothing_left):
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(car(), "car")
+    with diagram.start(engine=engine) as session:
+        session.advance(0.1)
+        read, write = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            try:
+                session.advance(0.1)
+            except cosim.FMUCrashed as error:
+                os.write(write, str(error).encode())
+            finally:
+                os._exit(0)
+        os.waitpid(pid, 0)
+        os.close(write)
+        said = os.read(read, 1000).decode()
+        os.close(read)
+        assert "belongs to the process that this one was forked from; begin a new run here" in said
+        assert session.advance(0.1)["car.v"].shape == (5,)
+
+
 def test_one_that_nobody_closes_ends_with_what_held_it(nothing_left):
     before = children()
     instance = car().instantiate(STEP, "car")
