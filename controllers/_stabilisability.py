@@ -19,19 +19,21 @@ def unreached(A: Floats, B: Floats, *, edge: float = _EDGE) -> list[complex]:
     """Return the eigenvalues of A, each that does not die out, at which [lambda I - A, B] loses rank."""
     from scipy.linalg import matrix_balance
 
-    # In units in which the states move each other alike, and each control as much as they do: no choice of units decides.
-    A, (units, _) = matrix_balance(A, permute=False, separate=True)
-    B = B / units[:, None]
-    n, found = len(A), []
-    size = max(float(np.abs(A).max()), 1.0)
-    columns = np.linalg.norm(B, axis=0)
+    # In units in which the states move each other alike, and each control as much as they do: no choice of units decides. Where
+    # states hardly move each other these may be as far apart as 1e27: then the mode must be out of reach in its own units, too.
+    with np.errstate(invalid="ignore"):  # of a permutation that SciPy reads out of the scales and nobody asked for
+        balanced, (units, _) = matrix_balance(A, permute=False, separate=True)
+    forms = [(balanced, B / units[:, None]), (A, B)]
+    return [
+        complex(e) for e in np.linalg.eigvals(balanced) if abs(e) >= 1.0 - edge and all(_misses(e, *f) for f in forms)
+    ]
+
+
+def _misses(eigenvalue: complex, A: Floats, B: Floats) -> bool:
+    size, columns = max(float(np.abs(A).max()), 1.0), np.linalg.norm(B, axis=0)
     reach = B * (size / np.where(columns > 0, columns, 1.0))
-    for eigenvalue in np.linalg.eigvals(A):
-        if abs(eigenvalue) >= 1.0 - edge:
-            smallest = np.linalg.svd(np.hstack([eigenvalue * np.eye(n) - A, reach]), compute_uv=False)[-1]
-            if smallest <= _REACH * size:
-                found.append(complex(eigenvalue))
-    return found
+    smallest = np.linalg.svd(np.hstack([eigenvalue * np.eye(len(A)) - A, reach]), compute_uv=False)[-1]
+    return bool(smallest <= _REACH * size)
 
 
 def refuse_unstabilisable(model: LinearModel) -> None:

@@ -148,6 +148,12 @@ def _validated(
             f"{len(y)} samples are held out, of which the first {begin} tell where the plant is; {begin + 5 * LAGS} are needed: "
             "record more, or hold out a larger share."
         )
+    for name, seen in zip(outputs, np.isfinite(y[begin:]).sum(axis=0), strict=True):
+        if seen < 5 * LAGS:
+            raise ModelError(
+                f"The column {name!r} has {seen} samples in what is held out to judge the model by; {5 * LAGS} are needed: hold "
+                "out a larger share, or record more."
+            )
     predicted, simulated = _run(model, u, y, begin)
     measured, residuals = y[begin:], (y - predicted)[begin:]
     spread = np.nanstd(measured, axis=0)
@@ -288,11 +294,15 @@ def _columns(table: pd.DataFrame, given: str | Sequence[str], what: str) -> list
             raise UnknownNameError(
                 f"The recording has no {what} {name!r}; {did_you_mean(name, list(map(str, table.columns)))}"
             )
+    if not len(table):
+        raise ModelError("The recording has no rows.")
     for name in found:
         if table[name].dtype.kind not in "fiub":
             raise ModelError(
                 f"The column {name!r} holds text; it must be numbers, with empty cells where a sample is missing."
             )
+        if np.isinf(table[name].to_numpy(dtype=np.float64)).any():
+            raise ModelError(f"The column {name!r} holds infinite values; leave cells empty where a sample is missing.")
     return found
 
 

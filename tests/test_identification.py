@@ -176,6 +176,8 @@ def test_a_poor_fit_is_said():
         ({"u0": 1.0}, {}, ModelError, "'u0' does not move"),
         ({"u0": np.nan}, {}, ModelError, "'u0' has no numbers"),
         ({"y0": "high"}, {}, ModelError, "'y0' holds text"),
+        ({"y0": np.inf}, {}, ModelError, "'y0' holds infinite values"),
+        ({"y1": [*np.sin(np.arange(300.0)), *[np.nan] * 100]}, {}, ModelError, r"'y1' has \d+ samples in what is held out"),
         ({"time": 0.0}, {}, StepSizeError, "do not rise"),
         ({"time": np.arange(400.0) ** 2}, {}, StepSizeError, "not evenly spaced"),
         ({}, {"time": "t"}, StepSizeError, "no column 't'"),
@@ -190,6 +192,9 @@ def test_wrong_recordings_are_said_in_a_sentence(change, settings, error, words)
 
 
 def test_what_is_no_recording(tmp_path):
+    (tmp_path / "empty.csv").write_text("time,u,y\n")
+    with pytest.raises(ModelError, match="no rows"):
+        LinearModel.identify(tmp_path / "empty.csv", inputs="u", outputs="y")
     with pytest.raises(ModelError, match="cannot be read"):
         LinearModel.identify(tmp_path / "none.csv", inputs="u", outputs="y")
     with pytest.raises(ModelError, match="not int"):

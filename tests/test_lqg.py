@@ -210,6 +210,16 @@ def test_what_cannot_be_is_said_in_a_sentence(make, words):
         LQGController(model, **settings)
 
 
+@pytest.mark.parametrize("dt", [1e-4, 1.0, 60.0])
+def test_a_mode_that_is_gone_within_a_sample_does_not_hide_another(dt):
+    """Of 1 / (s (s + 1)) a sample of a minute leaves exp(-60) of one mode; the other is moved and seen as ever."""
+    whole = np.array([[1, -np.expm1(-dt), dt + np.expm1(-dt)], [0, np.exp(-dt), -np.expm1(-dt)]])
+    model = LinearModel(whole[:, :2], whole[:, 2:], [[1, 0]], 1e-6, 1e-4, dt=dt)
+    assert np.abs(LQGController(model, goal_covariance=0.01).closed_loop_poles()).max() < 1
+    with pytest.raises(ModelError, match="no control moves"):
+        LQGController(LinearModel(whole[:, :2], [[0], [0]], [[1, 0]], 1e-6, 1e-4, dt=dt))
+
+
 def test_constants_come_last():
     model = servo().about([0, 0, 0], [1.0], [0, 0])
     for again in (
