@@ -107,6 +107,7 @@ class Session:
         self._wanted = engine
         self._engine: Engine
         self._run: Run | None = None
+        self._is_running = False
         self._pacer: Pacer | None = None
         self._stack = ExitStack()
         self._finalizer = weakref.finalize(
@@ -156,7 +157,11 @@ class Session:
         if pace is None or self._pacer is None or self._pacer.pace != pace:
             self._pacer = None if pace is None else Pacer(pace, self._schedule.step, max(run.k, 0))
         make_room(run, end)
-        stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
+        try:
+            self._is_running = True
+            stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
+        finally:
+            self._is_running = False
         metadata: dict[str, Any] = {
             "seed": run.seed,
             "duration": float(steps * self._schedule.step),
@@ -272,12 +277,15 @@ class Session:
         seed : int, optional
             A new seed; by default that of the run before.
         """
-        seed = self._opened().seed if seed is None else check_seed(seed)
+        before = self._opened().seed
+        seed = before if seed is None else check_seed(seed)
         self._stack.close()
         self._open(seed)
 
     def close(self) -> None:
         """End the run and free its FMUs; the session cannot be used any more."""
+        if self._run is not None:
+            self._opened()
         self._run = None
         self._stack.close()
 
@@ -313,6 +321,10 @@ class Session:
     def _opened(self) -> Run:
         if self._run is None:
             raise ModelError("The session is closed; start a new one with diagram.start().")
+        if self._is_running:
+            raise ModelError(
+                "The session is running, in another thread or around this call; wait until advance() has returned."
+            )
         return self._run
 
     def _sound_run(self) -> Run:

@@ -257,6 +257,23 @@ def test_an_interrupted_session_goes_back(make_block):
         assert session.advance(2)["block.y"].tolist() == [0.0, 1.0, 2.0]
 
 
+def test_nobody_else_uses_a_session_that_runs():
+    diagram, said = arm(), []
+
+    def use(*_):
+        for way in (lambda: session.advance(1.0), lambda: session.reset(seed=2), session.save_state, session.close):
+            with pytest.raises(cosim.ModelError, match=r"The session is running.* wait until advance\(\) has returned"):
+                way()
+        said.append(True)
+
+    with diagram.start(engine="interpreted") as session:
+        session.advance(1.0, progress=use)
+        assert said
+        session.reset()
+    with pytest.raises(cosim.ModelError, match="is closed"):
+        session.reset(seed=2)
+
+
 def test_a_live_session_does_not_pickle():
     with (
         arm().start(engine="interpreted") as session,
