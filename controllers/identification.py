@@ -275,7 +275,7 @@ def _table(data: Any) -> pd.DataFrame:
         return pd.read_csv(data)
     except (OSError, ValueError) as error:
         raise ModelError(
-            f"The recording {data} cannot be read: {str(error).rstrip('.')}; give a CSV file with a header."
+            f"The recording {data} cannot be read: {str(error).strip().rstrip('.')}; give a CSV file with a header."
         ) from None
 
 
@@ -297,6 +297,8 @@ def _columns(table: pd.DataFrame, given: str | Sequence[str], what: str) -> list
     if not len(table):
         raise ModelError("The recording has no rows.")
     for name in found:
+        if list(table.columns).count(name) > 1:
+            raise ModelError(f"The recording has several columns {name!r}; give each a name of its own.")
         if table[name].dtype.kind not in "fiub":
             raise ModelError(
                 f"The column {name!r} holds text; it must be numbers, with empty cells where a sample is missing."
@@ -313,6 +315,10 @@ def _step(table: pd.DataFrame, time: str, dt: float | str | Fraction | None) -> 
     if time not in table.columns:
         raise StepSizeError(
             f"The recording has no column {time!r}; name the one with the times (time=...), or give dt= in seconds."
+        )
+    if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":
+        raise StepSizeError(
+            f"The column {time!r} is not one of numbers; it must hold the times in seconds. Convert them, or give dt= in seconds."
         )
     t = table[time].to_numpy(dtype=np.float64)
     steps = np.diff(t)

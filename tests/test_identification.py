@@ -180,6 +180,8 @@ def test_a_poor_fit_is_said():
         ({"y1": [*np.sin(np.arange(300.0)), *[np.nan] * 100]}, {}, ModelError, r"'y1' has \d+ samples in what is held out"),
         ({"time": 0.0}, {}, StepSizeError, "do not rise"),
         ({"time": np.arange(400.0) ** 2}, {}, StepSizeError, "not evenly spaced"),
+        ({"time": "noon"}, {}, StepSizeError, "'time' is not one of numbers"),
+        ({"time": pd.date_range("2024-01-01", periods=400, freq="s")}, {}, StepSizeError, "times in seconds"),
         ({}, {"time": "t"}, StepSizeError, "no column 't'"),
         (None, {}, ModelError, "record at least"),
     ],
@@ -195,6 +197,9 @@ def test_what_is_no_recording(tmp_path):
     (tmp_path / "empty.csv").write_text("time,u,y\n")
     with pytest.raises(ModelError, match="no rows"):
         LinearModel.identify(tmp_path / "empty.csv", inputs="u", outputs="y")
+    twice = pd.DataFrame(np.ones((3, 3)), columns=["time", "u", "u"])
+    with pytest.raises(ModelError, match="several columns 'u'"):
+        LinearModel.identify(twice, inputs="u", outputs="u")
     with pytest.raises(ModelError, match="cannot be read"):
         LinearModel.identify(tmp_path / "none.csv", inputs="u", outputs="y")
     with pytest.raises(ModelError, match="not int"):
