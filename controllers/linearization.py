@@ -259,7 +259,7 @@ def _of_fmu(
 def _of_equations(
     fmu: FMU, u: Floats, count: int, inputs: tuple[str, ...], outputs: tuple[str, ...], step: Fraction
 ) -> Linearization:
-    from bayesftc.cosim._model_exchange import ModelEquations
+    from bayesftc.cosim._exchange.equations import ModelEquations
 
     with ModelEquations(fmu) as model:
         x, u = _rest(model.derivatives, model.x0, u, list(range(count)), model.nominals)

@@ -1,7 +1,7 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
 from . import errors as errors, ops as ops, random as random
-from ._model_exchange import Jacobians as Jacobians, ModelEquations as ModelEquations
+from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
 from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .camera import arm_with_camera as arm_with_camera, planar_arm as planar_arm, radial_distortion as radial_distortion

@@ -12,8 +12,8 @@ from typing import Any
 import control
 import numpy as np
 
-from bayesftc.cosim._control_equations import Equations
-from bayesftc.cosim._control_machine import Machine
+from bayesftc.cosim._control.equations import Equations
+from bayesftc.cosim._control.machine import Machine
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import ModelError, UnconnectedInputError, UnknownNameError, did_you_mean

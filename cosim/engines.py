@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bayesftc.cosim._group_engines import CompiledGroup, GroupRun, InterpretedGroup
+from bayesftc.cosim._coupled.engines import CompiledGroup, GroupRun, InterpretedGroup
 from bayesftc.cosim._state_functions import StateFunctions
 from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key

@@ -10,12 +10,12 @@ from os import PathLike
 from pathlib import Path
 from typing import ClassVar, Literal, cast
 
-from bayesftc.cosim._fmi_archive import Archive, open_archive
-from bayesftc.cosim._fmi_description import FMUDescription, FMUVariable, Given, Value, read_description
-from bayesftc.cosim._fmi_ports import choose, choose_tunable, late_outputs
-from bayesftc.cosim._fmi_values import as_floats, resolved, start_values, value_of
-from bayesftc.cosim._isolated_settings import check_isolation
-from bayesftc.cosim._model_exchange_settings import checked_settings
+from bayesftc.cosim._exchange.settings import checked_settings
+from bayesftc.cosim._fmi.archive import Archive, open_archive
+from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Given, Value, read_description
+from bayesftc.cosim._fmi.ports import choose, choose_tunable, late_outputs
+from bayesftc.cosim._fmi.values import as_floats, resolved, start_values, value_of
+from bayesftc.cosim._isolation.settings import check_isolation
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
@@ -216,22 +216,22 @@ class FMU(ExternalBlock):
             If it is isolated and its process dies meanwhile, or has to be ended.
         """
         if self.isolate:
-            from bayesftc.cosim._isolated import isolated
+            from bayesftc.cosim._isolation.instance import isolated
 
             return isolated(self, self._read()[0], step, name, self.time_limit)
         archive, description = self._read()
         start, inputs, outputs = self._variables()
         timing = self.timing or "plant"
         if self.kind == "model exchange":
-            from bayesftc.cosim._model_exchange_instance import exchange_instance
-            from bayesftc.cosim._model_exchange_library import load_model
+            from bayesftc.cosim._exchange.instance import exchange_instance
+            from bayesftc.cosim._exchange.library import load_model
 
             solver = self.solver or "cvode", self.rtol or 0.0, self.atol
             return exchange_instance(
                 load_model(archive, description), name, step, timing, start, inputs, outputs, solver
             )
-        from bayesftc.cosim._fmi_instance import Instance
-        from bayesftc.cosim._fmi_library import load_library
+        from bayesftc.cosim._fmi.instance import Instance
+        from bayesftc.cosim._fmi.library import load_library
 
         kind: Literal["plant", "sampled"] = "sampled" if timing == "sampled" else "plant"
         return Instance(load_library(archive, description), name, step, kind, start, inputs, outputs)

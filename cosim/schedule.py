@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from bayesftc.cosim._contract import RESERVED, checked
-from bayesftc.cosim._groups import Group, Grouping, components, element_name
+from bayesftc.cosim._coupled.groups import Group, Grouping, components, element_name
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
 from bayesftc.cosim.coupling import Coupling
 from bayesftc.cosim.diagram import Diagram, Node, is_external

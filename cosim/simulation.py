@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bayesftc.cosim._group_engines import check_groups, place_words
+from bayesftc.cosim._coupled.engines import check_groups, place_words
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run

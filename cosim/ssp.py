@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Literal
 
 from bayesftc.cosim import units
-from bayesftc.cosim._fmi_archive import extract, open_archive, read_entry
-from bayesftc.cosim._fmi_description import FMUDescription
-from bayesftc.cosim._ssp_flat import Feed, Flat, Path as Place, Variable, components
-from bayesftc.cosim._ssp_read import SSP_FILE, Component, Linear, Parameter, Structure, Value, read_structure
-from bayesftc.cosim._ssp_write import save_ssp
+from bayesftc.cosim._fmi.archive import extract, open_archive, read_entry
+from bayesftc.cosim._fmi.description import FMUDescription
+from bayesftc.cosim._ssp.flat import Feed, Flat, Path as Place, Variable, components
+from bayesftc.cosim._ssp.read import SSP_FILE, Component, Linear, Parameter, Structure, Value, read_structure
+from bayesftc.cosim._ssp.write import save_ssp
 from bayesftc.cosim._zip import LARGEST_XML, check_xml
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import SSPError, did_you_mean

@@ -14,7 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import fmus
-from bayesftc.cosim import BayesFTCError, FMUError, _fmi_archive, _zip
+from bayesftc.cosim import BayesFTCError, FMUError, _zip
+from bayesftc.cosim._fmi import archive as _fmi_archive
 from bayesftc.cosim.fmu import FMU, describe
 
 SHIPPED = fmus.path("CruiseControl")

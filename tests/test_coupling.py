@@ -10,8 +10,9 @@ import pytest
 from scipy.linalg import expm
 
 from bayesftc import cosim
-from bayesftc.cosim import Port, _group_engines, _group_steps
-from bayesftc.cosim._fmi_instance import Instance
+from bayesftc.cosim import Port
+from bayesftc.cosim._coupled import engines as _group_engines, steps as _group_steps
+from bayesftc.cosim._fmi.instance import Instance
 from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.coupling import Coupling
 from bayesftc.examples.coupled_masses import study

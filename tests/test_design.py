@@ -8,7 +8,7 @@ from scipy.linalg import expm
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
 from bayesftc.controllers.linearization import linearize
-from bayesftc.cosim._fmi_instance import Instance
+from bayesftc.cosim._fmi.instance import Instance
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
 
 

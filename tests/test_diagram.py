@@ -239,7 +239,9 @@ def test_frozen_after_building(parts):
 
 
 def test_coupling_is_chosen_once_and_kept():
-    with pytest.raises(cosim.ModelError, match="coupling is 'jakobi'; it must be 'gauss-seidel', 'jacobi' or 'iterated'"):
+    with pytest.raises(
+        cosim.ModelError, match="coupling is 'jakobi'; it must be 'gauss-seidel', 'jacobi' or 'iterated'"
+    ):
         cosim.Diagram(1).build("jakobi")
     diagram = cosim.Diagram(1).build("jacobi")
     assert diagram.build().schedule.coupling.method == "jacobi"

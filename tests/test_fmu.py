@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim import _fmi_instance, _fmi_messages
+from bayesftc.cosim._fmi import instance as _fmi_instance, messages as _fmi_messages
 from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, SimulationError
 from bayesftc.cosim.fmu import FMU, describe
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from bayesftc import fmus
-from bayesftc.cosim import _fmi_archive, _fmi_library, _zip
+from bayesftc.cosim import _zip
+from bayesftc.cosim._fmi import archive as _fmi_archive, library as _fmi_library
 from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError
 from bayesftc.cosim.fmu import FMU, describe
 
@@ -326,7 +327,7 @@ def test_unpacking_happens_once_and_mends_itself(tmp_path, monkeypatch):
 
 def test_many_processes_unpack_one_fmu(tmp_path):
     code = (
-        "from bayesftc.cosim import _fmi_archive as a; import sys; from pathlib import Path; "
+        "from bayesftc.cosim._fmi import archive as a; import sys; from pathlib import Path; "
         "f = a.open_archive(Path(sys.argv[1])); print(a.extract(f, 'modelDescription.xml'))"
     )
     environment = {**os.environ, "BAYESFTC_CACHE": str(tmp_path)}

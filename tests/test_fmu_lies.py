@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim import _fmi_messages
+from bayesftc.cosim._fmi import messages as _fmi_messages
 from bayesftc.cosim.errors import FMUError, SimulationError
 from bayesftc.cosim.fmu import describe
 

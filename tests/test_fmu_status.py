@@ -5,7 +5,12 @@ import ctypes
 import numpy as np
 import pytest
 
-from bayesftc.cosim import _fmi_groups, _fmi_kernels, _fmi_steps, _fmi_typed_kernels
+from bayesftc.cosim._fmi import (
+    groups as _fmi_groups,
+    kernels as _fmi_kernels,
+    steps as _fmi_steps,
+    typed_kernels as _fmi_typed_kernels,
+)
 
 
 def fake(returns, writes=()):

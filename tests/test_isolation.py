@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim import _isolated_kernels, _isolated_protocol
+from bayesftc.cosim._isolation import kernels as _isolated_kernels, protocol as _isolated_protocol
 from bayesftc.cosim.errors import FMUCrashed, FMUError, ModelError, SimulationError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
@@ -563,7 +563,7 @@ def test_no_orphan_is_left_and_ctrl_c_is_heard_in_an_endless_step(with_signal, e
 def test_starting_loads_nothing_heavy(python):
     loaded = python(
         "import json, sys\n"
-        "import bayesftc.cosim._isolated_worker, bayesftc.cosim.fmu, fmpy.fmi2, fmpy.fmi3\n"
+        "import bayesftc.cosim._isolation.worker, bayesftc.cosim.fmu, fmpy.fmi2, fmpy.fmi3\n"
         "print(json.dumps(sorted(sys.modules)))"
     )
     assert not {"scipy", "control", "matplotlib", "numba", "pandas", "sklearn", "casadi", "filterpy"} & set(loaded)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim._model_exchange import ModelEquations
+from bayesftc.cosim._exchange.equations import ModelEquations
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError
 from bayesftc.cosim.fmu import FMU
 
@@ -436,7 +436,11 @@ def test_runs_that_cannot_go_on_say_why_and_keep_what_was(model, sentence, kept,
 
 
 def test_a_solver_that_gives_up_says_so(built, monkeypatch):
-    from bayesftc.cosim import _model_exchange_cvode, _model_exchange_instance, _model_exchange_scipy
+    from bayesftc.cosim._exchange import (
+        cvode as _model_exchange_cvode,
+        instance as _model_exchange_instance,
+        scipy_methods as _model_exchange_scipy,
+    )
 
     for module in (_model_exchange_cvode, _model_exchange_instance, _model_exchange_scipy):
         monkeypatch.setattr(module, "INTERNAL_STEPS", 3)
@@ -448,7 +452,7 @@ def test_a_solver_that_gives_up_says_so(built, monkeypatch):
 
 
 def test_ctrl_c_and_errors_of_python_come_through_compiled_code(pendulum, monkeypatch):
-    from bayesftc.cosim._model_exchange_scipy import ScipySolver
+    from bayesftc.cosim._exchange.scipy_methods import ScipySolver
 
     for error in (KeyboardInterrupt, ZeroDivisionError):
         monkeypatch.setattr(ScipySolver, "_derivatives", lambda *_, error=error: (_ for _ in ()).throw(error))
@@ -477,7 +481,7 @@ def test_thousands_of_instances_leave_nothing(built):
 def test_without_cvode_it_says_so_and_another_solver_works(built, monkeypatch):
     import sys
 
-    from bayesftc.cosim import _model_exchange_cvode
+    from bayesftc.cosim._exchange import cvode as _model_exchange_cvode
 
     _model_exchange_cvode._sundials.cache_clear()
     monkeypatch.setitem(sys.modules, "fmpy.sundials", None)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from bayesftc.cosim._fmi_archive import Archive, open_archive
-from bayesftc.cosim._fmi_library import binary_entry
-from bayesftc.cosim._fmi_sources import read_sources
+from bayesftc.cosim._fmi.archive import Archive, open_archive
+from bayesftc.cosim._fmi.library import binary_entry
+from bayesftc.cosim._fmi.sources import read_sources
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.fmu import FMU, FMUDescription
 from bayesftc.cosim.ports import Port

@@ -15,7 +15,7 @@ from bayesftc.cosim.fmu import describe
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bayesftc.cosim._fmi_description import Value
+    from bayesftc.cosim._fmi.description import Value
     from bayesftc.cosim.fmu import FMUDescription
 
 KINDS = {

@@ -1,0 +1,1 @@
+"""What blocks and diagrams become in python-control."""

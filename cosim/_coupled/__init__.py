@@ -1,0 +1,1 @@
+"""Groups of coupled blocks: iterated, and with steps of their own."""

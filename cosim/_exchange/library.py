@@ -1,0 +1,218 @@
+"""The binary of a model exchange FMU: the functions by which an integrator drives it, in both versions of FMI."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+from bayesftc.cosim._fmi.archive import Archive
+from bayesftc.cosim._fmi.description import FMUDescription
+from bayesftc.cosim._fmi.library import CallError, Library2, Library3, load_library
+from bayesftc.cosim._fmi.messages import Messages, callback3
+
+Function = Callable[..., int]
+
+_STATUS, _PLACE, _COUNT, _REAL = ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
+_PLAIN = ctypes.CFUNCTYPE(_STATUS, _PLACE)
+_TIME = ctypes.CFUNCTYPE(_STATUS, _PLACE, _REAL)
+_VECTOR = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT)
+
+PLAIN = ("enter_event_mode", "enter_continuous_mode")
+VECTOR = ("set_states", "get_states", "get_derivatives", "get_indicators", "get_nominals")
+
+
+class EventInfo2(ctypes.Structure):
+    """fmi2EventInfo."""
+
+    _fields_ = (
+        ("needed", ctypes.c_int),
+        ("terminate", ctypes.c_int),
+        ("nominals", ctypes.c_int),
+        ("values", ctypes.c_int),
+        ("defined", ctypes.c_int),
+        ("time", ctypes.c_double),
+    )
+
+
+class EventInfo3(ctypes.Structure):
+    """What fmi3UpdateDiscreteStates writes, with the fields of `EventInfo2`."""
+
+    _fields_ = (
+        ("needed", ctypes.c_bool),
+        ("terminate", ctypes.c_bool),
+        ("nominals", ctypes.c_bool),
+        ("values", ctypes.c_bool),
+        ("defined", ctypes.c_bool),
+        ("time", ctypes.c_double),
+    )
+
+
+class _Bound:
+    """Functions of the binary as plain ctypes calls of addresses, which cost a fraction of fmpy's."""
+
+    #: The standard's names of the functions that are the same in both versions but for their names.
+    names: dict[str, str]
+    _slave: Any
+
+    def address(self, role: str) -> int:
+        """Return the address of one of the functions in `names`."""
+        return ctypes.cast(getattr(self._slave.dll, self.names[role]), ctypes.c_void_p).value or 0
+
+    @cached_property
+    def bound(self) -> dict[str, Function]:
+        """The functions in `names` that take the instance, a time, or a vector."""
+        kinds = {"set_time": _TIME} | dict.fromkeys(PLAIN, _PLAIN) | dict.fromkeys(VECTOR, _VECTOR)
+        return {role: kind(self.address(role)) for role, kind in kinds.items()}
+
+
+class ModelLibrary2(_Bound, Library2):
+    """A binary of FMI 2 as a model exchange FMU."""
+
+    interface = 0
+    names = {  # noqa: RUF012 - never changed
+        "set_time": "fmi2SetTime",
+        "enter_event_mode": "fmi2EnterEventMode",
+        "enter_continuous_mode": "fmi2EnterContinuousTimeMode",
+        "set_states": "fmi2SetContinuousStates",
+        "get_states": "fmi2GetContinuousStates",
+        "get_derivatives": "fmi2GetDerivatives",
+        "get_indicators": "fmi2GetEventIndicators",
+        "get_nominals": "fmi2GetNominalsOfContinuousStates",
+        "completed_step": "fmi2CompletedIntegratorStep",
+        "update_discrete": "fmi2NewDiscreteStates",
+        "get_reals": "fmi2GetReal",
+        "set_reals": "fmi2SetReal",
+        "directional": "fmi2GetDirectionalDerivative",
+    }
+
+    @cached_property
+    def _values(self) -> Any:
+        return ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT, _PLACE)
+
+    @cached_property
+    def values(self) -> tuple[Function, Function]:
+        """Functions ``(instance, references, how many, array, its size)`` that get and set numbers."""
+        get, set_ = self._values(self.address("get_reals")), self._values(self.address("set_reals"))
+        return (lambda c, r, n, a, size: get(c, r, n, a)), (lambda c, r, n, a, size: set_(c, r, n, a))
+
+    @cached_property
+    def update_discrete(self) -> Callable[[int, Any], int]:
+        """Function ``(instance, event info)``: one turn of the event iteration."""
+        kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE)
+        function = kind(self.address("update_discrete"))
+        return lambda component, info: function(component, ctypes.addressof(info))
+
+    event_info = EventInfo2
+
+    def size(self, component: int, what: str, declared: int) -> int:
+        """Return how many states or event indicators there are."""
+        return declared
+
+    def directional(self, component: int, unknowns: Any, knowns: Any, seed: Any, result: Any) -> int:
+        """Return the status of a directional derivative; the arrays are NumPy's."""
+        kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT, _PLACE, _COUNT, _PLACE, _PLACE)
+        status: int = kind(self.address("directional"))(
+            component, unknowns.ctypes.data, len(unknowns), knowns.ctypes.data, len(knowns), seed.ctypes.data,
+            result.ctypes.data,
+        )  # fmt: skip
+        return status
+
+
+class ModelLibrary3(_Bound, Library3):
+    """A binary of FMI 3 as a model exchange FMU."""
+
+    names = {  # noqa: RUF012 - never changed
+        "set_time": "fmi3SetTime",
+        "enter_event_mode": "fmi3EnterEventMode",
+        "enter_continuous_mode": "fmi3EnterContinuousTimeMode",
+        "set_states": "fmi3SetContinuousStates",
+        "get_states": "fmi3GetContinuousStates",
+        "get_derivatives": "fmi3GetContinuousStateDerivatives",
+        "get_indicators": "fmi3GetEventIndicators",
+        "get_nominals": "fmi3GetNominalsOfContinuousStates",
+        "completed_step": "fmi3CompletedIntegratorStep",
+        "update_discrete": "fmi3UpdateDiscreteStates",
+        "get_reals": "fmi3GetFloat64",
+        "set_reals": "fmi3SetFloat64",
+        "directional": "fmi3GetDirectionalDerivative",
+    }
+
+    def create(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """See `bayesftc.cosim._fmi.library.Library.create`."""
+        callback = callback3()
+        resources = os.path.join(self._slave.unzipDirectory, "resources") + os.path.sep
+        component = self.call(
+            "fmi3InstantiateModelExchange", name.encode(), self.description.token.encode(), resources.encode(),
+            False, True, messages.key, callback,
+        )  # fmt: skip
+        if component:
+            self._narrow_log("fmi3SetDebugLogging", component)
+        return component or 0, callback
+
+    @cached_property
+    def values(self) -> tuple[Function, Function]:
+        """See `ModelLibrary2.values`."""
+        kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT, _PLACE, _COUNT)
+        return kind(self.address("get_reals")), kind(self.address("set_reals"))
+
+    @cached_property
+    def update_discrete(self) -> Callable[[int, Any], int]:
+        """See `ModelLibrary2.update_discrete`."""
+        kind = ctypes.CFUNCTYPE(_STATUS, *[_PLACE] * 7)
+        function = kind(self.address("update_discrete"))
+        offsets = [getattr(EventInfo3, name).offset for name, _ in EventInfo3._fields_]
+
+        def update(component: int, info: EventInfo3) -> int:
+            start = ctypes.addressof(info)
+            return int(function(component, *(start + offset for offset in offsets)))
+
+        return update
+
+    event_info = EventInfo3
+
+    def size(self, component: int, what: str, declared: int) -> int:
+        """Return how many states or event indicators there are: structural parameters may have changed it."""
+        count = ctypes.c_size_t(declared)
+        function = {"states": "fmi3GetNumberOfContinuousStates", "indicators": "fmi3GetNumberOfEventIndicators"}[what]
+        try:
+            self.call(function, component, ctypes.byref(count))
+        except CallError:
+            return declared  # it says what it declared, by another function
+        return count.value
+
+    def directional(self, component: int, unknowns: Any, knowns: Any, seed: Any, result: Any) -> int:
+        """See `ModelLibrary2.directional`."""
+        kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, *[_PLACE, _COUNT] * 4)
+        status: int = kind(self.address("directional"))(
+            component, unknowns.ctypes.data, len(unknowns), knowns.ctypes.data, len(knowns), seed.ctypes.data,
+            len(seed), result.ctypes.data, len(result),
+        )  # fmt: skip
+        return status
+
+
+ModelLibrary = ModelLibrary2 | ModelLibrary3
+
+
+def load_model(archive: Archive, description: FMUDescription) -> ModelLibrary:
+    """Unpack an FMU and load its binary for model exchange, both only once.
+
+    Raises
+    ------
+    FMUError
+        If there is no binary for this platform, or it cannot be loaded.
+    """
+    exchange = description.exchange
+    assert exchange is not None
+    capabilities = dict(description.capabilities) | {
+        "canGetAndSetFMUstate": exchange.can_save,
+        "canSerializeFMUstate": exchange.can_serialise,
+        "canBeInstantiatedOnlyOncePerProcess": exchange.once,
+    }
+    own = replace(description, identifier=exchange.identifier, capabilities=capabilities)
+    library = load_library(archive, own, exchange=True)
+    assert isinstance(library, ModelLibrary2 | ModelLibrary3)
+    return library

@@ -1,0 +1,349 @@
+"""One instance of a model exchange FMU: its modes, its numbers, its events; whoever integrates drives it through this."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim._exchange import words
+from bayesftc.cosim._exchange.library import ModelLibrary
+from bayesftc.cosim._exchange.words import ITERATIONS
+from bayesftc.cosim._fmi.description import FMUVariable, Value
+from bayesftc.cosim._fmi.groups import element_names
+from bayesftc.cosim._fmi.library import CallError
+from bayesftc.cosim._fmi.messages import Messages
+from bayesftc.cosim._fmi.states import SavedState, States
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import FMUError
+
+_FATAL = 4
+
+
+class StopError(Exception):
+    """Why an instance cannot go on, as a sentence."""
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """The state of a model exchange FMU: the FMU's own, if it has more than what the side of the integrator knows."""
+
+    state: SavedState | None
+    token: str
+    time: float
+    next_event: float
+    inputs: Floats
+    x: Floats
+
+
+class ExchangeModel:
+    """A model exchange FMU that is initialized and in continuous-time mode.
+
+    Parameters
+    ----------
+    library : ModelLibrary2 or ModelLibrary3
+        The binary; its description has an ``exchange``.
+    name : str
+        Name of the instance.
+    start : dict
+        Start values.
+    inputs : dict
+        The inputs that are set while it runs, with their start values.
+    outputs : sequence of FMUVariable
+        The outputs that are read while it runs.
+
+    Attributes
+    ----------
+    table : ndarray of int64
+        What compiled functions know of it: see `bayesftc.cosim._exchange.words`.
+    component : int
+        The instance's address.
+    nx, nz : int
+        Numbers of continuous states and event indicators.
+    x : ndarray, (nx,)
+        Where `read_states` writes to and `write_states` reads from.
+    inputs : ndarray
+        The inputs as they were set last.
+
+    Raises
+    ------
+    FMUError
+        If the FMU refuses to be instantiated or initialized, or ends at once.
+    """
+
+    def __init__(
+        self,
+        library: ModelLibrary,
+        name: str,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value],
+        outputs: Sequence[FMUVariable],
+    ):
+        exchange = library.description.exchange
+        assert exchange is not None
+        self.library, self.info, self.name = library, exchange, name
+        self.messages = Messages(name)
+        self.component, self.healthy, self.fatal = 0, True, False
+        self.table = np.zeros(words.WORDS, dtype=np.int64)
+        self.reals = self.table.view(np.float64)
+        self.time, self.next_event = 0.0, math.inf
+        self._event_info = library.event_info()
+        try:
+            self._start(start, inputs)
+        except BaseException:
+            self.healthy = False
+            self.close()
+            raise
+        self._references = [np.array([v.reference for v in side], dtype=np.uint32) for side in (inputs, outputs)]
+        self._sizes = [sum(prod(v.shape) for v in side) for side in (inputs, outputs)]
+        values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
+        self.inputs = np.concatenate([np.zeros(0), *values])
+        self._fill_table()
+        self._get, self._set = library.values
+
+    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+        library, model = self.library, self.library.description.name
+        if library.alive and self.info.once:
+            raise FMUError(
+                f"{self.name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
+                "after the other, or each in a process of its own with FMU(..., isolate=True)."
+            )
+        self.component, self._callbacks = library.create(self.name, self.messages)
+        if not self.component:
+            raise FMUError(
+                f"The FMU {model!r} refused to be instantiated as {self.name!r} for model exchange. {self.messages.quoted()} If "
+                "it needs a tool or a licence, check that it is there."
+            )
+        library.alive += 1
+        self.states = States(library, self.component, self.name)
+        self._bound = library.bound
+        try:
+            library.initialize(self.component, start, inputs)
+            self.nx = library.size(self.component, "states", self._declared("states"))
+            self.nz = library.size(self.component, "indicators", self.info.indicators)
+            self.places = np.zeros(max(self.nx, 1))  # without states, a constant stands for them in an integrator
+            self.x = self.places[: self.nx]
+            self._iterate()
+        except (CallError, StopError) as error:
+            self.fatal = isinstance(error, CallError) and error.status == _FATAL
+            what = error.sentence() if isinstance(error, CallError) else str(error)
+            raise FMUError(
+                f"The FMU {model!r} could not be initialized as {self.name!r}: {what}. {self.messages.quoted()} Check its "
+                "parameters and start values."
+            ) from None
+
+    def _fill_table(self) -> None:
+        table, library = self.table, self.library
+        for i, role in enumerate(words.NAMES):
+            table[i] = library.address(role)
+        table[words.MAJOR], table[words.COMPONENT] = library.description.fmi_major, self.component
+        table[words.STATES], table[words.INDICATORS], table[words.X] = self.nx, self.nz, self.places.ctypes.data
+        table[words.WANTS_STEPS] = self.info.needs_completed_step
+        table[words.NO_RETURN] = not self.info.can_save  # else someone may go back to a saved state
+        sides = (
+            (words.IN_REFERENCES, words.IN_COUNT, words.IN_SIZE),
+            (words.OUT_REFERENCES, words.OUT_COUNT, words.OUT_SIZE),
+        )
+        for places, references, size in zip(sides, self._references, self._sizes, strict=True):
+            table[list(places)] = references.ctypes.data, len(references), size
+        table[words.INPUTS] = self.inputs.ctypes.data
+
+    @property
+    def time(self) -> float:
+        """Its own time in seconds."""
+        return float(self.reals[words.TIME])
+
+    @time.setter
+    def time(self, t: float) -> None:
+        self.reals[words.TIME] = t
+
+    @property
+    def next_event(self) -> float:
+        """The time of its next time event in seconds; infinity if there is none."""
+        return float(self.reals[words.NEXT_EVENT])
+
+    @next_event.setter
+    def next_event(self, t: float) -> None:
+        self.reals[words.NEXT_EVENT] = t
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of the continuous states, element by element."""
+        names = [name for name, _ in element_names(self.info.states)]
+        if len(names) != self.nx:  # structural parameters have changed sizes
+            names = [f"x[{i}]" for i in range(self.nx)]
+        return names
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many elements its inputs and outputs have."""
+        return self._sizes[0], self._sizes[1]
+
+    def _declared(self, what: str) -> int:
+        variables: tuple[FMUVariable, ...] = getattr(self.info, what)
+        return sum(prod(v.shape) for v in variables)
+
+    # --- calls -----------------------------------------------------------------------------------------------------
+
+    def call(self, role: str, *arguments: Any) -> None:
+        """Call one of the functions that an integrator needs.
+
+        Raises
+        ------
+        CallError
+            If it returns neither OK nor Warning.
+        """
+        self.check(role, self._bound[role](self.component, *arguments))
+
+    def check(self, role: str, status: int) -> None:
+        """Raise CallError if the function of a role has returned neither OK nor Warning."""
+        if status > 1 or status < 0:
+            self.fatal = self.fatal or status == _FATAL
+            raise CallError(self.library.names[role], status)
+
+    def set_time(self, t: float) -> None:
+        """Tell the FMU what time it is."""
+        self.call("set_time", t)
+        self.time = t
+
+    def write_states(self) -> None:
+        """Give it the continuous states in `x`."""
+        if self.nx:
+            self.call("set_states", self.x.ctypes.data, self.nx)
+
+    def read_states(self) -> None:
+        """Read its continuous states into `x`."""
+        if self.nx:
+            self.call("get_states", self.x.ctypes.data, self.nx)
+
+    def read(self, role: str, array: Floats) -> None:
+        """Read ``get_derivatives``, ``get_indicators`` or ``get_nominals``."""
+        if len(array):
+            self.call(role, array.ctypes.data, len(array))
+
+    def write_inputs(self, values: Floats) -> None:
+        """Set the inputs, in the mode in which it is."""
+        self.inputs[:] = values
+        references = self._references[0]
+        if len(references):
+            status = self._set(
+                self.component, references.ctypes.data, len(references), self.inputs.ctypes.data, self._sizes[0]
+            )
+            self.check("set_reals", status)
+
+    def read_outputs(self, values: Floats) -> None:
+        """Read the outputs."""
+        references = self._references[1]
+        if len(references):
+            buffer = values.copy()  # what a failing FMU does not write stays as it is
+            status = self._get(self.component, references.ctypes.data, len(references), buffer.ctypes.data, len(buffer))
+            values[:] = buffer
+            self.check("get_reals", status)
+
+    # --- events ----------------------------------------------------------------------------------------------------
+
+    def event(self, inputs: Floats | None = None) -> bool:
+        """Go through event mode, where inputs may jump and discrete states change.
+
+        Returns
+        -------
+        bool
+            Whether the nominal values of the states have changed. The states themselves may have; `x` has them.
+
+        Raises
+        ------
+        StopError
+            If the iteration does not end, or the FMU ends the simulation.
+        CallError
+            If a call fails.
+        """
+        self.call("enter_event_mode")
+        if inputs is not None:
+            self.write_inputs(inputs)
+        return self._iterate()
+
+    def _iterate(self) -> bool:
+        info, update = self._event_info, self.library.update_discrete
+        nominals = False
+        for _ in range(ITERATIONS):
+            info.defined = 0
+            self.check("update_discrete", update(self.component, info))
+            nominals = nominals or bool(info.nominals)
+            if info.terminate:
+                raise StopError("The FMU asks to end the simulation (terminateSimulation)")
+            if not info.needed:
+                break
+        else:
+            raise StopError(
+                f"Its event iteration does not end: after {ITERATIONS} turns at t = {self.time:g} s it still wants another "
+                f"{self.library.names['update_discrete']}"
+            )
+        self.next_event = float(info.time) if info.defined else math.inf
+        if math.isnan(self.next_event):
+            raise StopError("The FMU says that its next event is at t = NaN")
+        self.call("enter_continuous_mode")
+        self.read_states()
+        return nominals
+
+    # --- states and end --------------------------------------------------------------------------------------------
+
+    @property
+    def can_save(self) -> bool:
+        """See `bayesftc.cosim.block.External.can_save`; one that has continuous states only is saved without its help."""
+        return self.states.can_save or self._is_smooth
+
+    @property
+    def _is_smooth(self) -> bool:
+        return self.info.smooth and self.next_event == math.inf
+
+    def save(self) -> SavedModel:
+        """Return its state; see `bayesftc.cosim.block.External.save`."""
+        own = None if self._is_smooth and not self.states.can_save else self.states.save()
+        return SavedModel(own, self.states.token, self.time, self.next_event, self.inputs.copy(), self.x.copy())
+
+    def restore(self, saved: object) -> None:
+        """Go back to a state; see `bayesftc.cosim.block.External.restore`."""
+        if not isinstance(saved, SavedModel) or saved.token != self.states.token:
+            raise FMUError(
+                f"What {self.name!r} was to be restored to is no saved state of the FMU {self.library.description.name!r} as a "
+                "model exchange FMU; save it in a run of the same FMU."
+            )
+        try:
+            if saved.state is not None:
+                self.states.restore(saved.state)
+                self.time, self.inputs[:], self.x[:] = saved.time, saved.inputs, saved.x
+            else:
+                self.set_time(saved.time)
+                self.write_inputs(saved.inputs)
+                self.x[:] = saved.x
+                self.write_states()
+        except CallError as error:
+            raise FMUError(
+                f"{self.name!r} could not be restored: {error.sentence()}. {self.messages.quoted()}"
+            ) from None
+        self.next_event = saved.next_event
+        self.healthy = not self.fatal
+
+    def forget(self, saved: object) -> None:
+        """Free a saved state; see `bayesftc.cosim.block.External.forget`."""
+        if isinstance(saved, SavedModel) and saved.state is not None:
+            self.states.forget(saved.state)
+
+    def close(self) -> None:
+        """Free the instance; the binary stays loaded."""
+        component, self.component = self.component, 0
+        if component:
+            self.library.alive -= 1
+            try:
+                self.states.close(free=not self.fatal)
+                if self.healthy:
+                    self.library.terminate(component)
+                if not self.fatal:  # after Fatal the standard allows no call at all
+                    self.library.free(component)
+            except (CallError, FMUError):
+                pass  # it is over either way
+        self.messages.close()

@@ -1,0 +1,60 @@
+"""Which integrator a model exchange FMU gets, with which tolerances."""
+
+from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.cosim._fmi.archive import Archive
+    from bayesftc.cosim._fmi.description import FMUDescription
+
+METHODS = ("RK23", "RK45", "DOP853", "Radau", "BDF", "LSODA")
+"""The methods of ``scipy.integrate.solve_ivp``."""
+
+DEFAULT_TOLERANCE = 1e-6
+
+RESTARTED = 0.01
+"""Part of the tolerances that CVODE gets: it begins with order one at each communication point, where its errors per step are
+those that are allowed, all of one sign. With this part, a run is about as accurate as one that is never restarted."""
+
+INTERNAL_STEPS = 100_000
+"""Steps that an integrator may take from one communication point, or event, to the next."""
+
+
+def checked_settings(
+    archive: Archive, description: FMUDescription, exchange: bool, solver: Any, rtol: Any, atol: Any
+) -> dict[str, Any]:
+    """Return the settings ``solver``, ``rtol`` and ``atol`` with their defaults filled in; all None for co-simulation.
+
+    Raises
+    ------
+    ModelError
+        If one of them cannot be, or is given for co-simulation.
+    """
+    given = {name: value for name, value in (("solver", solver), ("rtol", rtol), ("atol", atol)) if value is not None}
+    if not exchange:
+        if given:
+            raise ModelError(
+                f"FMU has {' and '.join(f'{n}={v!r}' for n, v in given.items())}, but {archive.path.name} is used for "
+                "co-simulation and brings its own solver: leave it out, or give kind='model exchange'."
+            )
+        return {"solver": None, "rtol": None, "atol": None}
+    known = ["cvode", "rk45", *(f"scipy:{method}" for method in METHODS)]
+    chosen = "cvode" if solver is None else solver
+    if chosen not in known:
+        raise ModelError(f"FMU has solver={solver!r}; it must be one of {', '.join(known)}.")
+    for name in ("rtol", "atol"):
+        value = given.get(name)
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        if value is not None and not (is_number and 0 < float(value) < math.inf):
+            raise ModelError(f"FMU has {name}={value!r}; it must be a positive number, as 1e-6.")
+    own = description.default_experiment.get("tolerance", 0.0)
+    if rtol is None:
+        rtol = own if 0 < own < 1 else DEFAULT_TOLERANCE
+    if not rtol < 1:
+        raise ModelError(f"FMU has rtol={rtol!r}; it is a relative tolerance and must be below 1.")
+    return {"solver": chosen, "rtol": float(rtol), "atol": None if atol is None else float(atol)}

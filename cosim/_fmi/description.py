@@ -1,0 +1,381 @@
+"""What an FMU says of itself, as plain data: read and validated by fmpy, without loading any binary."""
+
+from __future__ import annotations
+
+import io
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
+
+from numpy.typing import NDArray
+
+from bayesftc.cosim._exchange.info import ExchangeInfo, read_exchange
+from bayesftc.cosim._fmi.aliases import check_aliases
+from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, read_entry
+from bayesftc.cosim.errors import FMUError, FMUVersionError
+from bayesftc.cosim.units import BASE, Unit, UnitDefinition
+
+if TYPE_CHECKING:
+    from fmpy.model_description import ModelDescription, ModelVariable
+
+Value = float | int | bool | str | tuple[Any, ...]
+"""A value of a variable: of an array, tuples of tuples, row by row."""
+
+_Scalar = float | int | bool | str
+Given = _Scalar | Sequence[_Scalar | Sequence[_Scalar | Sequence[_Scalar]]] | NDArray[Any]
+"""A value as a user gives it: with a unit (``(30, "deg")``, ``([[1, 0], [0, 1]], "kg")``) or without."""
+
+REAL_TYPES = frozenset({"Real", "Float64"})
+"""The types that ports can have: double-precision numbers of FMI 2 and FMI 3."""
+
+_FLOATS = REAL_TYPES | {"Float32"}
+_KINDS = ("coSimulation", "modelExchange", "scheduledExecution")
+_CAPABILITIES = (
+    "needsExecutionTool",
+    "canBeInstantiatedOnlyOncePerProcess",
+    "canGetAndSetFMUstate",
+    "canSerializeFMUstate",
+    "providesDirectionalDerivative",
+    "canHandleVariableCommunicationStepSize",
+    "fixedInternalStepSize",
+    "maxOutputDerivativeOrder",
+    "canInterpolateInputs",
+    "hasEventMode",
+    "mightReturnEarlyFromDoStep",
+)
+_SYMBOLS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class FMUVariable:
+    """One variable of an FMU, in the words of the standard.
+
+    Attributes
+    ----------
+    name, causality, variability, type : str
+        As in the model description, with the standard's defaults filled in.
+    start : float, int, bool, str, tuple or None
+        Its start value; of an array, tuples of tuples, row by row.
+    unit, description : str or None
+        As in the model description.
+    shape : tuple of int
+        ``()`` for a scalar; only FMI 3 has arrays. Where structural parameters say how large an array is, with their start
+        values.
+    settable : bool
+        Whether its start value may be set before initialization.
+    reference : int
+        The value reference, by which the binary knows it.
+    clocked : bool
+        Whether it only exists at the ticks of a clock (FMI 3).
+    alias : bool
+        Whether it is another name of a variable that is listed too (FMI 3).
+    dimensions : tuple of int or str
+        Of an array: how large it is in each direction, or the name of the structural parameter that says so.
+    items : tuple of (str, int)
+        Of an enumeration: names and numbers.
+    relative : bool
+        Whether it is a difference, to which a unit's offset (degC) does not apply.
+    """
+
+    name: str
+    causality: str
+    variability: str
+    type: str
+    start: Value | None
+    unit: str | None
+    description: str | None
+    shape: tuple[int, ...]
+    settable: bool
+    reference: int
+    clocked: bool = False
+    alias: bool = False
+    dimensions: tuple[int | str, ...] = ()
+    items: tuple[tuple[str, int], ...] = ()
+    relative: bool = False
+
+    @property
+    def is_real(self) -> bool:
+        """Whether it is made of double-precision numbers."""
+        return self.type in REAL_TYPES
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether its values are numbers: it can be a port."""
+        return self.type not in {"String", "Binary", "Clock"} and not self.clocked
+
+
+@dataclass(frozen=True)
+class FMUDescription:
+    """What an FMU says of itself.
+
+    Attributes
+    ----------
+    name, fmi_version : str
+        The model's name, and the version of the standard, as ``"2.0"``.
+    kinds : tuple of str
+        Of ``"coSimulation"``, ``"modelExchange"``, ``"scheduledExecution"``: what it can be used for.
+    platforms : tuple of str
+        Platforms that it has binaries for, as FMI spells them.
+    variables : tuple of FMUVariable
+        All its variables.
+    capabilities : mapping
+        The flags of its co-simulation kind (of its first kind, where it has none).
+    default_experiment : mapping of str to float
+        Of ``startTime``, ``stopTime``, ``tolerance``, ``stepSize``: those that it gives.
+    description, generation_tool : str or None
+        As in the model description.
+    timing : str or None
+        What the vendor annotation of this package's exports says: ``"plant"`` or ``"sampled"``.
+    feedthrough : mapping of str to tuple of str, or None
+        For each output, the inputs on which it depends at the same instant; None where the FMU does not say, which by the
+        standard means all of them.
+    identifier, token : str
+        Name of the binary, and what proves that binary and description belong together.
+    log_categories : tuple of str
+        Categories under which it logs.
+    units : mapping of str to UnitDefinition
+        What the FMU says of its units, by name.
+    exchange : ExchangeInfo or None
+        Its states, derivatives and capabilities as a model exchange FMU; None where it is none.
+    """
+
+    name: str
+    fmi_version: str
+    kinds: tuple[str, ...]
+    platforms: tuple[str, ...]
+    variables: tuple[FMUVariable, ...]
+    capabilities: Mapping[str, Any]
+    default_experiment: Mapping[str, float]
+    description: str | None = None
+    generation_tool: str | None = None
+    timing: str | None = None
+    feedthrough: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    identifier: str = ""
+    token: str = field(default="", repr=False)
+    log_categories: tuple[str, ...] = field(default=(), repr=False)
+    units: Mapping[str, UnitDefinition] = field(default_factory=dict, repr=False)
+    exchange: ExchangeInfo | None = field(default=None, repr=False)
+
+    @property
+    def fmi_major(self) -> int:
+        """2 or 3."""
+        return int(self.fmi_version[0])
+
+
+_lock = threading.RLock()
+_known: dict[tuple[str, bool], FMUDescription] = {}
+
+
+def read_description(archive: Archive, *, validate: bool = True) -> FMUDescription:
+    """Read the model description of an FMU, once per process and content.
+
+    Raises
+    ------
+    FMUError
+        If it is of another version than FMI 2.0 or 3.0, or not valid.
+    """
+    with _lock:
+        key = (archive.digest, validate)
+        if key not in _known:
+            try:
+                _known[key] = _read(archive, validate)
+            except (ValueError, TypeError, LookupError, AttributeError) as error:
+                # Where a description is not validated, anything may stand where a number or a name should.
+                raise FMUError(
+                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI so that it cannot be read ({error}); export it "
+                    "again."
+                ) from None
+        return _known[key]
+
+
+def _read(archive: Archive, validate: bool) -> FMUDescription:
+    from xml.etree import ElementTree
+
+    root = ElementTree.fromstring(read_entry(archive, DESCRIPTION))
+    version = root.get("fmiVersion", "")
+    if version not in {"2.0", "3.0"}:
+        raise FMUVersionError(
+            f"{archive.path} is an FMU of FMI {version or 'without a version'}; only FMI 2.0 and 3.0 can be used: export the "
+            "model in one of these."
+        )
+    model = _parse(archive, validate)
+    kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
+    for kind in kinds:
+        _check_identifier(archive, getattr(model, kind).modelIdentifier or "")
+    first = getattr(model, kinds[0]) if kinds else None
+    experiment = model.defaultExperiment
+    annotations = [element.get("timing") for element in root.iter("bayesftc")]
+    variables = tuple(_variable(archive, v) for v in model.modelVariables)
+    if validate and version == "2.0":
+        check_aliases(archive, variables)
+    return FMUDescription(
+        name=model.modelName or archive.path.stem,
+        fmi_version=version,
+        kinds=kinds,
+        platforms=archive.platforms(),
+        variables=variables,
+        capabilities={name: getattr(first, name) for name in _CAPABILITIES if hasattr(first, name)},
+        default_experiment={
+            name: float(text)
+            for name in ("startTime", "stopTime", "tolerance", "stepSize")
+            if (text := getattr(experiment, name, None)) is not None
+        },
+        description=model.description,
+        generation_tool=model.generationTool,
+        timing=next((a for a in annotations if a in {"plant", "sampled"}), None),
+        feedthrough=_feedthrough(model),
+        identifier=getattr(first, "modelIdentifier", None) or "",
+        token=model.guid or "",
+        log_categories=tuple(c.name for c in model.logCategories),
+        units={u.name: _unit(u) for u in model.unitDefinitions},
+        exchange=read_exchange(model, root, variables),
+    )
+
+
+def _check_identifier(archive: Archive, identifier: str) -> None:
+    # It is the name of a file, read or (where sources are compiled) written.
+    if (
+        "/" in identifier
+        or "\\" in identifier
+        or identifier.startswith((".", "-"))
+        or not (identifier + "a").isprintable()
+    ):
+        raise FMUError(
+            f"The {DESCRIPTION} of {archive.path} calls its binary {identifier!r}, which could lead outside of the FMU. Do not "
+            "use this file; ask its maker for one whose modelIdentifier is a plain name."
+        )
+
+
+def _parse(archive: Archive, validate: bool) -> ModelDescription:
+    from fmpy import read_model_description
+    from fmpy.model_description import ValidationError
+
+    try:
+        return read_model_description(_checked_xml(archive), validate=validate)
+    except ValidationError as error:
+        problems = [str(p).removesuffix(".") for p in error.problems]
+    except KeyError as error:
+        problems = [f"it refers to a variable {error}, which it does not define"]
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
+        problems = [(str(error) or type(error).__name__).removesuffix(".")]
+    more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+    remedy = (
+        "Ask its maker for a valid one, or try it all the same with validate=False." if validate else "Export it again."
+    )
+    raise FMUError(
+        f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {'; '.join(problems[:_SHOWN])}{more}. {remedy}"
+    )
+
+
+def _checked_xml(archive: Archive) -> io.BytesIO:
+    """Return an archive of the XML files alone, as they were checked: fmpy sees nothing else of the file."""
+    content = io.BytesIO()
+    with ZipFile(content, "w") as copy:
+        for name in archive.kind.xml:
+            if name in archive.names:
+                copy.writestr(name, read_entry(archive, name))
+    return content
+
+
+def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:
+    settable = variable.variability != "constant" and (
+        variable.causality == "input" or variable.initial in {"exact", "approx"}
+    )
+    return FMUVariable(
+        name=variable.name,
+        causality=variable.causality,
+        variability=variable.variability,
+        type=variable.type,
+        start=_start(archive, variable),
+        unit=_declared(variable, "unit"),
+        description=variable.description,
+        shape=tuple(variable.shape or ()),
+        settable=settable,
+        reference=variable.valueReference,
+        clocked=bool(variable.clocks),
+        alias=variable.alias is not None,
+        dimensions=tuple(int(d.start) if d.start is not None else d.variable.name for d in variable.dimensions),
+        items=tuple((item.name, int(item.value)) for item in getattr(variable.declaredType, "items", None) or ()),
+        relative=bool(_declared(variable, "relativeQuantity")),
+    )
+
+
+def _declared(variable: ModelVariable, attribute: str) -> Any:
+    """Return what a variable says, or else its type."""
+    own = getattr(variable, attribute, None)
+    return getattr(variable.declaredType, attribute, None) if own is None else own
+
+
+def _unit(unit: Any) -> UnitDefinition:
+    base, meaning = unit.baseUnit, None
+    if base is not None and _is_factor(base.factor):
+        powers = {name: int(getattr(base, symbol)) for symbol, name in zip(_SYMBOLS, BASE, strict=True)}
+        powers = {name: power for name, power in powers.items() if power}
+        meaning = Unit(powers, float(base.factor), float(base.offset), cycles="Hz" in unit.name)
+    return UnitDefinition(
+        meaning, {d.name: (float(d.factor), float(d.offset)) for d in unit.displayUnits if _is_factor(d.factor)}
+    )
+
+
+def _is_factor(value: float) -> bool:
+    return math.isfinite(value) and value != 0.0
+
+
+def _feedthrough(model: ModelDescription) -> dict[str, tuple[str, ...] | None]:
+    found: dict[str, tuple[str, ...] | None] = {v.name: None for v in model.modelVariables if v.causality == "output"}
+    for unknown in model.outputs:
+        if unknown.variable is not None and unknown.dependencies is not None and unknown.variable.name in found:
+            found[unknown.variable.name] = tuple(v.name for v in unknown.dependencies if v.causality == "input")
+    return found
+
+
+def _start(archive: Archive, variable: ModelVariable) -> Value | None:
+    text: str | None = variable.start
+    if text is None or (variable.shape and variable.type in {"String", "Binary"}):
+        return None
+    try:
+        if not variable.shape:
+            return _number(variable.type, text)
+        values = tuple(_number(variable.type, part) for part in text.split())
+        return None if None in values else shaped(values, variable.shape)
+    except ValueError:
+        what = f"{variable.type} of shape {tuple(variable.shape)}" if variable.shape else variable.type
+        raise FMUError(
+            f"The variable {variable.name!r} of {archive.path} has the start value {text[:80]!r}, which is no {what}; "
+            "export the FMU again."
+        ) from None
+
+
+def _number(kind: str, text: str) -> Value | None:
+    if kind in _FLOATS:
+        value = float(text)
+        return value if math.isfinite(value) else None
+    if kind == "Boolean":
+        return text in {"true", "1"}
+    return text if kind in {"String", "Binary"} else int(text)
+
+
+def flattened(value: Value) -> tuple[Any, ...]:
+    """Return the elements of a value, row by row; of a scalar, the one."""
+    return tuple(x for row in value for x in flattened(row)) if isinstance(value, tuple) else (value,)
+
+
+def shaped(values: tuple[Any, ...], shape: tuple[int, ...]) -> Value:
+    """Return elements as tuples of tuples; a single one fills the array.
+
+    Raises
+    ------
+    ValueError
+        If there are too many or too few.
+    """
+    if len(values) == 1:
+        values = values * math.prod(shape)
+    if len(values) != math.prod(shape) or not values:
+        raise ValueError
+    for size in reversed(shape[1:]):
+        values = tuple(values[i : i + size] for i in range(0, len(values), size))
+    return values

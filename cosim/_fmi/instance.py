@@ -1,0 +1,251 @@
+"""A running instance of an FMU: made, initialized, explained and freed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import isfinite
+from typing import Literal
+
+import numpy as np
+
+from bayesftc.cosim._fmi.description import FMUVariable, Value
+from bayesftc.cosim._fmi.groups import element_names, groups, type_range
+from bayesftc.cosim._fmi.library import CallError, Library
+from bayesftc.cosim._fmi.messages import STATUS, Messages
+from bayesftc.cosim._fmi.states import SavedState, States
+from bayesftc.cosim._fmi.steps import (
+    DISCARD,
+    EARLY,
+    ENDLESS,
+    EVENTS,
+    FATAL,
+    GET,
+    REACHED,
+    SET,
+    STEP,
+    TERMINATED,
+    TRIES,
+    UNFIT,
+    UNFIT_INPUT,
+    UNFIT_OUTPUT,
+    StepFunctions,
+)
+from bayesftc.cosim.errors import FMUError, StepSizeError
+from bayesftc.cosim.timebase import show
+
+_UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
+"""The bits of a NaN that no computation makes."""
+
+
+class Instance(StepFunctions):
+    """An initialized FMU instance; see `bayesftc.cosim.block.External`.
+
+    Raises
+    ------
+    FMUError
+        If the FMU refuses to be instantiated or initialized.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        name: str,
+        step: Fraction,
+        timing: Literal["plant", "sampled"],
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value],
+        outputs: Sequence[FMUVariable],
+    ):
+        _check_step(library, name, step)
+        self._library, self._name = library, name
+        self._messages = Messages(name)
+        self._component, self._healthy, self._fatal = 0, True, False
+        try:
+            self._start(start, inputs)
+        except BaseException:
+            self._healthy = False
+            self.close()
+            raise
+        major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
+        into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
+        out = groups(outputs, major, "Get", find)
+        super().__init__(major, addresses, self._component, into, out, float(step), timing)
+        self._elements = element_names(list(inputs)), element_names(outputs)
+        if addresses.enter_event_mode:
+            self._first_events()
+        self._check_written()
+
+    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+        library, name = self._library, self._name
+        model = library.description.name
+        if library.alive and library.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
+            raise FMUError(
+                f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
+                "after the other, or each in a process of its own with FMU(..., isolate=True)."
+            )
+        component, self._callbacks = library.create(name, self._messages)
+        if not component:
+            tool = library.description.generation_tool or "the tool that exported it"
+            needs = (
+                f"It needs {tool} to run (needsExecutionTool): install it here, or export the FMU without that need."
+                if library.description.capabilities.get("needsExecutionTool")
+                else "If it needs a tool or a licence, check that it is there."
+            )
+            raise FMUError(
+                f"The FMU {model!r} refused to be instantiated as {name!r}. {self._messages.quoted()} {needs}"
+            )
+        self._component = component
+        library.alive += 1
+        self._states = States(library, component, name)
+        try:
+            library.initialize(component, start, inputs)
+        except CallError as error:
+            self._fatal = error.status == FATAL
+            raise FMUError(
+                f"The FMU {model!r} could not be initialized as {name!r}: {error.sentence()}. {self._messages.quoted()} Check "
+                "its parameters and start values."
+            ) from None
+
+    def _first_events(self) -> None:
+        """Leave the event mode in which initialization ends."""
+        status = self._settle()
+        if status:
+            what = self.explain(status)
+            self.close()
+            raise FMUError(
+                f"The FMU {self._library.description.name!r} could not be initialized as {self._name!r}: {what}"
+            )
+
+    def _check_written(self) -> None:
+        """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values."""
+        names = [name for name, _ in self._elements[1]]
+        values = np.full(len(names), _UNWRITTEN, dtype=np.int64)
+        if not names or self._read(values.view(np.float64)):
+            return  # the run will say so
+        missing = [name for name, bits in zip(names, values, strict=True) if bits == _UNWRITTEN]
+        if missing:
+            self.close()
+            raise FMUError(
+                f"The FMU {self._library.description.name!r} says that it has given its outputs, but has not written "
+                f"{', '.join(map(repr, missing[:3]))}{' and more' if missing[3:] else ''} of {self._name!r}: its binary and its "
+                "model description do not agree. Export it again."
+            )
+
+    @property
+    def can_save(self) -> bool:
+        """See `bayesftc.cosim.block.External.can_save`."""
+        return self._states.can_save
+
+    @property
+    def can_resize(self) -> bool:
+        """Whether its steps may be of any size."""
+        return bool(self._library.description.capabilities.get("canHandleVariableCommunicationStepSize"))
+
+    @property
+    def state_functions(self) -> tuple[int, int, int, int] | None:
+        """Address of the instance and of FMI's functions that save, restore and free a state, for compiled code.
+
+        None where more has to be done than to call them.
+        """
+        if any(group.discrete for group in self._groups[0]):
+            return None
+        save, restore, free = self._library.state_addresses
+        return self._component, save, restore, free
+
+    def save(self) -> SavedState:
+        """See `bayesftc.cosim.block.External.save`."""
+        return self._states.save()
+
+    def restore(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.restore`."""
+        self._states.restore(saved)
+        self._healthy = not self._fatal  # an FMU that has failed may be put back to where it had not
+
+    def forget(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.forget`."""
+        self._states.forget(saved)
+
+    def explain(self, status: int) -> str:
+        """Return what a status means in FMI's words, with the instance's last messages."""
+        self._healthy = False
+        if status == TERMINATED:
+            return f"The FMU asks to end the simulation (terminateSimulation). {self._messages.quoted()}"
+        said = self._messages.quoted()
+        reached = self._scratch.view(np.float64)[REACHED]
+        if status == EARLY:
+            return (
+                f"The FMU returned early from fmi3DoStep, at t = {reached:g} s, before the end of the step, and comes no "
+                f"further; a smaller step may do. {said}"
+            )
+        if status == ENDLESS:
+            return f"The FMU did not come to the end of the step, or of an event, in {TRIES} calls. {said}"
+        if status in {UNFIT_INPUT, UNFIT_OUTPUT}:
+            return self._misfit(status == UNFIT_INPUT)
+        where, code = status // 100 * 100, status % 100
+        names = {
+            GET: self._called(1),
+            SET: self._called(0),
+            STEP: f"fmi{self._major}DoStep",
+            EVENTS: "An FMI function of event mode",
+        }
+        function = names.get(where, "An FMI function")
+        word = STATUS[code] if code < len(STATUS) else str(code)
+        self._fatal = code == FATAL
+        more = self._library.last_words(self._component) if where == STEP and code == DISCARD else ""
+        return " ".join(s for s in (f"{function} returned {word}.", more, said) if s)
+
+    def _called(self, side: int) -> str:
+        """Return which function has failed to read or set values, and whose."""
+        failing = [g for g in self._groups[side] if self._plain or g.begin == self._scratch[UNFIT]]
+        if not failing or self._plain:
+            return failing[0].name if failing else "An FMI function"
+        begin, end = failing[0].begin, failing[0].begin + failing[0].size
+        names = dict.fromkeys(variable.name for _, variable in self._elements[side][begin:end])
+        return f"{failing[0].name} of {' and '.join(map(repr, names))}"
+
+    def _misfit(self, is_input: bool) -> str:
+        place = int(self._scratch[UNFIT])
+        name, variable = self._elements[0 if is_input else 1][place]
+        if not is_input:
+            return f"The output {name!r} is a whole number that a double cannot hold exactly (2**53 or more)."
+        low, high = type_range(variable, self._major)
+        wanted = (
+            f"a number up to {high:g}" if variable.type == "Float32" else f"a whole number from {low:.0f} to {high:.0f}"
+        )
+        return (
+            f"The input {name!r} is {variable.type} and must be {wanted}, which it is not; put a block before it that rounds or "
+            "limits."
+        )
+
+    def close(self) -> None:
+        """Free the instance; the binary stays loaded."""
+        component, self._component = self._component, 0
+        if component:
+            self._library.alive -= 1
+            try:
+                self._states.close(free=not self._fatal)
+                if self._healthy:
+                    self._library.terminate(component)
+                if not self._fatal:  # after Fatal the standard allows no call at all
+                    self._library.free(component)
+            except (CallError, FMUError):
+                pass  # it is over either way, and the results stand
+        self._messages.close()
+
+
+def _check_step(library: Library, name: str, step: Fraction) -> None:
+    fixed = library.description.capabilities.get("fixedInternalStepSize")
+    try:
+        size = float(fixed or 0.0)
+    except ValueError:  # of a description that nobody has validated
+        size = 0.0
+    if (
+        isfinite(size)
+        and size > 0.0
+        and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size
+    ):
+        raise StepSizeError(
+            f"The FMU {library.description.name!r} makes steps of {size:g} s only (fixedInternalStepSize), but {name!r} is to "
+            f"make steps of {show(step)} s: choose dt, or every=, so that its step is a whole multiple of {size:g} s."
+        )

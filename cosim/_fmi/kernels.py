@@ -1,0 +1,366 @@
+"""The step of an FMU as compiled functions with the engine's signature, shared by all instances.
+
+At the address ``parameters`` they find the instance's table of 64-bit words: pointers to the instance and to the FMI
+functions, the value references, the step size. Status: 0, or a number of `GET`, `SET`, `STEP`, `EVENTS` plus FMI's own
+status, or another of the codes below. These are the functions where all ports are double-precision numbers that may be set at any
+communication point; `typed_kernels` has the others.
+"""
+
+# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy: disable-error-code="call-arg, var-annotated"
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, register_jitable
+
+GET, SET, STEP, EVENTS = 100, 200, 300, 500
+EARLY, TERMINATED, ENDLESS = 401, 402, 403
+UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
+
+# Words of the table.
+(
+    COMPONENT, GET_REAL, SET_REAL, DO_STEP, INPUTS, INPUT_COUNT, OUTPUTS, OUTPUT_COUNT, STEP_SIZE, SCRATCH, INPUT_SIZE,
+    OUTPUT_SIZE, REAL_STATUS, BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE, ENTER_STEP_MODE, INPUT_GROUPS,
+    INPUT_GROUP_COUNT, OUTPUT_GROUPS, OUTPUT_GROUP_COUNT,
+) = range(21)  # fmt: skip
+WORDS = 21
+
+# Words of the scratch memory for what fmi3DoStep returns; a C bool takes the lowest byte of its word. Then what the status of
+# fmi2DoStep is asked, the place of a value that does not fit, and what fmi3UpdateDiscreteStates returns.
+EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
+SCRATCH_WORDS = 12
+
+TOLERANCE = 1e-9
+"""Part of a step that an FMU may fall short of its end before it counts as an early return."""
+
+SMALLEST = 1e-6
+"""Part of a step below which a step that was discarded is not cut further."""
+
+TRIES = 10_000
+"""How often a step may return early or be discarded, and an event be updated, before it counts as endless."""
+
+DISCARD = 2
+_LAST_TIME, _TERMINATED = 2, 3  # kinds of fmi2GetRealStatus and fmi2GetBooleanStatus
+
+_I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
+
+
+@intrinsic
+def word(typingctx, address, index):
+    """Load the 64-bit integer number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        return builder.load(builder.inttoptr(place, _I64.as_pointer()))
+
+    return types.int64(types.int64, types.int64), codegen
+
+
+@intrinsic
+def number(typingctx, address, index):
+    """Load the double number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        return builder.load(builder.inttoptr(place, _DOUBLE.as_pointer()))
+
+    return types.float64(types.int64, types.int64), codegen
+
+
+def _call(builder, function, arguments):
+    kind = ir.FunctionType(_I32, [argument.type for argument in arguments])
+    return builder.call(builder.inttoptr(function, kind.as_pointer()), arguments)
+
+
+@intrinsic
+def values2(typingctx, function, component, references, count, values):
+    """int32 (*)(void *, const uint32 *, size_t, double *): fmi2GetReal and fmi2SetReal."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], args[1:])
+
+    return types.int32(*[types.int64] * 5), codegen
+
+
+@intrinsic
+def values3(typingctx, function, component, references, count, values, size):
+    """int32 (*)(void *, const uint32 *, size_t, double *, size_t): fmi3GetFloat64, fmi3SetFloat64 and their relatives."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], args[1:])
+
+    return types.int32(*[types.int64] * 6), codegen
+
+
+@intrinsic
+def step2(typingctx, function, component, t, h):
+    """int32 (*)(void *, double, double, int): fmi2DoStep, with no promise that nobody goes back: states may be restored."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], [*args[1:], ir.Constant(_I32, 0)])
+
+    return types.int32(types.int64, types.int64, types.float64, types.float64), codegen
+
+
+@intrinsic
+def step3(typingctx, function, component, t, h, scratch):
+    """int32 (*)(void *, double, double, bool, bool *, bool *, bool *, double *): fmi3DoStep.
+
+    The bool by value travels in a register, so it is passed as the int that C would widen it to.
+    """
+
+    def codegen(context, builder, signature, args):
+        places = [builder.add(args[4], ir.Constant(_I64, 8 * i)) for i in (EVENT, TERMINATE, RETURNED_EARLY, REACHED)]
+        return _call(builder, args[0], [*args[1:4], ir.Constant(_I32, 0), *places])
+
+    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64), codegen
+
+
+@intrinsic
+def ask2(typingctx, function, component, kind, place):
+    """int32 (*)(void *, int, void *): fmi2GetRealStatus and fmi2GetBooleanStatus."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], [args[1], builder.trunc(args[2], _I32), args[3]])
+
+    return types.int32(*[types.int64] * 4), codegen
+
+
+@intrinsic
+def mode3(typingctx, function, component):
+    """int32 (*)(void *): fmi3EnterEventMode and fmi3EnterStepMode."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], args[1:])
+
+    return types.int32(types.int64, types.int64), codegen
+
+
+@intrinsic
+def update3(typingctx, function, component, place):
+    """int32 (*)(void *, bool *, bool *, bool *, bool *, bool *, double *): fmi3UpdateDiscreteStates."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], [args[1], *(builder.add(args[2], ir.Constant(_I64, 8 * i)) for i in range(6))])
+
+    return types.int32(*[types.int64] * 3), codegen
+
+
+@intrinsic
+def put_word(typingctx, address, index, value):
+    """Store a 64-bit integer as number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        builder.store(args[2], builder.inttoptr(place, _I64.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
+def put_number(typingctx, address, index, value):
+    """Store a double as number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        builder.store(args[2], builder.inttoptr(place, _DOUBLE.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.float64), codegen
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def failed(where, status):
+    return where + status if status > 1 or status < 0 else 0
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def _get2(parameters, outputs):
+    count = word(parameters, OUTPUT_COUNT)
+    if count == 0:
+        return 0
+    references = word(parameters, OUTPUTS)
+    return failed(GET, values2(word(parameters, GET_REAL), word(parameters, COMPONENT), references, count, outputs))
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def _get3(parameters, outputs):
+    count = word(parameters, OUTPUT_COUNT)
+    if count == 0:
+        return 0
+    references, size = word(parameters, OUTPUTS), word(parameters, OUTPUT_SIZE)
+    return failed(
+        GET, values3(word(parameters, GET_REAL), word(parameters, COMPONENT), references, count, outputs, size)
+    )
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def _step2(parameters, inputs, t):
+    component = word(parameters, COMPONENT)
+    count = word(parameters, INPUT_COUNT)
+    if count > 0:
+        status = failed(SET, values2(word(parameters, SET_REAL), component, word(parameters, INPUTS), count, inputs))
+        if status != 0:
+            return status
+    return do_step2(parameters, t)
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def do_step2(parameters, t):
+    """Make a step of an FMI 2 instance, in parts if it is discarded and the instance can do that."""
+    h = number(parameters, STEP_SIZE)
+    status = step2(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h)
+    if status == DISCARD and word(parameters, REAL_STATUS) != 0:
+        return _in_parts2(parameters, t, h)
+    return failed(STEP, status)
+
+
+@register_jitable(error_model="numpy")
+def _in_parts2(parameters, t, h):
+    component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    answer = scratch + 8 * ANSWER
+    now, end, part, status = t, t + h, h, DISCARD
+    for _ in range(TRIES):
+        if status == DISCARD:
+            put_word(scratch, ANSWER, 0)
+            if (
+                ask2(word(parameters, BOOLEAN_STATUS), component, _TERMINATED, answer) <= 1
+                and word(scratch, ANSWER) != 0
+            ):
+                return STEP + DISCARD
+            put_number(scratch, ANSWER, now)
+            if ask2(word(parameters, REAL_STATUS), component, _LAST_TIME, answer) > 1:
+                return STEP + DISCARD
+            reached = number(scratch, ANSWER)
+            if not (reached >= now and reached <= now + part):
+                return STEP + DISCARD
+            now = reached
+            part = 0.5 * part
+            if part < SMALLEST * h:
+                return STEP + DISCARD
+        elif status > 1 or status < 0:
+            return STEP + status
+        else:
+            now = now + part
+        left = end - now
+        if left <= TOLERANCE * h:
+            return 0
+        if part > left - TOLERANCE * h:
+            part = left
+        status = step2(word(parameters, DO_STEP), component, now, part)
+    return ENDLESS
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def _step3(parameters, inputs, t):
+    count = word(parameters, INPUT_COUNT)
+    if count > 0:
+        component, size = word(parameters, COMPONENT), word(parameters, INPUT_SIZE)
+        status = failed(
+            SET, values3(word(parameters, SET_REAL), component, word(parameters, INPUTS), count, inputs, size)
+        )
+        if status != 0:
+            return status
+    return do_step3(parameters, t)
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def do_step3(parameters, t):
+    """Make a step of an FMI 3 instance, to its end if it returns early, with the events that it reports."""
+    h = number(parameters, STEP_SIZE)
+    scratch = word(parameters, SCRATCH)
+    status = failed(STEP, step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, scratch))
+    if status != 0:
+        return status
+    if word(scratch, TERMINATE) != 0:
+        return TERMINATED
+    if word(scratch, RETURNED_EARLY) != 0 or (word(scratch, EVENT) != 0 and word(parameters, ENTER_EVENT_MODE) != 0):
+        return _go_on3(parameters, t, h)
+    return 0
+
+
+@register_jitable(error_model="numpy")
+def _go_on3(parameters, t, h):
+    component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    now, end = t, t + h
+    for _ in range(TRIES):
+        if word(scratch, TERMINATE) != 0:
+            return TERMINATED
+        early, reached = word(scratch, RETURNED_EARLY) != 0, number(scratch, REACHED)
+        if word(scratch, EVENT) != 0 and word(parameters, ENTER_EVENT_MODE) != 0:
+            status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
+            if status == 0:
+                status = settle3(parameters)
+            if status != 0:
+                return status
+        if not early or reached >= end - TOLERANCE * h:
+            return 0
+        if not reached > now:
+            return EARLY
+        now = reached
+        status = failed(STEP, step3(word(parameters, DO_STEP), component, now, end - now, scratch))
+        if status != 0:
+            return status
+    return ENDLESS
+
+
+@register_jitable(error_model="numpy")
+def settle3(parameters):
+    """Update the discrete states of an FMI 3 instance in event mode until they stay, and go back to step mode."""
+    component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    for _ in range(TRIES):
+        status = failed(EVENTS, update3(word(parameters, UPDATE_DISCRETE), component, scratch + 8 * UPDATE))
+        if status != 0:
+            return status
+        if word(scratch, UPDATE + 1) != 0:
+            return TERMINATED
+        if word(scratch, UPDATE) == 0:
+            return failed(EVENTS, mode3(word(parameters, ENTER_STEP_MODE), component))
+    return ENDLESS
+
+
+def get2(state, parameters, inputs, outputs, t, k):
+    """Read the outputs of an FMI 2 instance."""
+    return _get2(parameters, outputs)
+
+
+def advance2(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 2 instance and make its step."""
+    return _step2(parameters, inputs, t)
+
+
+def get3(state, parameters, inputs, outputs, t, k):
+    """Read the outputs of an FMI 3 instance."""
+    return _get3(parameters, outputs)
+
+
+def advance3(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 3 instance and make its step."""
+    return _step3(parameters, inputs, t)
+
+
+def sampled2(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 2 instance, make its step, read its outputs."""
+    status = _step2(parameters, inputs, t)
+    if status != 0:
+        return status
+    return _get2(parameters, outputs)
+
+
+def sampled3(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 3 instance, make its step, read its outputs."""
+    status = _step3(parameters, inputs, t)
+    if status != 0:
+        return status
+    return _get3(parameters, outputs)
+
+
+FUNCTIONS = {
+    (2, "get"): get2,
+    (2, "advance"): advance2,
+    (2, "sampled"): sampled2,
+    (3, "get"): get3,
+    (3, "advance"): advance3,
+    (3, "sampled"): sampled3,
+}

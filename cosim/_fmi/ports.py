@@ -1,0 +1,105 @@
+"""Which variables of an FMU become ports, and what is said where an output would lag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import prod
+
+from bayesftc.cosim._fmi.archive import Archive
+from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable
+from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port
+
+
+def choose(
+    archive: Archive,
+    variables: Mapping[str, FMUVariable],
+    causality: str,
+    wanted: Sequence[str | Port] | None,
+    *,
+    exchange: bool,
+) -> list[FMUVariable]:
+    """Return the variables that become ports of one side: for model exchange, double-precision ones only."""
+    candidates = {v.name: v for v in variables.values() if v.causality == causality}
+    if wanted is None:
+        return [v for v in candidates.values() if not _obstacle(v, exchange) and not v.alias]
+    if isinstance(wanted, str):
+        raise ModelError(f"FMU has {causality}s={wanted!r}; give a list of names, as [{wanted!r}].")
+    chosen: list[FMUVariable] = []
+    for item in wanted:
+        name = item.name if isinstance(item, Port) else item
+        if name not in candidates:
+            other = variables.get(name)
+            hint = f"it is of causality {other.causality}." if other else did_you_mean(name, candidates)
+            raise UnknownNameError(f"The FMU {archive.path.name} has no {causality} {name!r}; {hint}")
+        variable = candidates[name]
+        what = _obstacle(variable, exchange)
+        if what:
+            only = "double-precision numbers (Real, Float64)" if exchange else "numbers"
+            raise FMUError(
+                f"The {causality} {name!r} of the FMU {archive.path.name} is {what}; only {only} can be ports: leave it out of "
+                f"{causality}s, or export it as such."
+            )
+        if variable in chosen:
+            raise ModelError(f"FMU has {name!r} twice among its {causality}s; name it once.")
+        chosen.append(variable)
+    return chosen
+
+
+def _obstacle(variable: FMUVariable, exchange: bool) -> str | None:
+    """Return why a variable cannot be a port, or None."""
+    if variable.clocked:
+        return "clocked"
+    if not variable.is_numeric or (exchange and not variable.is_real):
+        return f"of type {variable.type}"
+    return None if prod(variable.shape) else f"an array of shape {variable.shape}, which is empty"
+
+
+def choose_tunable(
+    archive: Archive, variables: Mapping[str, FMUVariable], wanted: Sequence[str], *, exchange: bool
+) -> list[FMUVariable]:
+    """Return the parameters that become inputs."""
+    if isinstance(wanted, str):
+        raise ModelError(f"FMU has tunable={wanted!r}; give a list of names, as [{wanted!r}].")
+    if wanted and exchange:
+        raise ModelError(
+            "FMU has tunable=..., but is used for model exchange, where parameters keep their start values; leave it out, or "
+            "use the FMU for co-simulation."
+        )
+    names = [v.name for v in variables.values() if v.causality == "parameter" and v.variability == "tunable"]
+    for name in wanted:
+        if name not in variables:
+            raise UnknownNameError(
+                f"The FMU {archive.path.name} has no variable {name!r}; tunable parameters: {', '.join(names) or 'none'}."
+            )
+        variable = variables[name]
+        what = f"a {variable.variability} {variable.causality}" if name not in names else _obstacle(variable, exchange)
+        if what:
+            raise FMUError(
+                f"{name!r} of the FMU {archive.path.name} is {what}; only tunable parameters that are numbers can be changed "
+                f"while it runs ({', '.join(names) or 'it has none'}); set it by parameters= for a whole run."
+            )
+    if len(set(wanted)) < len(wanted):
+        raise ModelError(f"FMU has a name twice in tunable={list(wanted)!r}; name it once.")
+    return [variables[name] for name in wanted]
+
+
+def late_outputs(
+    archive: Archive, description: FMUDescription, inputs: Sequence[Port], outputs: Sequence[Port]
+) -> str | None:
+    """Return the sentence that names the outputs which are declared to depend at once on inputs, or None.
+
+    FMI forbids to set inputs and read outputs without a step in between (FMI 2), so that no order of calls would show them.
+    Most plants whose exporter declares nothing have no such outputs; ``bayesftc inspect`` says that they do not say.
+    """
+    here = [port.name for port in inputs]
+    reached = {port.name: description.feedthrough.get(port.name) for port in outputs}
+    fed = {name: [u for u in through or () if u in here] for name, through in reached.items()}
+    declared = [f"{name} depends on {' and '.join(through)}" for name, through in fed.items() if through]
+    if not declared:
+        return None
+    return (
+        f"The FMU {archive.path.name} declares that at the same instant {', '.join(declared)}, but a plant's outputs at t_k are "
+        "read before its inputs of t_k are set, so such an output shows the inputs of the step before: give timing='sampled' if "
+        "the FMU is a controller or has no memory, or timing='plant' if this is as it should be."
+    )

@@ -1,0 +1,280 @@
+"""The step of an FMU with ports of several types, or with inputs that may only change at events, as compiled functions.
+
+All ports are float64 arrays to the engine. Here they lie in groups, each of one type, which are converted exactly: a value
+that the type does not hold is an error, never rounded or cut, except that a Float32 is the nearest one. A group is a row of
+64-bit words: the FMI function, its value references, where its values begin among the inputs or outputs, and a buffer.
+"""
+
+# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy: disable-error-code="call-arg, var-annotated"
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, register_jitable
+
+from bayesftc.cosim._fmi.kernels import (
+    COMPONENT,
+    ENTER_EVENT_MODE,
+    EVENTS,
+    GET,
+    INPUT_GROUP_COUNT,
+    INPUT_GROUPS,
+    OUTPUT_GROUP_COUNT,
+    OUTPUT_GROUPS,
+    SCRATCH,
+    SET,
+    UNFIT,
+    UNFIT_INPUT,
+    UNFIT_OUTPUT,
+    do_step2,
+    do_step3,
+    failed,
+    mode3,
+    number,
+    put_number,
+    put_word,
+    settle3,
+    values2,
+    values3,
+    word,
+)
+
+# Words of a group.
+FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ = range(11)
+GROUP_WORDS = 11
+
+# Codes of types: what lies in a buffer. Booleans and enumerations are integers of their size and range.
+FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64 = range(10)
+
+EXACT = 2.0**53
+"""From here on, not every whole number is a double."""
+
+_BITS = {INT8: 8, UINT8: 8, INT16: 16, UINT16: 16, INT32: 32, UINT32: 32, INT64: 64, UINT64: 64}
+_UNSIGNED = {UINT8, UINT16, UINT32, UINT64}
+_DOUBLE = ir.DoubleType()
+
+
+def _cases(builder, code):
+    """Yield code and type with the builder in the branch of each; leave it behind them all."""
+    end = builder.append_basic_block()
+    switch = builder.switch(code, end)
+    for case in (FLOAT32, *_BITS):
+        block = builder.append_basic_block()
+        switch.add_case(ir.Constant(code.type, case), block)
+        builder.position_at_end(block)
+        yield case, ir.FloatType() if case == FLOAT32 else ir.IntType(_BITS[case])
+        builder.branch(end)
+    builder.position_at_end(end)
+
+
+def _element(builder, address, index, kind, case):
+    width = 4 if case == FLOAT32 else _BITS[case] // 8
+    place = builder.add(address, builder.mul(index, ir.Constant(index.type, width)))
+    return builder.inttoptr(place, kind.as_pointer())
+
+
+@intrinsic
+def load(typingctx, address, index, code):
+    """Return element `index` of a buffer whose type has this code, as a double."""
+
+    def codegen(context, builder, signature, args):
+        result = builder.alloca(_DOUBLE)
+        for case, kind in _cases(builder, args[2]):
+            value = builder.load(_element(builder, args[0], args[1], kind, case))
+            if case == FLOAT32:
+                value = builder.fpext(value, _DOUBLE)
+            else:
+                value = (builder.uitofp if case in _UNSIGNED else builder.sitofp)(value, _DOUBLE)
+            builder.store(value, result)
+        return builder.load(result)
+
+    return types.float64(types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
+def store(typingctx, address, index, code, value):
+    """Store a double that fits as element `index` of a buffer whose type has this code."""
+
+    def codegen(context, builder, signature, args):
+        for case, kind in _cases(builder, args[2]):
+            if case == FLOAT32:
+                value = builder.fptrunc(args[3], kind)
+            else:
+                value = (builder.fptoui if case in _UNSIGNED else builder.fptosi)(args[3], kind)
+            builder.store(value, _element(builder, args[0], args[1], kind, case))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64, types.float64), codegen
+
+
+@register_jitable(error_model="numpy")
+def _fits(group, code, value):
+    low, limit = number(group, LOW), number(group, LIMIT)
+    if code == FLOAT32:
+        return not (np.isfinite(value) and (value < low or value > limit))
+    return value >= low and value < limit and value == np.floor(value)
+
+
+@register_jitable(error_model="numpy")
+def _call(major, parameters, group, buffer):
+    function, component = word(group, FUNCTION), word(parameters, COMPONENT)
+    references, count = word(group, REFERENCES), word(group, COUNT)
+    if major == 2:
+        return values2(function, component, references, count, buffer)
+    return values3(function, component, references, count, buffer, word(group, SIZE))
+
+
+@register_jitable(error_model="numpy")
+def _noted(parameters, group, status):
+    """Remember whose call has failed."""
+    if status != 0:
+        put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN))
+    return status
+
+
+@register_jitable(error_model="numpy")
+def _put(major, parameters, inputs, group):
+    begin = inputs + 8 * word(group, BEGIN)
+    code, buffer = word(group, CODE), begin
+    if code != FLOAT64:
+        buffer = word(group, BUFFER)
+        for i in range(word(group, SIZE)):
+            value = number(begin, i)
+            if not _fits(group, code, value):
+                put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN) + i)
+                return UNFIT_INPUT
+            store(buffer, i, code, value)
+    return _noted(parameters, group, failed(SET, _call(major, parameters, group, buffer)))
+
+
+@register_jitable(error_model="numpy")
+def _take(major, parameters, outputs, group):
+    begin = outputs + 8 * word(group, BEGIN)
+    code = word(group, CODE)
+    if code == FLOAT64:
+        return _noted(parameters, group, failed(GET, _call(major, parameters, group, begin)))
+    buffer = word(group, BUFFER)
+    status = _noted(parameters, group, failed(GET, _call(major, parameters, group, buffer)))
+    if status != 0:
+        return status
+    for i in range(word(group, SIZE)):
+        value = load(buffer, i, code)
+        put_number(begin, i, value)
+        if code >= INT64 and not (value > -EXACT and value < EXACT):
+            put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN) + i)
+            return UNFIT_OUTPUT
+    return 0
+
+
+@register_jitable(error_model="numpy")
+def _changed(parameters, inputs, group):
+    """Return 1 if a group of discrete inputs is another than the instance has, 0 if it is not, else a status.
+
+    The instance is asked, for nobody else knows what it has once a saved state was restored.
+    """
+    component, buffer, size = word(parameters, COMPONENT), word(group, BUFFER), word(group, SIZE)
+    references, count = word(group, REFERENCES), word(group, COUNT)
+    status = failed(EVENTS, values3(word(group, READ), component, references, count, buffer, size))
+    if status != 0:
+        return status
+    begin, code = inputs + 8 * word(group, BEGIN), word(group, CODE)
+    for i in range(size):
+        has = number(buffer, i) if code == FLOAT64 else load(buffer, i, code)
+        if number(begin, i) != has:
+            return 1
+    return 0
+
+
+@register_jitable(error_model="numpy")
+def _set_all(major, parameters, inputs):
+    events = major == 3 and word(parameters, ENTER_EVENT_MODE) != 0
+    changed = False
+    first, count = word(parameters, INPUT_GROUPS), word(parameters, INPUT_GROUP_COUNT)
+    for i in range(count):
+        group = first + 8 * GROUP_WORDS * i
+        if events and word(group, DISCRETE) != 0:
+            found = _changed(parameters, inputs, group)
+            if found > 1:
+                return found
+            changed = changed or found == 1
+        else:
+            status = _put(major, parameters, inputs, group)
+            if status != 0:
+                return status
+    if not changed:
+        return 0
+    status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), word(parameters, COMPONENT)))
+    for i in range(count):
+        group = first + 8 * GROUP_WORDS * i
+        if status == 0 and word(group, DISCRETE) != 0:
+            status = _put(major, parameters, inputs, group)
+    if status != 0:
+        return status
+    return settle3(parameters)
+
+
+@register_jitable(error_model="numpy")
+def _get_all(major, parameters, outputs):
+    first = word(parameters, OUTPUT_GROUPS)
+    for i in range(word(parameters, OUTPUT_GROUP_COUNT)):
+        status = _take(major, parameters, outputs, first + 8 * GROUP_WORDS * i)
+        if status != 0:
+            return status
+    return 0
+
+
+def typed_get2(state, parameters, inputs, outputs, t, k):
+    """Read the outputs of an FMI 2 instance."""
+    return _get_all(2, parameters, outputs)
+
+
+def typed_get3(state, parameters, inputs, outputs, t, k):
+    """Read the outputs of an FMI 3 instance."""
+    return _get_all(3, parameters, outputs)
+
+
+def typed_advance2(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 2 instance and make its step."""
+    status = _set_all(2, parameters, inputs)
+    if status != 0:
+        return status
+    return do_step2(parameters, t)
+
+
+def typed_advance3(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 3 instance and make its step."""
+    status = _set_all(3, parameters, inputs)
+    if status != 0:
+        return status
+    return do_step3(parameters, t)
+
+
+def typed_sampled2(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 2 instance, make its step, read its outputs."""
+    status = _set_all(2, parameters, inputs)
+    if status == 0:
+        status = do_step2(parameters, t)
+    if status != 0:
+        return status
+    return _get_all(2, parameters, outputs)
+
+
+def typed_sampled3(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 3 instance, make its step, read its outputs."""
+    status = _set_all(3, parameters, inputs)
+    if status == 0:
+        status = do_step3(parameters, t)
+    if status != 0:
+        return status
+    return _get_all(3, parameters, outputs)
+
+
+FUNCTIONS = {
+    (2, "get"): typed_get2,
+    (2, "advance"): typed_advance2,
+    (2, "sampled"): typed_sampled2,
+    (3, "get"): typed_get3,
+    (3, "advance"): typed_advance3,
+    (3, "sampled"): typed_sampled3,
+}

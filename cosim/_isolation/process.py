@@ -1,0 +1,177 @@
+"""Starts, watches and ends the process of an isolated FMU."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Collection
+from multiprocessing.connection import Connection, wait
+
+from bayesftc.cosim._isolation import protocol
+from bayesftc.cosim.errors import FMUError
+
+GLANCE = 0.5
+"""Seconds after which it is seen whether a process that does not answer is alive."""
+
+LEAVING = 5.0
+"""Seconds for a process to end by itself, or to vanish once it was killed."""
+
+_BOOT = (
+    "import sys; descriptors = [int(d) for d in sys.argv[1:5]]; sys.path[:] = sys.argv[5:]; "
+    "from bayesftc.cosim._isolation.worker import main; main(*descriptors)"
+)
+_NAMES = {
+    signal.SIGSEGV: "a segmentation fault",
+    signal.SIGABRT: "abort()",
+    signal.SIGFPE: "an arithmetic exception",
+    signal.SIGILL: "an illegal instruction",
+    signal.SIGBUS: "a bus error",
+    signal.SIGKILL: "the system or someone else",
+}
+
+
+class WorkerProcess:
+    """The process, the memory that is shared with it, and the two ways to talk to it.
+
+    Parameters
+    ----------
+    inputs, outputs : int
+        How many numbers are exchanged in a step.
+    attention : float
+        Seconds after which the receipt of an answer comes back empty, for someone to look after the process.
+
+    Raises
+    ------
+    FMUError
+        If this system cannot do it.
+    """
+
+    def __init__(self, inputs: int, outputs: int, attention: float):
+        if sys.platform != "linux" or not sys.executable:
+            raise FMUError(
+                "isolate=True needs Linux and a Python that can be started as a program; leave it out, and the FMU runs in this "
+                "process."
+            )
+        with contextlib.ExitStack() as opened:
+            memory = os.memfd_create("bayesftc")
+            opened.callback(os.close, memory)
+            os.ftruncate(memory, protocol.size(inputs, outputs))
+            self.shared = protocol.Shared(memory, inputs, outputs)
+            lifeline, self._held = os.pipe()
+            opened.callback(os.close, lifeline)
+            self.steps, steps = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            opened.callback(steps.close)
+            seconds, part = divmod(max(round(attention * 1e6), 1), 1_000_000)
+            self.steps.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", seconds, part))
+            ours, talk = socket.socketpair()
+            opened.callback(talk.close)
+            self.talk = Connection(ours.detach())
+            theirs = lifeline, memory, steps.fileno(), talk.fileno()
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _BOOT, *map(str, theirs), *map(os.path.abspath, sys.path)],
+                stdin=subprocess.DEVNULL,
+                pass_fds=theirs,
+                start_new_session=True,  # out of reach of Ctrl-C, and a group of its own with all that the FMU starts
+            )
+        # Where nobody closes it. In a forked process, which runs what is registered as well, it is let go of (`_forked`).
+        self._end = weakref.finalize(self, _end, self._process, self.talk, self.steps, self._held)
+        self.is_anothers = False
+        """Whether a fork has made this a copy, in a process that has not started it."""
+        _alive.add(self)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it was ended."""
+        return not self._end.alive
+
+    def wait(self, end: float) -> Collection[object]:
+        """Return which of `talk` and `steps` can be read, as soon as one can; nothing if none can until `end`."""
+        if self.is_anothers:
+            return [self.steps]
+        while True:
+            left = max(end - time.monotonic(), 0.0)
+            ready = wait([self.talk, self.steps], min(left, GLANCE))
+            if ready or left == 0.0:
+                return ready
+            if self._is_dead():  # and something that the FMU has started holds the other ends open
+                return [self.steps]
+
+    def kill(self) -> None:
+        """Kill the process and all that it has started, if it is this process's own."""
+        if not self.is_anothers:
+            _kill(self._process)
+
+    def obituary(self) -> str:
+        """Return how the process ended, in words; it has closed its connections."""
+        end = time.monotonic() + LEAVING
+        while not self._is_dead():
+            if time.monotonic() > end:
+                self.kill()
+                return "it closed its connections and had to be ended"
+            time.sleep(0.001)
+        _kill(self._process)  # what it has started, while its number is still its own
+        code = self._process.wait()
+        if code >= 0:
+            return f"it ended its own process with exit code {code}"
+        try:
+            number = signal.Signals(-code)
+        except ValueError:
+            return f"its process was killed by signal {-code}"
+        return f"its process was killed by {_NAMES.get(number, 'a signal')} ({number.name})"
+
+    def _is_dead(self) -> bool:
+        """Return whether the process has ended, which leaves it to be waited for."""
+        try:
+            return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        except ChildProcessError:
+            return True
+
+    def end(self) -> None:
+        """End the process at once, if it is not over, and give back all that it had."""
+        self._end()
+        _alive.discard(self)
+
+    def let_go(self) -> None:
+        """Close this process's copies after a fork: the FMU belongs to the process that started it."""
+        self.is_anothers = True
+        self._end.detach()
+        with contextlib.suppress(OSError):
+            os.close(self._held)
+        self.talk.close()
+        self.steps.close()
+
+
+_alive: weakref.WeakSet[WorkerProcess] = weakref.WeakSet()
+
+
+def _forked() -> None:
+    for process in tuple(_alive):
+        process.let_go()
+    _alive.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    if process.returncode is None:  # not waited for yet: the number is its own
+        for kill in (os.killpg, os.kill):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                kill(process.pid, signal.SIGKILL)
+
+
+def _end(process: subprocess.Popen[bytes], talk: Connection, steps: socket.socket, held: int) -> None:
+    talk.close()
+    steps.close()
+    _kill(process)
+    os.close(held)
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(LEAVING)

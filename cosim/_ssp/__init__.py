@@ -1,0 +1,1 @@
+"""Reading and writing systems of FMUs in the SSP standard's form."""
