@@ -210,7 +210,7 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
     Central differences: the larger the pulse, the more it bends; the smaller, the more is lost to rounding.
     """
     best: tuple[Floats, Floats] | None = None
-    previous, least, bend = None, np.inf, 0.0
+    previous, least, bend, deaf = None, np.inf, 0.0, 0.0
     rest = plant.respond()
     for decade in range(DECADES):
         pulse = np.zeros(inputs)
@@ -222,6 +222,9 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
         found = (up + down) / (2 * pulse[j])
         if not np.isfinite(found).all():
             continue
+        if previous is not None and previous.any() and not found.any():
+            deaf = abs(float(pulse[j]))
+            break  # smaller pulses are lost as well: that they agree on nothing is no derivative
         if previous is not None:
             error, size = np.abs(found - previous), np.abs(found).max(axis=0)
             relative = float((error.max(axis=0) / np.where(size > 0, size, 1.0)).max())
@@ -231,6 +234,16 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
             if relative < ENOUGH:
                 break
         previous = found
+    if deaf:
+        lost = (
+            f"The plant does not answer a pulse of {deaf:g} of {plant.names[j]!r}, but larger ones: it has a dead band there, or "
+            "its outputs are rounded"
+        )
+        if best is None:
+            raise ModelError(f"{lost}. Give an operating point beside it (at=...).")
+        warnings.warn(
+            f"{lost}; the model is that of the larger pulses, which it may fit badly.", PoorFitWarning, stacklevel=8
+        )
     if best is None:
         raise ModelError(
             "The plant fails in every experiment from its steady state; give other inputs (at=...) or start values."

@@ -154,6 +154,25 @@ def test_a_plant_that_rests_at_a_limit_is_said(monkeypatch):
         linearize(fmus.path("PositionServo"), measured="angle", actuated="voltage")
 
 
+def test_a_dead_band_is_no_derivative_of_zero(monkeypatch):
+    usual, band = Instance.update, 0.2
+
+    def stiff(self, inputs, outputs, t):
+        return usual(self, np.sign(inputs) * np.maximum(np.abs(inputs) - band, 0.0), outputs, t)
+
+    monkeypatch.setattr(Instance, "update", stiff)
+    settings = {"measured": "angle", "actuated": "voltage"}
+    with pytest.raises(ModelError, match=r"does not answer a pulse of 0\.1 of 'voltage', but larger ones"):
+        linearize(fmus.path("PositionServo"), **settings)
+    band = 0.002
+    with pytest.warns(PoorFitWarning, match=r"does not answer a pulse of 0\.001 of 'voltage'"):
+        found = linearize(fmus.path("PositionServo"), **settings)
+    monkeypatch.setattr(Instance, "update", usual)
+    known = linearize(fmus.path("PositionServo"), **settings)
+    late = [(m.C @ np.linalg.matrix_power(m.A, 50) @ m.B).item() for m in (found, known)]
+    assert late[0] == pytest.approx(late[1], rel=0.05)
+
+
 def test_process_noise_comes_in_where_it_is_said():
     model = LinearModel.from_fmu(
         fmus.path("PositionServo"), measured="angle", actuated="voltage", noise={"load": 0.1}, sensor_std=[0.02]
