@@ -11,7 +11,7 @@ import numpy as np
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
 from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.identification import Identification
-from bayesftc.controllers.linearization import Names, linearize, names_of
+from bayesftc.controllers.linearization import INPUT_NOISE, Names, linearize, names_of
 from bayesftc.controllers.lqg import LQGController
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
@@ -65,7 +65,8 @@ def design(
     dt : float, str or Fraction, optional
         Sample time in seconds; by default that of the model or the FMU.
     at, order, sensors, sensor_std, noise, disturbance
-        See `LinearModel.from_fmu`. Not for a `LinearModel`. A `disturbance` is worth while where the plant is not quite the
+        See `LinearModel.from_fmu`. Not for a `LinearModel`. By default the noise is 5 % of `acceptable_control`, or of half of
+        what the limits leave a control, where these are given. A `disturbance` is worth while where the plant is not quite the
         model, or bears loads: without it these leave a steady error.
     acceptable_error : number or vector
         For Bryson's rule: the error of each goal output, in its unit, that costs as much as...
@@ -116,6 +117,10 @@ def design(
         seen, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
         wanted = seen if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
         linear = linearize(plant, measured=seen, actuated=driven, others=wanted, noise=noise, dt=dt, at=at, order=order)
+        if noise is None:
+            usual = _usual_controls(acceptable_control, u_min, u_max, len(driven))
+            at_rest = np.maximum(np.abs([linear.u[linear.inputs.index(name)] for name in driven]), 1.0)
+            noise = dict(zip(driven, INPUT_NOISE * np.where(np.isnan(usual), at_rest, usual), strict=True))
         model = linear.model(seen, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance)
         rows, mean = linear.rows(wanted), linear.start
         H = np.zeros((len(rows), model.states))
@@ -129,10 +134,8 @@ def design(
     if goal_covariance is None:
         goal_covariance = _squares("acceptable_error", acceptable_error, len(H))
     if control_covariance is None:
-        span = np.where(np.isfinite(high - low), (high - low) / 2, 1.0)
-        control_covariance = _squares(
-            "acceptable_control", span if acceptable_control is None else acceptable_control, p
-        )
+        usual = _usual_controls(acceptable_control, u_min, u_max, p)
+        control_covariance = _squares("acceptable_control", np.where(np.isnan(usual), 1.0, usual), p)
     return LQGController(
         model,
         precision=SwitchingPrecision().slowed(max(1.0, float(model.step) / USUAL_STEP))
@@ -154,6 +157,15 @@ def _place(plant: Identification, name: str) -> int:
     if name not in plant.outputs:
         raise UnknownNameError(f"The identified model has no output {name!r}; {did_you_mean(name, plant.outputs)}")
     return plant.outputs.index(name)
+
+
+def _usual_controls(acceptable: object, u_min: object, u_max: object, size: int) -> Floats:
+    """Return how far each control may go from where it holds the goal: as given, half of what limits leave it, or NaN."""
+    if acceptable is not None:
+        return as_vector("acceptable_control", acceptable, size)
+    low, high = as_vector("u_min", u_min, size, finite=False), as_vector("u_max", u_max, size, finite=False)
+    span = (high - low) / 2
+    return np.where(np.isfinite(span), span, np.nan)
 
 
 def _squares(name: str, value: object, size: int) -> Floats:

@@ -188,6 +188,21 @@ def test_process_noise_comes_in_where_it_is_said():
     assert model.matrix("sensor_covariance").item() == pytest.approx(4e-4)
 
 
+def test_the_usual_noise_is_a_share_of_what_a_control_may_do():
+    """In any unit of the control: a motor in microvolts needs no other model than one in volts."""
+    motor = control.tf([1.0], [1.0, 1.0, 0.0], inputs=["u"], outputs=["y"])
+    settings = {"measured": "y", "actuated": "u", "dt": 0.1}
+    for scale in (1e-6, 1.0, 1e6):
+        scaled = control.ss(control.ss(motor) * (1 / scale), inputs=["u"], outputs=["y"])
+        for limits in ({"acceptable_control": 2.0 * scale}, {"u_min": -scale, "u_max": 3.0 * scale}):
+            Q = design(scaled, **settings, **limits).model.matrix("process_covariance")
+            known = design(motor, **settings, noise={"u": 0.1}).model
+            ours = design(scaled, **settings, **limits).model.matrix("C")
+            assert (ours @ Q @ ours.T).item() == pytest.approx(
+                (known.matrix("C") @ known.matrix("process_covariance") @ known.matrix("C").T).item(), rel=1e-9
+            )
+
+
 def test_systems_of_python_control():
     A, B, C, *_ = PLANTS["CartPendulum"]
     linear = control.ss(A, B, C, 0, inputs=["force"], outputs=["position", "angle"])
