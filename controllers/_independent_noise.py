@@ -6,6 +6,9 @@ import numpy as np
 
 from bayesftc.cosim.block import Floats
 
+MOST = 60
+"""Numbers that are searched for at most: a gradient takes as many evaluations, each as long as the order's third power."""
+
 
 def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Floats, Floats]:
     """Return covariances Q (any) and R (diagonal) whose Kalman filter is nearest to the innovations model (A, C, K, S).
@@ -14,7 +17,8 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
     the one is taken under which data of the innovations model have the largest likelihood on average, which is where maximum
     likelihood on a long recording would end. The criterion is ln |S_QR| + tr(S_QR^-1 V), where S_QR is the innovation
     covariance that Q and R promise and V the one that their filter really has. Where fewer than (n + 1) / 2 outputs leave Q
-    undetermined, one of the equally good ones is returned.
+    undetermined, one of the equally good ones is returned. From about order 10 on, where a free Q would have more than `MOST`
+    numbers, it is a multiple of what the innovations do to the state, K S K'.
     """
     from scipy.optimize import minimize
 
@@ -22,11 +26,18 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
     units = np.sqrt(np.diag(S))
     C, K, S = C / units[:, None], K * units, S / np.outer(units, units)
     lower = np.tril_indices(n)
+    innovations = K @ S @ K.T
+    shape = np.linalg.cholesky(innovations + 1e-3 * max(float(np.trace(innovations)) / n, 1e-9) * np.eye(n))
+    free = len(lower[0]) + m <= MOST
+    start = shape[lower] if free else np.ones(1)
 
     def unpack(theta: Floats) -> tuple[Floats, Floats]:
-        L = np.zeros((n, n))
-        L[lower] = theta[: len(lower[0])]
-        return L @ L.T + 1e-12 * np.eye(n), np.diag(np.exp(theta[len(lower[0]) :]))
+        if free:
+            L = np.zeros((n, n))
+            L[lower] = theta[: len(start)]
+        else:
+            L = theta[0] * shape
+        return L @ L.T + 1e-12 * np.eye(n), np.diag(np.exp(theta[len(start) :]))
 
     def criterion(theta: Floats) -> float:
         Q, R = unpack(theta)
@@ -43,11 +54,10 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
 
     best = None
     for share in (0.8, 0.3):  # how much of the innovations is the sensors' own, to begin with
-        Q = K @ S @ K.T
-        start = np.linalg.cholesky(Q + 1e-3 * max(float(np.trace(Q)) / n, 1e-9) * np.eye(n))
-        found = minimize(
-            criterion, np.concatenate([start[lower], np.full(m, np.log(share))]), method="BFGS", options={"gtol": 1e-7}
-        )
+        with np.errstate(all="ignore"):  # what is too large for a number is no better than what it is compared with
+            found = minimize(
+                criterion, np.concatenate([start, np.full(m, np.log(share))]), method="BFGS", options={"gtol": 1e-7}
+            )
         if best is None or found.fun < best.fun:
             best = found
     assert best is not None

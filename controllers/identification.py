@@ -121,6 +121,8 @@ def identify(
     split = round(len(y) * (1 - share))
     centre = [_centre(rows[:split], names) for rows, names in ((u, names_in), (y, names_out))]
     (u_mean, u_size), (y_mean, y_size) = centre
+    _refuse_alike((u[:split] - u_mean) / u_size, names_in)
+    _refuse_alike((y[:split] - y_mean) / y_size, names_out)
     found = identify_innovations((u[:split] - u_mean) / u_size, (y[:split] - y_mean) / y_size, order, past)
     C, K = y_size[:, None] * found.C, found.K / y_size
     S = found.S * np.outer(y_size, y_size)
@@ -348,3 +350,14 @@ def _centre(rows: Floats, names: Sequence[str]) -> tuple[Floats, Floats]:
                 f"The column {name!r} does not move in the part of the recording that is learned from; leave it out."
             )
     return mean, size
+
+
+def _refuse_alike(rows: Floats, names: Sequence[str]) -> None:
+    """Refuse columns of which one follows from the others: nothing tells what each of them does."""
+    _, sizes, directions = np.linalg.svd(rows[np.isfinite(rows).all(axis=1)], full_matrices=False)
+    if len(sizes) == len(names) and sizes[-1] <= 1e-9 * sizes[0]:
+        alike = [name for name, weight in zip(names, directions[-1], strict=True) if abs(weight) > 1e-3]
+        raise ModelError(
+            f"The columns {', '.join(map(repr, alike[:-1]))} and {alike[-1]!r} follow from each other in the part of the "
+            "recording that is learned from, so that nothing tells them apart; leave one of them out."
+        )

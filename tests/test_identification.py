@@ -204,3 +204,20 @@ def test_what_is_no_recording(tmp_path):
         LinearModel.identify(tmp_path / "none.csv", inputs="u", outputs="y")
     with pytest.raises(ModelError, match="not int"):
         LinearModel.identify(3, inputs="u", outputs="y")
+
+
+@pytest.mark.parametrize(("what", "copied"), [("inputs", "u0"), ("outputs", "y0")])
+def test_columns_that_follow_from_each_other_are_said(what, copied):
+    table, names = record(400)
+    table["copy"] = 3.0 - 2.0 * table[copied]
+    with pytest.raises(ModelError, match=f"'{copied}' and 'copy' follow from each other"):
+        LinearModel.identify(table, **names | {what: [*names[what], "copy"]})
+
+
+def test_a_high_order_has_noise_of_one_shape_and_takes_no_time():
+    """Of order 12, where a free covariance of the state's noise would have 78 numbers."""
+    table, names = record(2000)
+    found = LinearModel.identify(table, **names, order=12)
+    usual = LinearModel.identify(table, **names)
+    assert found.model.states == 12 + bool(found.model.constant)
+    np.testing.assert_allclose(found.fit, usual.fit, atol=3.0)
