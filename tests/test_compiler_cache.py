@@ -259,14 +259,18 @@ import sys
 import numba
 if sys.argv[1] == "unknown":
     numba.version_info = numba.version_info._replace(short=(99, 0))
-import numpy as np
-from bayesftc import controllers, cosim, fmus
+from bayesftc import cosim, fmus
 from bayesftc.cosim import _numba_ops
 
-model = controllers.LinearModel([[0.98]], [[0.02]], np.ones((2, 1)), [[1e-4]], np.eye(2), dt=0.02)
-controller = controllers.BayesianController(model, precision=controllers.GammaPrecision(forgetting=0.9))
-loop = cosim.closed_loop(plant=cosim.FMU(fmus.path("CruiseControl")), controller=controller, control="force", measured="v",
-                         sensors=cosim.Sensors(count=2, std=1.0), reference=5.0)
+loop = cosim.Diagram(dt=0.02)
+car, sensors = loop.add(cosim.FMU(fmus.path("CruiseControl")), "car"), loop.add(cosim.Sensors(count=2, std=1.0), "sensors")
+sine, apart = loop.add(cosim.Sine(amplitude=5.0, period=8.0)), loop.add(cosim.Sum("+-"))
+gain, limit = loop.add(cosim.Gain(800.0)), loop.add(cosim.Saturation(-1e3, 1e3))
+for source, target in (
+    (car["v"], sensors["u"]), ([sine["y"], sensors["y"][0]], apart["u"]), (apart["y"], gain["u"]), (gain["y"], limit["u"]),
+    (limit["y"], car["force"]),
+):
+    loop.connect(source, target)
 result = loop.simulate(10.0, seed=1, engine="compiled")
 print(json.dumps(["pipeline_class" in _numba_ops.OPTIONS, {name: result[name].tobytes().hex() for name in result}]))
 """
