@@ -163,10 +163,10 @@ class Block:
 
         Examples
         --------
-        >>> import control
+        >>> import control, numpy
         >>> from bayesftc import cosim
         >>> delay = cosim.UnitDelay().to_control(dt=0.1, outputs={"y": "late"})
-        >>> control.input_output_response(delay, [0.0, 0.1, 0.2], [5.0, 6.0, 7.0]).outputs.tolist()
+        >>> control.input_output_response(delay, 0.1 * numpy.arange(3), [5.0, 6.0, 7.0]).outputs.tolist()
         [0.0, 5.0, 6.0]
         """
         from bayesftc.cosim.control_system import block_to_control

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from bayesftc.cosim._coupled.engines import check_groups, place_words
+from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
@@ -189,7 +190,8 @@ def advance(
         if pacer:
             pacer.wait(until)
         run.sound = False
-        run.k, failure = engine.advance(begin, until, first=run.k < 0)
+        with one_processor(run.instances.values()):
+            run.k, failure = engine.advance(begin, until, first=run.k < 0)
         now = time.perf_counter()
         if failure:
             return explain(failure, run)

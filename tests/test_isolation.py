@@ -15,12 +15,14 @@ import time
 import zipfile
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
 from bayesftc.cosim._isolation import kernels as _isolated_kernels, protocol as _isolated_protocol
+from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim.errors import FMUCrashed, FMUError, ModelError, SimulationError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
@@ -613,3 +615,15 @@ def test_a_pickled_plant_runs_in_other_processes_which_share_one_extraction(isol
     (answer,) = answers
     assert json.loads(answer) == diagram.simulate(0.2, engine="interpreted")["car.v"].tolist()
     assert len([p for p in (tmp_path / "fmus").iterdir() if p.is_dir()]) == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="isolation needs Linux")
+def test_a_thread_keeps_to_its_processor_only_while_an_fmu_follows_it():
+    everywhere = os.sched_getaffinity(0)
+    for follows, processors in ((True, 1), (False, len(everywhere))):
+        with pytest.raises(ZeroDivisionError), one_processor([SimpleNamespace(follows=follows)]):
+            assert len(os.sched_getaffinity(0)) == processors
+            raise ZeroDivisionError
+        assert os.sched_getaffinity(0) == everywhere
+    with one_processor([]):
+        assert os.sched_getaffinity(0) == everywhere

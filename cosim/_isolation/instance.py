@@ -119,6 +119,11 @@ class Isolated:
     # --- steps ----------------------------------------------------------------------------------------------------------------
 
     @property
+    def follows(self) -> bool:
+        """Whether the FMU's process keeps to the processor of the thread that steps it."""
+        return self._is_compiled
+
+    @property
     def output_address(self) -> int:
         """Address of the compiled output function."""
         return self._address("output")
