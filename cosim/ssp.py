@@ -87,8 +87,10 @@ def open_ssp(
     >>> lead = diagram.add(cosim.FMU(fmus.path("CruiseControl"), parameters={"force": 100.0}), "lead")
     >>> follower = diagram.add(cosim.FMU(fmus.path("CruiseControl")), "follower")
     >>> diagram.connect(lead["v"], follower["disturbance"])
-    >>> file = cosim.save_ssp(diagram, "two_cars.ssp")
-    >>> cosim.open_ssp("two_cars.ssp").build("jacobi")
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     file = cosim.save_ssp(diagram, folder + "/two_cars.ssp")
+    ...     cosim.open_ssp(file).build("jacobi")
     <Diagram of 2 blocks at 0.02 s: lead, follower>
     """
     path = Path(path).expanduser().absolute()
