@@ -23,6 +23,15 @@ class CompilerError(RuntimeError):
 FOREIGN_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 
 
+def why_no_compiler() -> str:
+    """Return why nothing can be compiled for this machine, as a sentence; empty if there is a compiler."""
+    try:
+        compiler_command(None)
+    except CompilerError as error:
+        return str(error)
+    return ""
+
+
 def compiler_command(target: Platform | None) -> list[str]:
     """Return the command that compiles for a platform.
 

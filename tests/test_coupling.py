@@ -17,21 +17,11 @@ from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.coupling import Coupling
 from bayesftc.examples.coupled_masses import study
 from bayesftc.examples.coupled_masses.masses import Masses, sprung_mass
-from bayesftc.fmus import _compiler
-from bayesftc.fmus._platforms import host
+from bayesftc.fmus._compiler import why_no_compiler
 from bayesftc.fmus.build import build_fmu
 from bayesftc.fmus.spec import Model, Variable
 
-
-def why_no_build():
-    try:
-        _compiler.compiler_command(host())
-    except RuntimeError as error:
-        return str(error)
-    return ""
-
-
-pytestmark = pytest.mark.skipif(bool(why_no_build()), reason=why_no_build() or "there is a compiler")
+pytestmark = pytest.mark.skipif(bool(why_no_compiler()), reason=why_no_compiler() or "there is a compiler")
 
 MASSES = Masses()
 DAMPED = Masses(c=4.0)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from bayesftc import controllers, cosim, fmus, monitoring
+from bayesftc.fmus._compiler import why_no_compiler
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -22,6 +23,8 @@ def snippets(page):
 
 @pytest.mark.parametrize("page", [p for p in PAGES if snippets(p)], ids=lambda p: p.name)
 def test_snippets_run(page, tmp_path):
+    if "needs a C compiler" in snippets(page) and why_no_compiler():
+        pytest.skip(why_no_compiler())
     done = subprocess.run(
         [sys.executable, "-c", snippets(page)], cwd=tmp_path, capture_output=True, text=True, timeout=300
     )

@@ -16,21 +16,13 @@ from fmpy.validation import validate_fmu
 from bayesftc import fmus
 from bayesftc.fmus import _compiler
 from bayesftc.fmus.__main__ import main
+from bayesftc.fmus._compiler import why_no_compiler
 from bayesftc.fmus._platforms import host
 from bayesftc.fmus.build import FMI_VERSIONS, CompilerError, build_fmu
 from bayesftc.fmus.plants import CRUISE_CONTROL, TWO_LINK_ARM
 from bayesftc.fmus.spec import Model, Variable
 
-
-def why_no_build():
-    try:
-        _compiler.compiler_command(host())
-    except RuntimeError as error:
-        return str(error)
-    return ""
-
-
-needs_compiler = pytest.mark.skipif(bool(why_no_build()), reason=why_no_build() or "there is a compiler")
+needs_compiler = pytest.mark.skipif(bool(why_no_compiler()), reason=why_no_compiler() or "there is a compiler")
 
 
 @pytest.fixture(scope="module")
