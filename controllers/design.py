@@ -65,9 +65,9 @@ def design(
     dt : float, str or Fraction, optional
         Sample time in seconds; by default that of the model or the FMU.
     at, order, sensors, sensor_std, noise, disturbance
-        See `LinearModel.from_fmu`. Not for a `LinearModel`. By default the noise is 5 % of `acceptable_control`, or of half of
-        what the limits leave a control, where these are given. A `disturbance` is worth while where the plant is not quite the
-        model, or bears loads: without it these leave a steady error.
+        See `LinearModel.from_fmu`. Not for a `LinearModel`. By default the noise is 5 % of half of what its limits leave a
+        control, or else of `acceptable_control`, where these are given. A `disturbance` is worth while where the plant is not
+        quite the model, or bears loads: without it these leave a steady error.
     acceptable_error : number or vector
         For Bryson's rule: the error of each goal output, in its unit, that costs as much as...
     acceptable_control : number or vector, optional
@@ -118,9 +118,13 @@ def design(
         wanted = seen if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
         linear = linearize(plant, measured=seen, actuated=driven, others=wanted, noise=noise, dt=dt, at=at, order=order)
         if noise is None:
-            usual = _usual_controls(acceptable_control, u_min, u_max, len(driven))
+            scale = _room(u_min, u_max, len(driven))
+            if acceptable_control is not None:
+                scale = np.where(
+                    np.isnan(scale), as_vector("acceptable_control", acceptable_control, len(scale)), scale
+                )
             at_rest = np.maximum(np.abs([linear.u[linear.inputs.index(name)] for name in driven]), 1.0)
-            noise = dict(zip(driven, INPUT_NOISE * np.where(np.isnan(usual), at_rest, usual), strict=True))
+            noise = dict(zip(driven, INPUT_NOISE * np.where(np.isnan(scale), at_rest, scale), strict=True))
         model = linear.model(seen, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance)
         rows, mean = linear.rows(wanted), linear.start
         H = np.zeros((len(rows), model.states))
@@ -134,8 +138,10 @@ def design(
     if goal_covariance is None:
         goal_covariance = _squares("acceptable_error", acceptable_error, len(H))
     if control_covariance is None:
-        usual = _usual_controls(acceptable_control, u_min, u_max, p)
-        control_covariance = _squares("acceptable_control", np.where(np.isnan(usual), 1.0, usual), p)
+        span = np.nan_to_num(_room(u_min, u_max, p), nan=1.0)
+        control_covariance = _squares(
+            "acceptable_control", span if acceptable_control is None else acceptable_control, p
+        )
     return LQGController(
         model,
         precision=SwitchingPrecision().slowed(max(1.0, float(model.step) / USUAL_STEP))
@@ -159,10 +165,8 @@ def _place(plant: Identification, name: str) -> int:
     return plant.outputs.index(name)
 
 
-def _usual_controls(acceptable: object, u_min: object, u_max: object, size: int) -> Floats:
-    """Return how far each control may go from where it holds the goal: as given, half of what limits leave it, or NaN."""
-    if acceptable is not None:
-        return as_vector("acceptable_control", acceptable, size)
+def _room(u_min: object, u_max: object, size: int) -> Floats:
+    """Return half of what its limits leave each control; NaN where there are none."""
     low, high = as_vector("u_min", u_min, size, finite=False), as_vector("u_max", u_max, size, finite=False)
     span = (high - low) / 2
     return np.where(np.isfinite(span), span, np.nan)
