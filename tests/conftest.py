@@ -98,11 +98,18 @@ RENAMED = {
 
 
 @pytest.fixture(scope="session")
-def lying(tmp_path_factory):
+def c_compiler():
+    """Return the command of a C compiler; skip without one."""
+    found = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
+    return found or pytest.skip("there is no C compiler to build FMUs with")
+
+
+@pytest.fixture(scope="session")
+def lying(tmp_path_factory, c_compiler):
     """Return the path of an FMU that lies (lying.c), built once, and the numbers of the ways in which it does."""
-    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
-    if compiler is None or sys.platform != "linux":
-        pytest.skip("needs Linux and a C compiler")
+    if sys.platform != "linux":
+        pytest.skip("needs Linux")
+    compiler = c_compiler
     source = Path(__file__).with_name("lying.c")
     names = re.search(r"enum \{(.*?)\}", source.read_text(), re.DOTALL)[1].replace("= 1000", "").split(",")
     ways = {name.strip(" _\n"): 1000.0 + i for i, name in enumerate(names)}
@@ -201,16 +208,14 @@ def printed():
 
 
 @pytest.fixture(scope="session")
-def casadi_fmu(tmp_path_factory):
+def casadi_fmu(tmp_path_factory, c_compiler):
     """Return an FMU for model exchange that CasADi exports: q'' = -9.81 sin q - 0.1 q' + u, q(0) = 0.5, any output y."""
 
     def export(name, output):
         import fmpy
 
         ca = pytest.importorskip("casadi")
-        compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
-        if compiler is None:
-            pytest.skip("there is no C compiler to build FMUs with")
+        compiler = c_compiler
         dae = ca.DaeBuilder(name)
         q, w, u, y = dae.add("q"), dae.add("w"), dae.add("u", "input"), dae.add("y", "output")
         for state, value in (("q", w), ("w", -9.81 * ca.sin(q) - 0.1 * w + u)):

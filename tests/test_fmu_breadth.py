@@ -99,11 +99,9 @@ DESCRIPTION = {
 
 
 @pytest.fixture(scope="session")
-def breadth(tmp_path_factory):
+def breadth(tmp_path_factory, c_compiler):
     """Return a function that returns the FMU of a version of FMI with some flags of its description."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("needs a C compiler")
+    compiler = c_compiler
     import fmpy
 
     folder = tmp_path_factory.mktemp("breadth")

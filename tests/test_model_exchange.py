@@ -2,7 +2,6 @@
 
 import math
 import pickle
-import shutil
 import subprocess
 import zipfile
 from fractions import Fraction
@@ -111,15 +110,13 @@ def description3(model, save):
 
 
 @pytest.fixture(scope="session")
-def binary(tmp_path_factory):
+def binary(tmp_path_factory, c_compiler):
     import inspect
 
     import fmpy
     from fmpy.fmi3 import FMU3Model
 
-    compiler = next((c for c in ("cc", "gcc", "clang") if shutil.which(c)), None)
-    if compiler is None:
-        pytest.skip("there is no C compiler to build FMUs with")
+    compiler = c_compiler
     folder = tmp_path_factory.mktemp("models")
     text = (HERE / "models.c").read_text()
     absent = [n for n, _ in inspect.getmembers(FMU3Model) if n.startswith("fmi3") and f" {n}(" not in text]

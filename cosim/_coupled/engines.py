@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -25,7 +26,7 @@ _MARGIN = 0.5
 """Part of the growth of the error with the step size that is allowed for, lest every other step be too long."""
 
 
-class GroupRun:
+class GroupRun(ABC):
     """A group in a run, in either engine: its tables, and what it says when it fails."""
 
     def __init__(self, run: Run, group: Group):
@@ -76,9 +77,9 @@ class GroupRun:
         why = str(error) if error is not None else f"it returned the status {status - steps.SAVING} of FMI."
         return f"a state of {names} could not be saved or restored: {why}"
 
+    @abstractmethod
     def _raised(self) -> BaseException | None:
         """Return what the FMUs' Python methods raised while states were saved or restored."""
-        raise NotImplementedError
 
 
 class InterpretedGroup(GroupRun):
