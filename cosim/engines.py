@@ -10,10 +10,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from bayesftc.cosim._coupled.engines import CompiledGroup, GroupRun, InterpretedGroup
+from bayesftc.cosim._memory import bind
 from bayesftc.cosim._state_functions import StateFunctions
 from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key
-from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule, bind
+from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule
 
 WRITES = frozenset({"output", "ahead"})
 """The kinds of calls that write outputs."""

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim._contract import checked
+from bayesftc.cosim._memory import arrange, bind
 from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
-from bayesftc.cosim.schedule import arrange, bind
 from bayesftc.cosim.timebase import rational_step, show
 
 if TYPE_CHECKING:

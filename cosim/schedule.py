@@ -1,4 +1,4 @@
-"""From a diagram to a program: the order of calls, from per-port direct feedthrough, and the layout of memory.
+"""From a diagram to a program: which step functions are called in which order, and what is copied between the calls.
 
 A step has two phases. *Evaluate* computes all outputs at t_k in the order of direct feedthrough, then brings the inputs that
 do not feed through, which may come from any block. *Advance* takes every state
@@ -10,37 +10,25 @@ else sees, and that are recorded, stay those of t_k until t_k+1 is evaluated.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
-from math import prod
-from typing import TYPE_CHECKING, Any, Literal
+from fractions import Fraction
+from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.cosim._contract import RESERVED, checked
-from bayesftc.cosim._coupled.groups import Group, Grouping, components, element_name
-from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
+from bayesftc.cosim._contract import checked
+from bayesftc.cosim._coupled.groups import Group, Grouping, element_name
+from bayesftc.cosim._feedthrough import Feedthrough
+from bayesftc.cosim._memory import Slots, arrange
+from bayesftc.cosim.block import Definition, Floats, Kernel
 from bayesftc.cosim.coupling import Coupling
 from bayesftc.cosim.diagram import Diagram, Node, is_external
-from bayesftc.cosim.errors import AlgebraicLoopError, KernelError, ModelError, StepSizeError, UnconnectedInputError
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnconnectedInputError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import show
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from fractions import Fraction
-
-Sections = dict[str, tuple[str, int, tuple[int, ...]]]
-"""For each argument of a step function: its section, its offset in that section, its shape."""
-
 NOT_FINITE = 1_000_000
 """A call's status from here on: the place in memory, plus this number, that came out NaN or infinite."""
-
-TABLE = 32
-"""Places reserved for the addresses that an external block's step functions need."""
-
-SECTIONS = ("state", "parameters", "inputs", "outputs")
 
 
 @dataclass(frozen=True)
@@ -67,19 +55,6 @@ class Draw:
     draw: int
     uniform: bool
     offset: int
-
-
-@dataclass(frozen=True)
-class Slots:
-    """Where a node's sections begin in memory, and what each argument name means."""
-
-    start: dict[str, int]
-    sections: Sections
-
-    def offset(self, name: str) -> int:
-        """Return the place in memory of the first element of a named array."""
-        section, offset, _ = self.sections[name]
-        return self.start[section] + offset
 
 
 class Schedule:
@@ -125,13 +100,13 @@ class Schedule:
             for port in node.block.inputs
             if port.draw is None and all(diagram.source_of(node, port, e) is None for e in range(port.size))
         )
-        self._edges = self._feedthrough_edges(diagram)
+        through = Feedthrough(diagram, {i for i in range(len(self.nodes)) if self._outputs(i)})
         grouping = Grouping(self, lambda i, feedthrough: self._gathers(diagram, i, feedthrough), coupling)
         evaluate = [
             Call(min(unit), "group", (), grouping.loop(unit))
-            if self._is_loop(unit)
+            if through.is_loop(unit)
             else Call(unit[0], "output", self._gathers(diagram, unit[0], feedthrough=True))
-            for unit in self._order()
+            for unit in through.order(solved=coupling.iterated)
             if self._outputs(unit[0])
         ]
         loops = [call.group for call in evaluate if call.group]
@@ -185,9 +160,6 @@ class Schedule:
     def _tight(self) -> bool:
         """Whether FMUs that are coupled make their steps together."""
         return self.coupling.iterated or self.coupling.step_error is not None
-
-    def _is_loop(self, unit: list[int]) -> bool:
-        return len(unit) > 1 or unit[0] in self._edges[unit[0]]
 
     def _named(self, call: Call) -> str:
         if not call.group:
@@ -269,66 +241,6 @@ class Schedule:
                     copies.append((slots.offset(port.name) + element, origin))
         return tuple(copies)
 
-    def _feedthrough_edges(self, diagram: Diagram) -> dict[int, dict[int, tuple[str, str]]]:
-        edges: dict[int, dict[int, tuple[str, str]]] = {i: {} for i in range(len(self.nodes))}
-        for i, node in enumerate(self.nodes):
-            if not self._outputs(i):
-                continue
-            for port in node.block.inputs:
-                for element in range(port.size if port.feedthrough else 0):
-                    source = diagram.source_of(node, port, element)
-                    if source is not None:
-                        j = self._place[source[0].node]
-                        edges[j].setdefault(
-                            i, (f"{source[0].node.name}.{source[0].port.name}", f"{node.name}.{port.name}")
-                        )
-        return edges
-
-    def _order(self) -> list[list[int]]:
-        """Return the blocks in an order in which each finds its inputs; those of an algebraic loop stand together."""
-        waiting = dict.fromkeys(range(len(self.nodes)), 0)
-        for targets in self._edges.values():
-            for target in targets:
-                waiting[target] += 1
-        order: list[list[int]] = []
-        while waiting:
-            ready = next(([i] for i, count in waiting.items() if count == 0), None)
-            if ready is None:
-                if not self.coupling.iterated:
-                    raise AlgebraicLoopError(self._loop_sentence(set(waiting)))
-                needs = {i: {j for j in waiting if i in self._edges[j]} for i in waiting}
-                ready = components(list(waiting), needs)[0]
-            for i in ready:
-                del waiting[i]
-            order.append(ready)
-            for target in [target for i in ready for target in self._edges[i] if target in waiting]:
-                waiting[target] -= 1
-        return order
-
-    def _loop_sentence(self, stuck: set[int]) -> str:
-        # Walk backwards: each stuck block has a stuck predecessor, so the walk must close.
-        path = [min(stuck)]
-        while True:
-            before = next(j for j in sorted(stuck) if path[-1] in self._edges[j])
-            if before in path:
-                loop = [*path[path.index(before) :], before][::-1]
-                break
-            path.append(before)
-        lines = [
-            f"  {self._edges[a][b][0]} -> {self._edges[a][b][1]}  ({self.nodes[b].name} feeds it through)"
-            for a, b in pairwise(loop)
-        ]
-        direct = [
-            self.nodes[i].name for i in sorted(set(loop)) if getattr(self.nodes[i].block, "timing", "") == "direct"
-        ]
-        return (
-            "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
-            + "\n".join(lines)
-            + "\nPut a UnitDelay into one of these connections, declare the input feedthrough=False where that is true, or let "
-            "the loop be solved at each step with build(coupling='iterated')."
-            + (f" {direct[0]!r} with timing='plant' shows the inputs of the step before." if direct else "")
-        )
-
     def _plants(self) -> list[int]:
         return [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self.updates(i)]
 
@@ -380,62 +292,6 @@ class Schedule:
         return any(source is not None and source[0].node is self.nodes[i] for source in sources)
 
 
-def arrange(block: Block, definition: Definition | None, begin: int) -> tuple[Slots, Floats]:
-    """Lay one block's sections out from place `begin` on; return where everything is and the initial values.
-
-    An external block, without a definition, gets room for its table of addresses as its parameters.
-    """
-    groups: dict[str, Mapping[str, Floats]] = {
-        "state": _arrays(definition.state) if definition else {},
-        "parameters": _arrays(definition.parameters) if definition else {"<table>": np.zeros(TABLE)},
-        "inputs": {p.name: _filled(p, 0.0 if p.default is None else p.default) for p in block.inputs},
-        "outputs": {p.name: _filled(p, np.nan) for p in block.outputs},
-    }
-    start: dict[str, int] = {}
-    sections: Sections = {}
-    pieces: list[Floats] = []
-    for section in SECTIONS:
-        start[section], offset = begin, 0
-        for name, array in groups[section].items():
-            if name in sections or (definition is not None and name in RESERVED):
-                raise KernelError(
-                    f"{type(block).__name__} uses the name {name!r} twice among its ports, states and parameters "
-                    f"({', '.join(sorted(RESERVED))} are taken): rename one."
-                )
-            sections[name] = (section, offset, array.shape)
-            pieces.append(array.ravel())
-            offset += array.size
-        begin += offset
-        if section in {"inputs", "outputs"}:
-            sections.setdefault(section, (section, 0, (offset,)))
-    return Slots(start, sections), np.concatenate([np.zeros(0), *pieces])
-
-
-def bind(kernel: Kernel, slots: Slots, memory: Floats) -> Callable[[float, int], None]:
-    """Return the plain Python step function with views of memory as its arguments; it still takes ``t`` and ``k``."""
-    views: list[Any] = []
-    for name in argument_names(kernel):
-        if name in {"t", "k"}:
-            views.append(name)
-        else:
-            shape = slots.sections[name][2]
-            start = slots.offset(name)
-            views.append(memory[start : start + prod(shape)].reshape(shape))
-
-    def step(t: float, k: int) -> None:
-        # NumPy's numbers, as array elements are: a division by zero gives an infinity, as in compiled code.
-        now = {"t": np.float64(t), "k": np.int64(k)}
-        try:
-            kernel(*[now[v] if isinstance(v, str) else v for v in views])
-        except ZeroDivisionError:
-            raise KernelError(
-                f"Step function {kernel.__name__!r} divides one plain Python number by another, which is zero; compiled code "
-                "would go on with an infinity. Let one of the two come from an array."
-            ) from None
-
-    return step
-
-
 def _check_sample_time(node: Node, step: Fraction) -> None:
     wanted = node.block.sample_time
     if wanted is not None and wanted != step:
@@ -455,11 +311,3 @@ def _check_signal_names(nodes: tuple[Node, ...]) -> None:
                     f"The blocks {owners[name].name!r} and {node.name!r} both have a signal {name!r}; give one of them "
                     "another name."
                 )
-
-
-def _arrays(values: Mapping[str, object]) -> dict[str, Floats]:
-    return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
-
-
-def _filled(port: Port, value: float | tuple[Any, ...]) -> Floats:
-    return np.full(port.shape or (1,), value, dtype=np.float64)

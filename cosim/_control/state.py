@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._memory import Slots
 from bayesftc.cosim.block import Floats, Kernel, argument_names
 from bayesftc.cosim.diagram import is_external
-from bayesftc.cosim.schedule import Schedule, Slots
+from bayesftc.cosim.schedule import Schedule
 
 Places = np.ndarray[Any, np.dtype[np.int64]]
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from bayesftc.cosim._coupled import steps
 from bayesftc.cosim._coupled.groups import WORDS, Group, Part
+from bayesftc.cosim._memory import bind
 from bayesftc.cosim._state_functions import ERROR, StateFunctions
 from bayesftc.cosim.errors import FMUError
-from bayesftc.cosim.schedule import NOT_FINITE, bind
+from bayesftc.cosim.schedule import NOT_FINITE
 from bayesftc.cosim.timebase import show
 
 if TYPE_CHECKING:
