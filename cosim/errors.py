@@ -152,7 +152,7 @@ class RecordingError(BayesFTCError, ValueError):
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the tail of a sentence about an unknown name: the near names, else all of them."""
     known = sorted(known)
-    near = get_close_matches(str(name), known, n=3, cutoff=0.6)
+    near = [k for k in known if k.lower() == str(name).lower()] or get_close_matches(str(name), known, n=3, cutoff=0.6)
     if near:
         return f"did you mean {' or '.join(repr(n) for n in near)}?"
     if not known:

@@ -37,7 +37,7 @@ def closed_loop(
     measured: Names,
     reference: Block | float | Sequence[Block | float],
     sensors: Sensors | None = None,
-    faults: Sequence[Fault] = (),
+    faults: Fault | Sequence[Fault] = (),
     input_faults: Mapping[str, Fault | Sequence[Fault]] | None = None,
     noise: Mapping[str, Block] | None = None,
     monitors: Mapping[str, Block] | None = None,
@@ -64,7 +64,7 @@ def closed_loop(
         Where the plant is to go: a source, a constant, or one for each element of the controller's goal.
     sensors : Sensors, optional
         By default one perfect sensor for each measured output.
-    faults : sequence of Fault
+    faults : Fault or sequence of Fault
         Applied to the samples one after the other.
     input_faults : mapping of plant input to Fault or sequence of Fault, optional
         Faults of actuators, where the input is a control, and else of the process: what the plant receives is no longer what the
@@ -90,7 +90,10 @@ def closed_loop(
         If `dt` is missing and the controller knows none, or if it does not divide a sample time.
     ConnectionError, UnknownNameError
         If the parts do not fit together.
+    ModelError
+        If one of them is of another kind than it must be.
     """
+    _check_kinds(plant, controller, sensors, noise)
     step = controller.sample_time if dt is None else dt
     if step is None:
         raise StepSizeError(
@@ -103,7 +106,7 @@ def closed_loop(
     sensors = _fitted(sensors, len(outputs))
     seen = diagram.add(sensors, "sensors")
     diagram.connect(outputs, seen["u"])
-    samples = _through(diagram, seen["y"], faults)
+    samples = _through(diagram, seen["y"], [faults] if isinstance(faults, Fault) else faults)
     brain = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
     if len(brain["y"]) != sensors.count:
         raise ConnectionError(
@@ -133,6 +136,32 @@ def closed_loop(
     for name, chain in befallen.items():
         _feed(diagram, _at_rest(diagram, node[name]), node[name], chain)
     return diagram.build()
+
+
+def _check_kinds(plant: object, controller: object, sensors: object, noise: object) -> None:
+    """Refuse what is no block where one must be, and a controller that is none."""
+    for role, given in (("plant", plant), ("controller", controller)):
+        if not isinstance(given, Block):
+            raise ModelError(
+                f"The {role} must be a block, not {given!r}: cosim.FMU(path) makes one of an FMU, cosim.StateSpace(system) "
+                "one of a system of python-control; docs/write-a-block.md has your own."
+            )
+    assert isinstance(controller, Block)
+    ports = {p.name for p in controller.inputs}, {p.name for p in controller.outputs}
+    for name, kind, known in (("y", "input", ports[0]), ("goal", "input", ports[0]), ("u", "output", ports[1])):
+        if name not in known:
+            raise UnknownNameError(
+                f"The controller, of the kind {type(controller).__name__}, has no {kind} {name!r}, but a controller has the "
+                "inputs y and goal and the output u. Are plant and controller in each other's place? Blocks with other ports can be "
+                "wired by hand: cosim.Diagram."
+            )
+    if not isinstance(sensors, Sensors | None):
+        raise ModelError(f"sensors is {sensors!r}; it must be cosim.Sensors(count=2, std=0.01) or the like.")
+    if not isinstance(noise, Mapping | None):
+        raise ModelError(
+            f"noise is {noise!r}; it must say which input of the plant each source feeds: "
+            "noise={'load': cosim.Gaussian(std=0.1)}."
+        )
 
 
 def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], prefix: str = "") -> PortRef:

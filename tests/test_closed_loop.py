@@ -61,6 +61,10 @@ class Proportional(cosim.Block):
         return cosim.Definition(control)
 
 
+class Hasty(Proportional):
+    sample_time = None
+
+
 def loop(**changes):
     settings = {
         "plant": Car(),
@@ -173,15 +177,19 @@ def test_references(reference):
         ({"reference": "up"}, cosim.ModelError, r"Only blocks can be added"),
         ({"plant": cosim.Constant(1.0)}, cosim.UnknownNameError, r"Block 'plant' has no port 'speed'"),
         (
-            {"controller": cosim.Gain(1.0)},
+            {"controller": Hasty()},
             cosim.StepSizeError,
-            r"Gain does not know its sample time; give closed_loop\(dt=",
+            r"Hasty does not know its sample time; give closed_loop\(dt=",
         ),
         (
             {"controller": cosim.Gain(1.0), "dt": 0.1},
-            cosim.ConnectionError,
-            r"controller\.y is an output, but the target must be",
+            cosim.UnknownNameError,
+            r"controller, of the kind Gain, has no input 'y'.*in each other's place\?",
         ),
+        ({"plant": "car.fmu"}, cosim.ModelError, r"plant must be a block, not 'car.fmu': cosim.FMU\(path\) makes one"),
+        ({"controller": control}, cosim.ModelError, r"controller must be a block, not <function control"),
+        ({"sensors": 2}, cosim.ModelError, r"sensors is 2; it must be cosim.Sensors\(count=2"),
+        ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must say which input of the plant each source feeds"),
         (
             {"dt": 0.1},
             cosim.StepSizeError,
@@ -193,7 +201,7 @@ def test_references(reference):
             r"The controller must run every 0.02 s, which is no whole multiple of dt, 0.015 s",
         ),
         (
-            {"plant": Sampled(), "controller": cosim.Gain(1.0), "dt": 0.03},
+            {"plant": Sampled(), "controller": Hasty(), "dt": 0.03},
             cosim.StepSizeError,
             r"The plant must run every 0.04 s, which is no whole multiple of dt, 0.03 s",
         ),
@@ -202,6 +210,11 @@ def test_references(reference):
 def test_what_does_not_fit(changes, error, sentence):
     with pytest.raises(error, match=sentence):
         loop(**changes)
+
+
+def test_one_fault_needs_no_list():
+    freeze = cosim.Freeze(sensor=0, start=1.0)
+    assert [n.name for n in loop(faults=freeze).nodes] == [n.name for n in loop(faults=[freeze]).nodes]
 
 
 def test_two_faults_of_a_kind_on_a_sensor_need_names():

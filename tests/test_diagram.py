@@ -167,6 +167,8 @@ def test_unknown_names_list_the_near_ones(parts):
     assert str(caught.value) == "Block 'plant' has no port 'sped'; did you mean 'speed'?"
     with pytest.raises(cosim.UnknownNameError, match=r"known names: P, force|known names: P, speed, xy"):
         plant["zzz"]
+    with pytest.raises(cosim.UnknownNameError, match="no port 'p'; did you mean 'P'"):
+        plant["p"]
     with pytest.raises(cosim.UnknownNameError, match="no port 0"):
         plant[0]
     with pytest.raises(cosim.UnknownNameError, match="no block 'plan'; did you mean 'plant'"):
