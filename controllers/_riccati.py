@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesftc.controllers._integrators import Quotient, without_integrators
 from bayesftc.controllers._stabilisability import refuse_unseen_by_goal
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.block import Floats
@@ -18,6 +19,8 @@ class Regulator:
 
     With x the plant's states, z what else the model has as states (disturbances, the constant), and r the goal: the steady state
     is ``x_ss = x_of_goal r + x_of_others z``, ``u_ss = u_of_goal r + u_of_others z``, and the law ``u = u_ss - gain (x - x_ss)``.
+    Integrators that the goals do not see (the position behind a speed) are in motion all the while: ``regulated`` is what is
+    left of the plant's states without them, in which all else is computed; neither cost nor law depend on them.
     """
 
     cost_to_go: Floats
@@ -26,14 +29,29 @@ class Regulator:
     x_of_others: Floats
     u_of_goal: Floats
     u_of_others: Floats
+    regulated: Quotient | None = None
+
+    @property
+    def drifting(self) -> int:
+        """Number of integrators that the goals do not see."""
+        return 0 if self.regulated is None else self.regulated.dropped.shape[1]
 
     @property
     def root(self) -> Floats:
         """Return G with ``G' G = cost_to_go``, a row for each direction that costs anything."""
-        units = _units(self.cost_to_go)
-        values, vectors = np.linalg.eigh(self.cost_to_go * np.outer(units, units))
+        cost = self.cost_to_go
+        if self.regulated is not None:
+            cost = self.regulated.back.T @ cost @ self.regulated.back
+        units = _units(cost)
+        values, vectors = np.linalg.eigh(cost * np.outer(units, units))
         costly = values > 1e-14 * values[-1]
-        return np.asarray(np.sqrt(values[costly])[:, None] * vectors[:, costly].T / units)
+        root = np.asarray(np.sqrt(values[costly])[:, None] * vectors[:, costly].T / units)
+        return root if self.regulated is None else root @ self.regulated.rows
+
+    def poles(self, A: Floats, B: Floats) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
+        """Return the closed loop's poles without the filter's, and without integrators that the goals do not see."""
+        whole = A - B @ self.gain
+        return np.linalg.eigvals(whole if self.regulated is None else self.regulated.of(whole)).astype(np.complex128)
 
 
 def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cost: Floats) -> Regulator:
@@ -54,6 +72,14 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
             f"There are {len(H)} goals but {B.shape[1]} controls: no more outputs can be held at values of their own than there "
             "are controls; set goals for fewer outputs, or actuate further inputs."
         )
+    rest = without_integrators(A, H)
+    if rest is not None:
+        A, B, H, others = (
+            rest.of(A),
+            rest.rows @ B,
+            H @ rest.back,
+            np.vstack([rest.rows @ others[:plant], others[plant:]]),
+        )
     refuse_unseen_by_goal(A, H)
     try:
         P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))
@@ -65,7 +91,18 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
     P = (P + P.T) / 2
     to_goal, to_others = _steady(A, B, H, input_cost, others, _units(P))
     gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
-    return Regulator(P, gain, to_goal[:plant], to_others[:plant], to_goal[plant:], to_others[plant:])
+    n = len(A)
+    if rest is None:
+        return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:])
+    return Regulator(
+        rest.rows.T @ P @ rest.rows,
+        gain @ rest.rows,
+        rest.back @ to_goal[:n],
+        rest.back @ to_others[:n],
+        to_goal[n:],
+        to_others[n:],
+        rest,
+    )
 
 
 def _units(P: Floats) -> Floats:
@@ -89,7 +126,7 @@ def _steady(
     M = np.block([[change, -effect], [H * units, np.zeros((len(H), B.shape[1]))]])
     scale = np.linalg.norm(M, axis=1)
     left, sizes, right = np.linalg.svd(M / np.where(scale > 0, scale, 1.0)[:, None])
-    if sizes[-1] <= 1e-10 * sizes[0]:
+    if sizes[-1] <= 1e-8 * sizes[0]:  # models by pulse responses are right to about 1e-9
         raise ModelError(
             "The goals cannot be held in steady state, each at a value of its own: with the controls held, an output stays where "
             "it is whatever they are (the plant has a zero at 1), or goals depend on each other; set goals for other outputs."

@@ -85,7 +85,7 @@ def refuse_unseen_by_goal(A: Floats, H: Floats) -> None:
     lost = [mode for mode in unreached(A.T, H.T) if abs(abs(mode) - 1.0) <= 1e-6]
     if lost:
         raise ModelError(
-            f"The goals do not see {_modes(lost)}, which goes on for ever at no cost: set a goal for a further output."
+            f"The goals do not see {_modes(lost)}: it would go on for ever at no cost. Set a goal for a further output."
         )
 
 

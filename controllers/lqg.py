@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesftc.controllers._checks import Matrix, frozen
 from bayesftc.controllers._riccati import Regulator, regulate
@@ -138,11 +139,19 @@ class LQGController(BayesianController):
         """Return in sentences what the loop will do: its poles, and the regulator's gain."""
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
-        control = np.linalg.eigvals(A - B @ self.regulator.gain)
-        lines = [f"Closed-loop poles of the control: {_listed(control)}."]
-        lines.append(f"All poles, the filter's included: {_listed(self.closed_loop_poles())}.")
+        lines = [f"Closed-loop poles of the control: {_listed(self.regulator.poles(A, B))}."]
+        lines.append(f"All poles, the filter's included: {_listed(self._poles_to_judge())}.")
         lines.append(f"Without control: {_listed(np.linalg.eigvals(A))}.")
+        if self.regulator.drifting:
+            lines.append(
+                f"The goals do not ask about {self.regulator.drifting} of the plant's integrators (as the position is one behind "
+                "a speed): they go where the rest takes them, and are not among the closed-loop poles."
+            )
         return "\n".join(lines)
+
+    def _poles_to_judge(self) -> NDArray[np.complex128]:
+        poles = super()._poles_to_judge()
+        return poles[np.argsort(np.abs(poles - 1.0))[self.regulator.drifting :]] if self.regulator.drifting else poles
 
     def _priors(self) -> tuple[Floats, Floats, Floats]:
         root, factor = self._scaled

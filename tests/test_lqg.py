@@ -105,6 +105,65 @@ def test_the_law_of_random_plants_in_any_units(seed):
     np.testing.assert_allclose(np.atleast_1d(out.u), law, rtol=1e-9, atol=1e-9 * np.abs(law).max())
 
 
+def test_a_goal_on_the_speed_alone_leaves_the_position_to_itself():
+    """Cruise control: the law is that of the car without its position, which goes on and on."""
+    A, B, C = [[0, 1, 0], [0, -0.05, 0.5], [0, 0, -2.0]], [[0], [0], [2.0]], [[1, 0, 0], [0, 1, 0]]
+    model = sampled(A, B, C, 0.1)
+    speed = control.sample_system(control.ss(np.array(A)[1:, 1:], B[1:], [[1, 0]], 0), 0.1)
+    controller = LQGController(model, goal_on=[[0, 1, 0]], goal_covariance=0.04, control_covariance=0.5)
+    gain, cost, poles = control.dlqr(speed.A, speed.B, speed.C.T @ speed.C / 0.04, np.eye(1) / 0.5)
+    np.testing.assert_allclose(controller.regulator.gain, np.hstack([[[0.0]], gain]), rtol=1e-9)
+    np.testing.assert_allclose(controller.regulator.cost_to_go[1:, 1:], cost, rtol=1e-9)
+    text = controller.describe()
+    assert "do not ask about 1 of the plant's integrators" in text
+    assert "0.999" not in text.splitlines()[0] + text.splitlines()[1]
+    assert np.abs(poles).max() == pytest.approx(np.abs(controller.regulator.poles(model.A, model.B)).max())
+    hold = np.linalg.solve(np.block([[np.eye(2) - speed.A, -speed.B], [speed.C, np.zeros((1, 1))]]), [0, 0, 1.0])
+    step, x = controller.online(compiled=False), np.array([1e6, 0.0, 0.0])
+    for _ in range(300):
+        out = step(y=model.C @ x, goal=[25.0])
+        law = 25.0 * hold[2:] - gain @ (out.x_hat[1:] - 25.0 * hold[:2])
+        np.testing.assert_allclose(np.atleast_1d(out.u), law, rtol=1e-9, atol=1e-9 * np.abs(gain).max())
+        x = model.A @ x + model.B @ np.atleast_1d(out.u)
+    assert x[1] == pytest.approx(25.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_integrators_that_no_goal_sees_in_any_units(seed):
+    """Chains of one to three of them, driven by up to 4 other states of up to 2 controls, in mixed coordinates."""
+    rng = np.random.default_rng(seed)
+    k, n, p = int(rng.integers(1, 4)), int(rng.integers(1, 5)), int(rng.integers(1, 3))
+    A = rng.normal(size=(n, n))
+    A *= rng.uniform(0.3, 1.2) / np.abs(np.linalg.eigvals(A)).max()
+    B, H = rng.normal(size=(n, p)), rng.normal(size=(1, n))
+    chain = np.eye(k) + 0.1 * np.eye(k, k=1)
+    driven = np.vstack([np.zeros((k - 1, n)), 0.1 * rng.normal(size=(1, n))])
+    mix = np.linalg.qr(rng.normal(size=(n + k, n + k)))[0]
+    T = 10 ** rng.uniform(-2, 2, n + k)[:, None] * mix
+    back = np.linalg.inv(T)
+    whole = T @ np.block([[chain, driven], [np.zeros((n, k)), A]]) @ back
+    model = LinearModel(
+        whole, T @ np.vstack([np.zeros((k, p)), B]), back, 1e-4 * T @ T.T, 1e-4, dt=0.1
+    )  # fmt: skip
+    controller = LQGController(model, goal_on=np.hstack([np.zeros((1, k)), H]) @ back, goal_covariance=0.04)
+    assert controller.regulator.drifting == k
+    gain, _, poles = control.dlqr(A, B, H.T @ H / 0.04, np.eye(p))
+    np.testing.assert_allclose(
+        controller.regulator.gain @ T, np.hstack([np.zeros((p, k)), gain]), atol=1e-9 * np.abs(gain).max()
+    )
+    found = controller.regulator.poles(model.A, model.B)
+    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(poles)), atol=1e-8)
+    assert np.abs(controller._poles_to_judge()).max() < 1
+    x = rng.normal(size=n + k)
+    out = controller.online(compiled=False)(y=back @ x, goal=[2.0])
+    price = np.block([[np.zeros((n, n + p))], [np.zeros((p, n)), np.eye(p)]])
+    hold = np.block([[np.eye(n) - A, -B], [H, np.zeros((1, p))]])
+    lagrange = np.block([[price, hold.T], [hold, np.zeros((n + 1, n + 1))]])
+    steady = np.linalg.solve(lagrange, np.append(np.zeros(2 * n + p), 2.0))
+    law = steady[n : n + p] - gain @ ((back @ np.ravel(out.x_hat))[k:] - steady[:n])
+    np.testing.assert_allclose(np.atleast_1d(out.u), law, rtol=1e-9, atol=1e-9 * np.abs(law).max())
+
+
 @pytest.mark.parametrize(("make", "radius"), [(servo, 3.5), (two_masses, 5.3)])
 def test_a_goal_for_the_next_step_alone_is_short_sighted(make, radius):
     model = make()
@@ -197,7 +256,8 @@ def test_an_actuator_fault_that_is_found_leaves_no_steady_error(arrives, load):
         (lambda: (np.diag([1.05, 0.5]), np.eye(2), [[0, 1]], {}), r"no sensor sees the mode with the eigenvalue 1\.05"),
         (lambda: (np.diag([0.9, 0.5]), [[1], [1]], np.eye(2), {}), "There are 2 goals but 1 controls"),
         (lambda: ([[0, 0], [1, 0]], [[1], [0]], [[1, -1]], {}), "zero at 1"),
-        (lambda: (np.diag([1.0, 0.5]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), "goals do not see .* 1, which stays"),
+        (lambda: (np.diag([-1.0, 0.5]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), "goals do not see .* -1, which stays"),
+        (lambda: (np.diag([1.0, 1.0 + 1e-9]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), None),
         (lambda: (np.diag([0.9, 0.5]), np.eye(2), np.eye(2), {"goal_on": "states"}), "not every state"),
         (lambda: (np.diag([0.9, 0.5]), np.eye(2), np.eye(2), {"control_covariance": None}), "needs a control_covariance"),
         (lambda: (np.diag([0.9, 0.5]), np.eye(2), np.eye(2), {"control_mean": 1.0}), "leave control_mean out"),
@@ -206,6 +266,9 @@ def test_an_actuator_fault_that_is_found_leaves_no_steady_error(arrives, load):
 def test_what_cannot_be_is_said_in_a_sentence(make, words):
     A, B, C, settings = make()
     model = LinearModel(A, B, C, 1e-4, 1e-4, dt=0.1)
+    if words is None:  # an integrator may be left alone
+        assert LQGController(model, **settings).regulator.drifting == 1
+        return
     with pytest.raises(ModelError, match=words):
         LQGController(model, **settings)
 
