@@ -152,8 +152,8 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
         if name not in known:
             raise UnknownNameError(
                 f"The controller, of the kind {type(controller).__name__}, has no {kind} {name!r}, but a controller has the "
-                "inputs y and goal and the output u. Are plant and controller in each other's place? Blocks with other ports can be "
-                "wired by hand: cosim.Diagram."
+                "inputs y and goal and the output u. Are plant and controller in each other's place? Blocks with other "
+                "ports can be wired by hand: cosim.Diagram."
             )
     if not isinstance(sensors, Sensors | None):
         raise ModelError(f"sensors is {sensors!r}; it must be cosim.Sensors(count=2, std=0.01) or the like.")
