@@ -1,23 +1,26 @@
 """Zip files from anywhere: their table of contents is checked before anything of them is believed, and reading has limits.
 
 Refused is whatever could be unpacked outside of its folder, over another entry, or to more than it says: names that are
-absolute or lead upwards, links and devices, names that occur twice, entries that lie over each other in the file (a bomb that
-needs no nesting), more bytes than an honest file has, and packings other than the two that FMI and SSP allow (zipfile unpacks
-the others in one piece, whatever their size).
+absolute or lead upwards, links and devices, names that occur twice (capital letters and the ways to write an accent make no
+difference to some systems), entries that lie over each other in the file (a bomb that needs no nesting), more bytes than an
+honest file has, and packings other than the two that FMI and SSP allow (zipfile unpacks the others in one piece, whatever
+their size).
 """
 
 from __future__ import annotations
 
 import copy
+import errno
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from stat import S_IFDIR, S_IFMT, S_IFREG
 from struct import unpack_from
+from unicodedata import normalize
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from bayesftc.cosim.errors import FMUError
@@ -25,15 +28,19 @@ from bayesftc.cosim.errors import FMUError
 LARGEST, SUSPICIOUS, RATIO = 4_000_000_000, 100_000_000, 100
 """Bytes that a file may unpack to; bytes from which on it may not be `RATIO` times its packed size."""
 
-MOST, LARGEST_XML, DEEPEST = 100_000, 500_000_000, 200
-"""Entries of a file; bytes of an XML file in it; elements of XML inside each other."""
+MOST, LONGEST_NAME, LONGEST_PATH = 100_000, 255, 2000
+"""Entries of a file; bytes of a name, which is what file systems allow, and of a whole path."""
+
+LARGEST_XML, LONGEST_TAG, MOST_ELEMENTS, MOST_ATTRIBUTES, DEEPEST = 500_000_000, 10_000_000, 5_000_000, 1000, 200
+"""Of XML: bytes, bytes of one tag or comment, elements, attributes of one, elements inside each other."""
 
 ENCODINGS = frozenset({"utf-8", "us-ascii", "ascii", "iso-8859-1", "iso-8859-15", "windows-1252"})
 """Encodings of XML in which all parsers see the same text; FMI and SSP ask for the first."""
 
 _PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _PIECE = 1 << 18
-_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, KeyError)
+_XML_PIECE = 1 << 20
+_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, KeyError, OverflowError)
 """What zipfile raises for files that are damaged or packed in a way it does not know."""
 
 
@@ -80,9 +87,11 @@ def check(path: Path, kind: Kind) -> tuple[str, ...]:
             entries = archive.infolist()
             _check_table(path, kind, entries, path.stat().st_size)
             _check_places(path, kind, archive)
-    except OSError as error:
-        raise kind.error(f"The {kind.noun} {path} cannot be read ({error.strerror}); check its permissions.") from None
-    except _DAMAGE:
+    except (OSError, *_DAMAGE) as error:
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # as of a place before the file's beginning
+            raise kind.error(
+                f"The {kind.noun} {path} cannot be read ({error.strerror}); check its permissions."
+            ) from None
         raise kind.error(
             f"{path} is no {kind.noun}: it is not a zip file, or it is damaged; get or export the file again."
         ) from None
@@ -162,10 +171,11 @@ def check_xml(content: bytes, what: str, kind: Kind) -> bytes:
     Raises
     ------
     FMUError
-        If it has one, is no XML, is nested too deeply, or in an encoding that parsers may read differently.
+        If it has one, is no XML, is nested too deeply, has more of something than an honest file, or is in an encoding that
+        parsers may read differently.
     """
     parser = ParserCreate(namespace_separator=" ")
-    depth = 0
+    depth = count = spaces = 0
 
     def refuse(reason: str) -> None:
         raise kind.error(
@@ -176,11 +186,20 @@ def check_xml(content: bytes, what: str, kind: Kind) -> bytes:
         if encoding is not None and encoding.lower() not in ENCODINGS:
             refuse(f"is in the encoding {encoding!r}, where the standard asks for UTF-8")
 
-    def begin(name: str, attributes: object) -> None:
-        nonlocal depth
-        depth += 1
+    def begin(name: str, attributes: Sized) -> None:
+        nonlocal depth, count, spaces
+        depth, count = depth + 1, count + 1
         if depth > DEEPEST:
             refuse(f"has elements more than {DEEPEST} deep inside each other")
+        if count > MOST_ELEMENTS:
+            refuse(f"has more than {MOST_ELEMENTS:,} elements")
+        if len(attributes) + spaces > MOST_ATTRIBUTES:
+            refuse(f"has an element with more than {MOST_ATTRIBUTES} attributes")
+        spaces = 0
+
+    def space(prefix: str | None, uri: str) -> None:
+        nonlocal spaces  # of the element that begins next
+        spaces += 1
 
     def end(name: str) -> None:
         nonlocal depth
@@ -190,11 +209,15 @@ def check_xml(content: bytes, what: str, kind: Kind) -> bytes:
     parser.StartDoctypeDeclHandler = lambda *_: refuse(
         "has a document type declaration (DOCTYPE), through which it could read other files or grow without bound"
     )
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartElementHandler, parser.EndElementHandler, parser.StartNamespaceDeclHandler = begin, end, space
     try:
         if content[:2] in {b"\xff\xfe", b"\xfe\xff"}:
             refuse("is in the encoding UTF-16, where the standard asks for UTF-8")
-        parser.Parse(content, True)
+        for fed in range(0, len(content), _XML_PIECE):
+            if fed - parser.CurrentByteIndex > LONGEST_TAG:
+                refuse(f"has a tag or a comment of more than {LONGEST_TAG / 1e6:g} MB")
+            parser.Parse(content[fed : fed + _XML_PIECE], False)
+        parser.Parse(b"", True)
     except (ExpatError, LookupError, ValueError) as error:
         raise kind.error(f"{what} is damaged ({error}); get or export the {kind.noun} again.") from None
     return content
@@ -217,10 +240,13 @@ def _parts(name: str) -> tuple[str, ...]:
 def _check_table(path: Path, kind: Kind, entries: list[zipfile.ZipInfo], packed: int) -> None:
     end = "nothing was unpacked. Do not use this file; ask its maker for one"
     seen: dict[tuple[str, ...], bool] = {}
+    written: dict[tuple[str, ...], str] = {}
     for entry in entries:
         name, parts, folder = entry.filename, _parts(entry.filename), entry.filename.endswith("/")
-        whose = f"The {kind.noun} {path} has an entry called {name!r}"
-        if "\\" in name or ":" in name or name.startswith("/") or ".." in parts or not parts or not name.isprintable():
+        whole = entry.orig_filename  # zipfile ends the other name at a NUL
+        whose = f"The {kind.noun} {path} has an entry called {whole!r}"
+        odd = "\\" in whole or ":" in whole or not whole.isprintable()
+        if odd or name.startswith("/") or ".." in parts or not parts:
             raise kind.error(
                 f"{whose}, which could be unpacked outside of its folder; {end} with plain relative names."
             )
@@ -230,6 +256,16 @@ def _check_table(path: Path, kind: Kind, entries: list[zipfile.ZipInfo], packed:
         if parts in seen and not (folder and seen[parts]):
             raise kind.error(
                 f"{whose} twice, so that nobody knows which of the two counts; {end} in which names are unique."
+            )
+        if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in parts):
+            raise kind.error(
+                f"The {kind.noun} {path} has an entry called {name[:40]!r} and so on, which is too long for the name of a file; "
+                f"{end} with shorter names."
+            )
+        twin = name if folder else written.setdefault(tuple(normalize("NFC", p).casefold() for p in parts), name)
+        if twin != name:
+            raise kind.error(
+                f"{whose} and one called {twin!r}, which are one file to some systems; {end} in which names are unique."
             )
         seen[parts] = folder
         if entry.flag_bits & 1:
@@ -271,6 +307,8 @@ def _check_places(path: Path, kind: Kind, archive: zipfile.ZipFile) -> None:
             raise zipfile.BadZipFile
         # The table of contents and the entry's own header may name different lengths; the data begin where the latter says.
         name, extra = unpack_from("<HH", header, 26)
+        if file.read(name).decode("utf-8" if entry.flag_bits & 0x800 else "cp437") != entry.orig_filename:
+            raise zipfile.BadZipFile
         spans.append(
             (entry.header_offset, entry.header_offset + 30 + name + extra + entry.compress_size, entry.filename)
         )

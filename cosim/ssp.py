@@ -9,6 +9,7 @@ from fractions import Fraction
 from math import isfinite
 from os import PathLike
 from pathlib import Path
+from stat import S_ISREG
 from typing import Literal
 
 from bayesftc.cosim import units
@@ -94,11 +95,13 @@ def open_ssp(
     <Diagram of 2 blocks at 0.02 s: lead, follower>
     """
     path = Path(path).expanduser().absolute()
-    where, folder, resource = _located(path, variant)
+    where, place_files, resource = _located(path, variant)
     structure = read_structure(resource(where), where, resource, validate=validate)
-    files = {p: folder / c.source for p, c in components(structure.system)}
-    if not files:
+    sources = {p: c.source for p, c in components(structure.system)}
+    if not sources:
         raise SSPError(f"{where} of {path} has no components; there is nothing to run.")
+    folder = place_files()  # not before all XML was read and checked
+    files = {p: folder / source for p, source in sources.items()}
     for place, file in files.items():
         if not file.is_file():
             raise SSPError(f"The component {'.'.join(place)!r} of {where} refers to {file.name}, which is not there.")
@@ -120,10 +123,10 @@ def open_ssp(
     return diagram
 
 
-def _located(path: Path, variant: str) -> tuple[str, Path, Callable[[str], bytes]]:
-    """Return the name of the .ssd, the folder that its sources are relative to, and what reads a file in it."""
+def _located(path: Path, variant: str) -> tuple[str, Callable[[], Path], Callable[[str], bytes]]:
+    """Return the name of the .ssd, what returns the folder that its sources are relative to, and what reads XML in it."""
     if path.suffix.lower() == ".ssd":
-        return path.name, path.parent, lambda name: _beside(path, name)
+        return path.name, lambda: path.parent, lambda name: _beside(path, name)
     archive = open_archive(path, SSP_FILE)
     if variant not in archive.names:
         known = [name for name in archive.names if name.endswith(".ssd")]
@@ -134,14 +137,16 @@ def _located(path: Path, variant: str) -> tuple[str, Path, Callable[[str], bytes
             raise SSPError(f"{variant} of {path} refers to {name!r}, which is not in the file.")
         return read_entry(archive, name)
 
-    resource(variant)  # whatever it holds is checked before anything is unpacked
-    return variant, extract(archive, variant) / Path(variant).parent, resource
+    return variant, lambda: extract(archive, variant) / Path(variant).parent, resource
 
 
 def _beside(path: Path, name: str) -> bytes:
     file = path.parent / name
     try:
-        if file.stat().st_size > LARGEST_XML:
+        status = file.stat()
+        if not S_ISREG(status.st_mode):
+            raise SSPError(f"{file} is no file; check the path.")
+        if status.st_size > LARGEST_XML:
             raise SSPError(f"{file} is too large to be read.")
         content = file.read_bytes()
     except OSError as error:

@@ -1,5 +1,6 @@
 """Hostile archives: nothing of them is unpacked, loaded, or read by a parser that would expand it."""
 
+import os
 import re
 import stat
 import struct
@@ -62,7 +63,8 @@ def named(name, mode=0o644 | stat.S_IFREG, **more):
 
 
 @pytest.mark.parametrize(
-    "name", ["../evil", "/etc/evil", "a/../../evil", "C:/evil", "a\\..\\evil", "a\nb", ".", "a/.."]
+    "name",
+    ["../evil", "/etc/evil", "a/../../evil", "C:/evil", "a\\..\\evil", "a\nb", ".", "a/..", f"{DESCRIPTION}\0.txt"],
 )
 def test_names_that_lead_elsewhere(tmp_path, cache, name):
     path = archive_of(tmp_path / "names.fmu", [(named(name), "evil")])
@@ -81,6 +83,54 @@ def test_links_and_devices(tmp_path, cache, kind):
 def test_names_that_occur_twice(tmp_path, cache, name):
     path = archive_of(tmp_path / "twice.fmu", [(named(name), XML)])
     refused(path, f"{name!r} twice", "nobody knows which of the two counts", cache=cache)
+
+
+@pytest.mark.parametrize(
+    ("name", "other"), [(DESCRIPTION.upper(), DESCRIPTION), ("a/E\u0301.txt", "a/\u00c9.TXT"), ("A/b", "a/B")]
+)
+def test_names_that_are_one_to_some_systems(tmp_path, cache, name, other):
+    path = archive_of(tmp_path / "twins.fmu", [] if other == DESCRIPTION else [(other, "1")])
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(name, "2")
+    refused(path, f"{name!r} and one called {other!r}, which are one file to some systems", cache=cache)
+
+
+@pytest.mark.parametrize("name", ["a/" + "b" * 300, "ab/" * 1000 + "c"])
+def test_names_that_no_file_can_have(tmp_path, cache, name):
+    path = archive_of(tmp_path / "long.fmu", [(name, "1")])
+    refused(path, f"{name[:40]!r} and so on, which is too long for the name of a file; nothing", cache=cache)
+
+
+def test_an_entry_that_calls_itself_otherwise(tmp_path, cache):
+    content = bytearray(archive_of(tmp_path / "names.fmu", [("resources/good", "1")]).read_bytes())
+    place = content.index(b"resources/good")
+    content[place : place + 14] = b"../../../.evil"
+    (tmp_path / "names.fmu").write_bytes(content)
+    refused(tmp_path / "names.fmu", "it is not a zip file, or it is damaged", cache=cache)
+
+
+@pytest.mark.parametrize("place", [2**32, 2**63 - 1, 2**63, 2**64 - 1])
+def test_places_beyond_the_file(tmp_path, cache, place):
+    name = DESCRIPTION.encode()
+    entry = zipfile.ZipInfo(DESCRIPTION)
+    entry.file_size = entry.compress_size = len(XML)
+    entry.CRC = zlib.crc32(XML)
+    more = struct.pack("<HHQ", 1, 8, place)
+    sizes = zlib.crc32(XML), len(XML), len(XML), len(name), len(more), 0, 0, 0, 0, 0xFFFF_FFFF
+    table = struct.pack("<4s6H3L5H2L", b"PK\1\2", 45, 45, 0, 0, 0, 0, *sizes) + name + more
+    body = entry.FileHeader() + XML
+    path = tmp_path / "far.fmu"
+    path.write_bytes(body + table + struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, len(table), len(body), 0))
+    refused(path, "it is not a zip file, or it is damaged", cache=cache)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_what_is_no_file_is_not_waited_for(tmp_path, cache):
+    os.mkfifo(tmp_path / "pipe.fmu")
+    refused(tmp_path / "pipe.fmu", "is no file but a device, or a connection between programs", cache=cache)
+    refused(Path("/dev/zero"), "is no file but a device", cache=cache)
+    with pytest.raises(FMUError, match="has a NUL in it"):
+        FMU(tmp_path / "a\0b.fmu")
 
 
 def test_a_file_that_is_a_folder_too(tmp_path, cache):
@@ -223,6 +273,27 @@ def test_nesting_and_size(tmp_path, cache, monkeypatch):
     refused(path, "elements more than 200 deep inside each other", cache=cache)
     monkeypatch.setattr(_zip, "LARGEST_XML", 1000)
     refused(archive_of(tmp_path / "large.fmu", []), "modelDescription.xml of the FMU", "MB large", cache=cache)
+
+
+def test_xml_with_more_of_something_than_an_honest_file(tmp_path, cache, monkeypatch):
+    """Such as fills the memory of those who read it, or takes them hours."""
+    monkeypatch.setattr(_zip, "MOST_ELEMENTS", 20_000)
+    many = {
+        "has a tag or a comment of more than 10 MB": b'<a b="' + b"c" * 12_000_000 + b'"/>',
+        "has a tag or a comment of more than 10 M": b"<!--" + b"c" * 12_000_000 + b"-->",
+        "has more than 20,000 elements": b"<a/>" * 20_000,
+        "has an element with more than 1000 attributes": b"<a " + b" ".join(b'a%d=""' % i for i in range(1001)) + b"/>",
+        "an element with more than 1000 attributes": b"<a "
+        + b" ".join(b'xmlns:a%d="b"' % i for i in range(1001))
+        + b"/>",
+    }
+    for i, (sentence, filling) in enumerate(many.items()):
+        hostile = XML.replace(b"<ModelVariables>", filling + b"<ModelVariables>", 1)
+        refused(archive_of(tmp_path / f"{i}.fmu", [], description=hostile), sentence, "nothing was", cache=cache)
+    text = XML.replace(b"<ModelVariables>", b"<ModelVariables>" + b"c" * 12_000_000, 1)
+    with pytest.raises(FMUError) as caught:
+        FMU(archive_of(tmp_path / "text.fmu", [], description=text))
+    assert "\n" not in str(caught.value)
 
 
 def test_a_document_type_may_stand_where_no_program_reads(tmp_path):

@@ -456,6 +456,11 @@ def test_hostile_files(tmp_path, cache):
     binding = '<ssd:ParameterBinding source="evil.ssv"/>'
     path = packed(tmp_path, ssd(system(component("a", bindings=binding))), **{"evil.ssv": "<!DOCTYPE x><x/>"})
     refused(path, "evil.ssv", "document type declaration (DOCTYPE)")
+    assert not [p for p in cache.rglob("*") if p.name in {"SystemStructure.ssd", "evil.ssv"}]  # nothing was unpacked
+    binding = '<ssd:ParameterBinding source="evil.txt"/>'  # read as XML, whatever it is called
+    evil = '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/passwd">]><x>&e;</x>'
+    path = packed(tmp_path, ssd(system(component("a", bindings=binding))), **{"evil.txt": evil})
+    refused(path, "evil.txt", "document type declaration (DOCTYPE)")
     path = packed(tmp_path, ssd(system(A)), **{"../evil": "evil"})
     refused(path, "The SSP", "'../evil', which could be unpacked outside of its folder; nothing was unpacked")
     unpacked = [p.name for p in cache.rglob("*") if p.suffix in {".fmu", ".ssd"}] if cache.exists() else []

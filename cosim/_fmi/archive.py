@@ -9,14 +9,13 @@ import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from stat import S_ISDIR
+from stat import S_ISDIR, S_ISREG
 
 from bayesftc.cosim import _zip
 from bayesftc.cosim._cache import cache_directory
 from bayesftc.cosim._zip import FMU_FILE, Kind
 
 DESCRIPTION = FMU_FILE.main
-_XML = (".xml", ".ssd", ".ssv", ".ssm")
 
 
 @dataclass(frozen=True)
@@ -58,9 +57,15 @@ def open_archive(path: Path, kind: Kind = FMU_FILE) -> Archive:
         status = path.stat()
     except OSError as error:
         raise kind.error(f"The {kind.noun} {path} cannot be read ({error.strerror}); check the path.") from None
+    except ValueError:
+        raise kind.error(f"The path {str(path)!r} has a NUL in it, as no file's has; check the path.") from None
     if S_ISDIR(status.st_mode):
         raise kind.error(
             f"{path} is a folder; give the {kind.suffix} file itself, or zip the folder's content into one."
+        )
+    if not S_ISREG(status.st_mode):
+        raise kind.error(
+            f"{path} is no file but a device, or a connection between programs; give the {kind.suffix} file itself."
         )
     return _read(path, kind, (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino))
 
@@ -85,7 +90,7 @@ def _read(path: Path, kind: Kind, stamp: tuple[int, ...]) -> Archive:
 
 
 def read_entry(archive: Archive, name: str) -> bytes:
-    """Return the content of one entry; one of XML has no document type, and so no entities.
+    """Return the content of one entry of XML, whatever it is called; it has no document type, and so no entities.
 
     Raises
     ------
@@ -93,8 +98,7 @@ def read_entry(archive: Archive, name: str) -> bytes:
         If it is damaged, or hostile.
     """
     try:
-        reader = _zip.read_xml if name.endswith(_XML) else _zip.read
-        return reader(archive.path, archive.kind, name)
+        return _zip.read_xml(archive.path, archive.kind, name)
     except OSError as error:
         raise _unreadable(archive.path, archive.kind, error) from None
 

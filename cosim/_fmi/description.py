@@ -261,7 +261,7 @@ def _parse(archive: Archive, validate: bool) -> ModelDescription:
     except KeyError as error:
         problems = [f"it refers to a variable {error}, which it does not define"]
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
-        problems = [(str(error) or type(error).__name__).removesuffix(".")]
+        problems = [(" ".join(str(error).split()) or type(error).__name__).removesuffix(".")]
     more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
     remedy = (
         "Ask its maker for a valid one, or try it all the same with validate=False." if validate else "Export it again."
