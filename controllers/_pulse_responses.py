@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from types import TracebackType
@@ -12,6 +13,7 @@ import numpy as np
 from bayesftc.cosim.block import External, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.ports import labels
 from bayesftc.cosim.timebase import show
 
 SAMPLES = 100
@@ -46,8 +48,9 @@ class PoorFitWarning(UserWarning):
 class Experiments:
     """The same plant from the same state, as often as one likes: restored where it can be, else made anew and brought there."""
 
-    def __init__(self, fmu: FMU, step: Fraction, held: Floats):
-        self._fmu, self._step, self.held = fmu, step, held
+    def __init__(self, fmu: FMU, step: Fraction, held: Floats, rows: Sequence[int]):
+        self._fmu, self._step, self.held, self._rows = fmu, step, held, list(rows)
+        self._outputs = np.zeros(sum(port.size for port in fmu.outputs or ()))  # type: ignore[union-attr, misc]
         self._waited = 0
         self._plant: External | None = None
         self._saved: object = None
@@ -62,8 +65,8 @@ class Experiments:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the inputs."""
-        return tuple(port.name for port in self._fmu.inputs or ())  # type: ignore[union-attr]
+        """Names of the inputs, element by element."""
+        return tuple(name for port in self._fmu.inputs or () for name in labels(port.name, port.shape))  # type: ignore[union-attr]
 
     @property
     def waited(self) -> Fraction:
@@ -73,12 +76,11 @@ class Experiments:
     def respond(self, pulse: Floats | None = None, samples: int = SAMPLES) -> Floats:
         """Return the outputs at ``samples`` instants; the inputs are held, but for a `pulse` in the first step."""
         plant = self._begin()
-        rows, outputs = [], np.zeros(len(self._fmu.outputs or ()))
+        seen = []
         for k in range(samples):
             inputs = self.held + pulse if k == 0 and pulse is not None else self.held.copy()
-            self._advance(plant, inputs, outputs, self._waited + k)
-            rows.append(outputs.copy())
-        return np.array(rows)
+            seen.append(self._advance(plant, inputs, self._waited + k))
+        return np.array(seen)
 
     def settle(self) -> tuple[Floats, Floats]:
         """Wait until the outputs stay where they are; return them, and the first samples on the way there.
@@ -89,13 +91,11 @@ class Experiments:
             If they never do.
         """
         plant, size, k = self._begin(), 0.0, 0
-        outputs = np.zeros(len(self._fmu.outputs or ()))
         first = np.empty((0, 0))
         for part in range(WAIT):
-            seen = np.empty((SAMPLES, len(outputs)))
+            seen = np.empty((SAMPLES, len(self._rows)))
             for i in range(SAMPLES):
-                self._advance(plant, self.held.copy(), outputs, k)
-                seen[i], k = outputs, k + 1
+                seen[i], k = self._advance(plant, self.held.copy(), k), k + 1
             first = seen if part == 0 else first
             size = max(size, float(np.abs(seen).max()), 1e-6)
             if not np.isfinite(size):
@@ -116,20 +116,21 @@ class Experiments:
             return self._plant
         self._close()
         plant = self._plant = self._fmu.instantiate(self._step, self._fmu.default_name)
-        outputs = np.zeros(len(self._fmu.outputs or ()))
         for k in range(self._waited):
-            self._advance(plant, self.held.copy(), outputs, k)
+            self._advance(plant, self.held.copy(), k)
         if plant.can_save:
             self._saved = plant.save()
         return plant
 
-    def _advance(self, plant: External, inputs: Floats, outputs: Floats, k: int) -> None:
-        t = float(k * self._step)
+    def _advance(self, plant: External, inputs: Floats, k: int) -> Floats:
+        """Make a step; return the outputs before it."""
+        t, outputs = float(k * self._step), self._outputs
         status = plant.output(inputs, outputs, t) or plant.update(inputs, outputs, t)
         if status:
             why = plant.explain(status)
             self._close()
             raise ModelError(f"The plant {self._fmu.default_name!r} failed in an experiment, at t = {t:g} s: {why}")
+        return np.array(outputs[self._rows])
 
     def _close(self) -> None:
         plant, self._plant, self._saved = self._plant, None, None
@@ -155,19 +156,23 @@ class Realisation:
     error: float
 
 
-def realise(fmu: FMU, step: Fraction, held: Floats, scale: Floats, order: int | None) -> Realisation:
+def realise(
+    fmu: FMU, step: Fraction, held: Floats, scale: Mapping[int, float], rows: Sequence[int], order: int | None
+) -> Realisation:
     """Return a model of an FMU's inputs and outputs about the steady state that belongs to the inputs `held`.
 
     Parameters
     ----------
     fmu : FMU
-        Its ports are what the model is of; it is run as a plant.
+        Of its ports' elements the model is; it is run as a plant.
     step : Fraction
         Sample time in seconds.
     held : ndarray
         The inputs at the operating point.
-    scale : ndarray
-        The largest pulse of each input, from the first on; inputs without one are held, and not in the model.
+    scale : mapping of int to float
+        The largest pulse of each input, by its place; inputs without one are held, and not in the model.
+    rows : sequence of int
+        Places of the outputs that are in the model.
     order : int or None
         How many states; None for as many as stand out of the responses' own errors.
 
@@ -176,7 +181,7 @@ def realise(fmu: FMU, step: Fraction, held: Floats, scale: Floats, order: int | 
     ModelError
         If there is no steady state, an output follows an input at once, or no input moves any output.
     """
-    with Experiments(replace(fmu, timing="plant"), step, held) as plant:
+    with Experiments(replace(fmu, timing="plant"), step, held, rows) as plant:
         y, first = plant.settle()
         markov, error = _markov(plant, scale)
         waited = plant.waited
@@ -196,9 +201,9 @@ def realise(fmu: FMU, step: Fraction, held: Floats, scale: Floats, order: int | 
     return Realisation(A, B, C, y, start, waited, values, miss)
 
 
-def _markov(plant: Experiments, scale: Floats) -> tuple[Floats, Floats]:
+def _markov(plant: Experiments, scale: Mapping[int, float]) -> tuple[Floats, Floats]:
     """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and how uncertain they are."""
-    found = [_derivative(plant, j, full, len(plant.held)) for j, full in enumerate(scale)]
+    found = [_derivative(plant, j, full, len(plant.held)) for j, full in scale.items()]
     markov, error = (np.stack([column[part] for column in found], axis=2) for part in (0, 1))
     useful = _useful(markov)
     return markov[:useful], error[:useful]

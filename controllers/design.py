@@ -11,7 +11,7 @@ import numpy as np
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
 from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.identification import Identification
-from bayesftc.controllers.linearization import INPUT_NOISE, Names, linearize, names_of
+from bayesftc.controllers.linearization import INPUT_NOISE, Names, elements_of, linearize, names_of
 from bayesftc.controllers.lqg import LQGController
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
@@ -30,11 +30,11 @@ def design(
     measured: Names | None = None,
     actuated: Names | None = None,
     dt: float | str | Fraction | None = None,
-    at: Mapping[str, float] | None = None,
+    at: Mapping[str, float | Sequence[float]] | None = None,
     order: int | None = None,
     sensors: int | None = None,
     sensor_std: float | Sequence[float] = 0.01,
-    noise: Mapping[str, float] | None = None,
+    noise: Mapping[str, float | Sequence[float]] | None = None,
     disturbance: Matrix | None = None,
     acceptable_error: float | Sequence[float] = 0.1,
     acceptable_control: float | Sequence[float] | None = None,
@@ -57,8 +57,9 @@ def design(
     plant : FMU, path, system of python-control, StateSpace, LinearModel or Identification
         What is to be controlled. Nonlinear systems are linearised at a steady state.
     goal : str or sequence of str
-        Names of the plant's outputs that get a goal, measured or not; by default the measured ones. Of a `LinearModel`: numbers
-        of sensors whose quantity it is, or a matrix as in `LQGController`; by default each distinct output.
+        Names of the plant's outputs that get a goal, measured or not; by default the measured ones. The name of a vector stands
+        for all its elements, ``"y[1]"`` for one, and so for `measured` and `actuated`. Of a `LinearModel`: numbers of sensors
+        whose quantity it is, or a matrix as in `LQGController`; by default each distinct output.
     measured, actuated : str or sequence of str
         Names of the outputs that sensors read, and of the inputs that the controller drives. Not for a `LinearModel` or an
         `Identification`, which has its own.
@@ -98,7 +99,7 @@ def design(
     """
     if isinstance(plant, Identification):
         if goal is not None and (isinstance(goal, str) or all(isinstance(name, str) for name in np.atleast_1d(goal))):
-            goal = [_place(plant, name) for name in names_of(goal, "goal")]  # type: ignore[arg-type]
+            goal = [place for name in names_of(goal, "goal") for place in _named(plant, name)]  # type: ignore[arg-type]
         plant = plant.model
     if isinstance(plant, LinearModel):
         given: dict[str, object] = {
@@ -118,13 +119,15 @@ def design(
         wanted = seen if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
         linear = linearize(plant, measured=seen, actuated=driven, others=wanted, noise=noise, dt=dt, at=at, order=order)
         if noise is None:
-            scale = _room(u_min, u_max, len(driven))
+            columns = linear.columns(driven)
+            scale = _room(u_min, u_max, len(columns))
             if acceptable_control is not None:
                 scale = np.where(
                     np.isnan(scale), as_vector("acceptable_control", acceptable_control, len(scale)), scale
                 )
-            at_rest = np.maximum(np.abs([linear.u[linear.inputs.index(name)] for name in driven]), 1.0)
-            noise = dict(zip(driven, INPUT_NOISE * np.where(np.isnan(scale), at_rest, scale), strict=True))
+            at_rest = np.maximum(np.abs(linear.u[columns]), 1.0)
+            usual = INPUT_NOISE * np.where(np.isnan(scale), at_rest, scale)
+            noise = {linear.inputs[j]: std for j, std in zip(columns, usual, strict=True)}
         model = linear.model(seen, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance)
         rows, mean = linear.rows(wanted), linear.start
         H = np.zeros((len(rows), model.states))
@@ -159,10 +162,11 @@ def design(
     )
 
 
-def _place(plant: Identification, name: str) -> int:
-    if name not in plant.outputs:
+def _named(plant: Identification, name: str) -> list[int]:
+    found = elements_of(name, plant.outputs)
+    if not found:
         raise UnknownNameError(f"The identified model has no output {name!r}; {did_you_mean(name, plant.outputs)}")
-    return plant.outputs.index(name)
+    return [plant.outputs.index(element) for element in found]
 
 
 def _room(u_min: object, u_max: object, size: int) -> Floats:

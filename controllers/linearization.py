@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.linear_system import LinearSystem, held
+from bayesftc.cosim.ports import labels
 from bayesftc.cosim.state_space import StateSpace
 from bayesftc.cosim.timebase import rational_step, show
 
@@ -40,7 +42,7 @@ class Linearization:
     start : ndarray
         The state in which the plant starts.
     inputs, outputs : tuple of str
-        Names of the columns of B and the rows of C.
+        Names of the columns of B and the rows of C; elements of vectors and matrices as ``"y[1]"``, ``"T[0,1]"``.
     step : Fraction
         Sample time in seconds.
     """
@@ -57,21 +59,25 @@ class Linearization:
     step: Fraction
 
     def rows(self, names: Sequence[str]) -> list[int]:
-        """Return the places of outputs."""
-        return [self.outputs.index(name) for name in names]
+        """Return the places of outputs; a vector's name stands for all its elements."""
+        return _places(names, self.outputs, "output")
+
+    def columns(self, names: Sequence[str]) -> list[int]:
+        """Return the places of inputs; a vector's name stands for all its elements."""
+        return _places(names, self.inputs, "input")
 
     def model(
         self,
         measured: Sequence[str],
         actuated: Sequence[str],
         *,
-        noise: Mapping[str, float] | None = None,
+        noise: Mapping[str, float | Sequence[float]] | None = None,
         sensors: int | None = None,
         sensor_std: float | Sequence[float] = 0.01,
         disturbance: Matrix | None = None,
     ) -> LinearModel:
         """Return the model of a controller, in the plant's own values; see `LinearModel.from_fmu`."""
-        rows, columns = self.rows(measured), [self.inputs.index(name) for name in actuated]
+        rows, columns = self.rows(measured), self.columns(actuated)
         count = len(rows) if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
         if count % len(rows):
             raise ModelError(
@@ -82,7 +88,7 @@ class Linearization:
         std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
         variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
         model = LinearModel(
-            self.A, self.B[:, columns], self.C[order], self._noise(actuated, noise), variances, self.step
+            self.A, self.B[:, columns], self.C[order], self._noise(columns, noise), variances, self.step
         )
         if disturbance is not None and disturbance is not False:
             model = model.with_disturbance(disturbance)
@@ -91,12 +97,13 @@ class Linearization:
         # Inputs that are not actuated stay as they are at the operating point, and so are part of what is steady.
         return model.about(self.x, self.u[columns], self.y[order])
 
-    def _noise(self, actuated: Sequence[str], noise: Mapping[str, float] | None) -> Floats:
-        if noise is None:
-            noise = {name: INPUT_NOISE * max(1.0, abs(self.u[self.inputs.index(name)])) for name in actuated}
+    def _noise(self, actuated: Sequence[int], noise: Mapping[str, float | Sequence[float]] | None) -> Floats:
+        std = {j: INPUT_NOISE * max(1.0, abs(self.u[j])) for j in actuated}
+        if noise is not None:
+            std = _spread("The noise", noise, self.inputs)
         Q = np.zeros_like(self.A)
-        for name, std in noise.items():
-            effect = self.B[:, self.inputs.index(name)] * as_number(f"The noise has {name}", std, least=0)
+        for j, size in std.items():
+            effect = self.B[:, j] * as_number(f"The noise has {self.inputs[j]}", size, least=0)
             Q += np.outer(effect, effect)
         return Q
 
@@ -107,9 +114,9 @@ def linearize(
     measured: Names,
     actuated: Names,
     others: Names = (),
-    noise: Mapping[str, float] | None = None,
+    noise: Mapping[str, float | Sequence[float]] | None = None,
     dt: float | str | Fraction | None = None,
-    at: Mapping[str, float] | None = None,
+    at: Mapping[str, float | Sequence[float]] | None = None,
     order: int | None = None,
 ) -> Linearization:
     """Return a plant about a steady state; `others` are outputs that are to be in it beside those that are measured."""
@@ -141,19 +148,45 @@ def names_of(given: Names, what: str) -> list[str]:
     return names
 
 
+def elements_of(name: str, known: Sequence[str]) -> list[str]:
+    """Return the elements that a name stands for: itself, or all of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
+    return [name] if name in known else [element for element in known if element.startswith(f"{name}[")]
+
+
 def _places(names: Sequence[str], known: Sequence[str], what: str) -> list[int]:
+    places: list[int] = []
     for name in names:
-        if name not in known:
+        found = [list(known).index(element) for element in elements_of(name, known)]
+        if not found:
             raise UnknownNameError(f"The plant has no {what} {name!r}; {did_you_mean(name, known)}")
-    return [list(known).index(name) for name in names]
+        if set(found) & set(places):
+            raise ModelError(f"{what}s {', '.join(names)}: {name!r} names an element a second time; name each once.")
+        places += found
+    return places
 
 
-def _operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float]) -> Floats:
+def _spread(title: str, given: Mapping[str, Any], known: Sequence[str]) -> dict[int, float]:
+    """Return what is given by name by place; of a vector it is one number, or one for each element."""
+    found: dict[int, float] = {}
+    for name, value in given.items():
+        places = _places([name], known, "input")
+        values = as_vector(f"{title} of {name}", value, len(places)) if len(places) > 1 else [value]
+        found.update(zip(places, values, strict=True))  # type: ignore[arg-type]
+    return found
+
+
+def _operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float | Sequence[float]]) -> Floats:
     """Return the inputs at the operating point: their start values, but for those that are given."""
     u = np.array(start, dtype=np.float64)
-    for place, name in zip(_places(list(at), inputs, "input"), at, strict=True):
-        u[place] = as_number(f"The operating point has {name}", at[name])
+    for place, value in _spread("The operating point", at, inputs).items():
+        u[place] = as_number(f"The operating point has {inputs[place]}", value)
     return u
+
+
+def _chosen(names: Sequence[str], known: Sequence[str], what: str) -> tuple[list[int], tuple[str, ...]]:
+    """Return places and names of the elements that are meant, each once, though several names may stand for it."""
+    places = list(dict.fromkeys(place for name in names for place in _places([name], known, what)))
+    return places, tuple(known[place] for place in places)
 
 
 # --- systems of python-control ---------------------------------------------------------------------------------------
@@ -165,31 +198,35 @@ def _of_linear(
     inputs: list[str],
     outputs: list[str],
     dt: float | str | Fraction | None,
-    at: Mapping[str, float],
+    at: Mapping[str, float | Sequence[float]],
 ) -> Linearization:
     if at:
         raise ModelError("A linear system is the same everywhere; leave at= out.")
     a, b, c, d = system.matrices()
-    columns = _places(inputs, system.input_names, "input")
-    rows = _places(outputs, system.output_names, "output")
+    columns, into = _chosen(inputs, system.input_names, "input")
+    rows, out = _chosen(outputs, system.output_names, "output")
     step = _step(system.dt, dt)
     if system.dt == 0:
         a, b = held(a, b, float(step))
     _refuse_direct(d[np.ix_(rows, columns)])
     zeros = np.zeros(len(a)), np.zeros(len(columns)), np.zeros(len(rows))
-    return Linearization(a, b[:, columns], c[rows], *zeros, start, tuple(inputs), tuple(outputs), step)
+    return Linearization(a, b[:, columns], c[rows], *zeros, start, into, out, step)
 
 
 def _of_nonlinear(
-    block: StateSpace, inputs: list[str], outputs: list[str], dt: float | str | Fraction | None, at: Mapping[str, float]
+    block: StateSpace,
+    inputs: list[str],
+    outputs: list[str],
+    dt: float | str | Fraction | None,
+    at: Mapping[str, float | Sequence[float]],
 ) -> Linearization:
     import control
 
     system = block.system
     known_inputs = [port.name for port in block.inputs if port.draw is None]
     u = _operating(known_inputs, np.zeros(len(known_inputs)), at)
-    columns = _places(inputs, known_inputs, "input")
-    rows = _places(outputs, [port.name for port in block.outputs], "output")
+    columns, into = _chosen(inputs, known_inputs, "input")
+    rows, out = _chosen(outputs, [port.name for port in block.outputs], "output")
     x = np.array(block.initial, dtype=np.float64)
     params = None if block.params is None else dict(block.params)
 
@@ -205,9 +242,7 @@ def _of_nonlinear(
     if system.dt == 0:
         a, b = held(a, b, float(step))
     _refuse_direct(d[np.ix_(rows, columns)])
-    return Linearization(
-        a, b[:, columns], c[rows], x, u[columns], y[rows], np.array(block.initial), tuple(inputs), tuple(outputs), step
-    )
+    return Linearization(a, b[:, columns], c[rows], x, u[columns], y[rows], np.array(block.initial), into, out, step)
 
 
 def _step(own: float | None, asked: float | str | Fraction | None) -> Fraction:
@@ -231,20 +266,22 @@ def _of_fmu(
     inputs: list[str],
     outputs: list[str],
     dt: float | str | Fraction | None,
-    at: Mapping[str, float],
+    at: Mapping[str, float | Sequence[float]],
     order: int | None,
 ) -> Linearization:
     step = _fmu_step(fmu, dt)
-    every = list(dict.fromkeys([*inputs, *at]))
-    fmu = replace(fmu, inputs=every, outputs=outputs)
-    for port in (*(fmu.inputs or ()), *(fmu.outputs or ())):
-        if port.shape:  # type: ignore[union-attr]
-            raise ModelError(f"{port.name!r} of the FMU is an array; only scalars can be measured and actuated here.")  # type: ignore[union-attr]
-    start = [port.default or 0.0 for port in fmu.inputs or ()]  # type: ignore[union-attr]
-    u = _operating(every, np.array(start), at)
+    fmu = replace(fmu, inputs=_variables(fmu, [*inputs, *at]), outputs=_variables(fmu, outputs))
+    into, out = (
+        [name for port in side or () for name in labels(port.name, port.shape)]  # type: ignore[union-attr]
+        for side in (fmu.inputs, fmu.outputs)
+    )
+    start = [np.broadcast_to(port.default or 0.0, port.shape).ravel() for port in fmu.inputs or ()]  # type: ignore[union-attr, arg-type]
+    u = _operating(into, np.concatenate(start), at)
+    columns, driven = _chosen(inputs, into, "input")
+    rows, seen = _chosen(outputs, out, "output")
     if fmu.description.exchange is not None and order is None:
-        return _of_equations(fmu, u, len(inputs), tuple(inputs), tuple(outputs), step)
-    found = realise(fmu, step, u, np.maximum(np.abs(u[: len(inputs)]), 1.0), order)
+        return _of_equations(fmu, u, columns, rows, driven, seen, step)
+    found = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     if found.waited and not at:
         warnings.warn(
             f"The plant {fmu.default_name!r} does not rest at its start; it was left alone for {show(found.waited)} s, and the "
@@ -252,22 +289,34 @@ def _of_fmu(
             "give other start values or inputs (at=...).",
             stacklevel=4,
         )
-    point = np.zeros(len(found.A)), u[: len(inputs)], found.y, found.start
-    return Linearization(found.A, found.B, found.C, *point, tuple(inputs), tuple(outputs), step)
+    point = np.zeros(len(found.A)), u[columns], found.y, found.start
+    return Linearization(found.A, found.B, found.C, *point, driven, seen, step)
+
+
+def _variables(fmu: FMU, names: Sequence[str]) -> list[str]:
+    """Return the variables of an FMU that are named, in whole or by an element (``y[1]``), each once."""
+    known = {variable.name for variable in fmu.description.variables}
+    return list(dict.fromkeys(name if name in known else re.sub(r"\[[\d,]+\]$", "", name) for name in names))
 
 
 def _of_equations(
-    fmu: FMU, u: Floats, count: int, inputs: tuple[str, ...], outputs: tuple[str, ...], step: Fraction
+    fmu: FMU,
+    u: Floats,
+    columns: list[int],
+    rows: list[int],
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    step: Fraction,
 ) -> Linearization:
     from bayesftc.cosim._exchange.equations import ModelEquations
 
     with ModelEquations(fmu) as model:
-        x, u = _rest(model.derivatives, model.x0, u, list(range(count)), model.nominals)
+        x, u = _rest(model.derivatives, model.x0, u, columns, model.nominals)
         a, b, c, d = model.jacobians(x, u)
         y, start = model.outputs(x, u), model.x0
-    _refuse_direct(d[:, :count])
+    _refuse_direct(d[np.ix_(rows, columns)])
     A, B = held(a, b, float(step))
-    return Linearization(A, B[:, :count], c, x, u[:count], y, start, inputs, outputs, step)
+    return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step)
 
 
 def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:

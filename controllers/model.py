@@ -200,9 +200,9 @@ class LinearModel:
         measured: str | Sequence[str],
         actuated: str | Sequence[str],
         dt: float | str | Fraction | None = None,
-        at: Mapping[str, float] | None = None,
+        at: Mapping[str, float | Sequence[float]] | None = None,
         order: int | None = None,
-        noise: Mapping[str, float] | None = None,
+        noise: Mapping[str, float | Sequence[float]] | None = None,
         sensors: int | None = None,
         sensor_std: float | Sequence[float] = 0.01,
         disturbance: Matrix | None = None,
@@ -226,14 +226,15 @@ class LinearModel:
         fmu : FMU or path
             The plant; its parameters say where it starts.
         measured, actuated : str or sequence of str
-            Names of the outputs that sensors read, and of the inputs that the controller drives.
+            Names of the outputs that sensors read, and of the inputs that the controller drives. Of arrays of FMI 3 the name
+            stands for all elements, ``"y[1]"`` (of a matrix ``"T[0,1]"``) for one.
         dt : float, str or Fraction, optional
             Sample time in seconds; by default the step size that the FMU recommends.
-        at : mapping of input to float, optional
+        at : mapping of input to number or vector, optional
             Inputs at the operating point; by default their start values.
         order : int, optional
             Number of states, for a model by pulse responses (asked also of an FMU for model exchange if it is given).
-        noise : mapping of input to float, optional
+        noise : mapping of input to number or vector, optional
             Where process noise comes in, and its standard deviation in each sample: any inputs of the FMU. By default the
             actuated ones, with 5 % of their value at the operating point or of 1, whichever is larger.
         sensors : int, optional

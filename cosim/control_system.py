@@ -18,8 +18,7 @@ from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import ModelError, UnconnectedInputError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmu import FMU
-from bayesftc.cosim.ports import Port
-from bayesftc.cosim.result import labels
+from bayesftc.cosim.ports import Port, labels
 
 Names = Sequence[str] | Mapping[str, str] | str
 Element = tuple[str, str, int]

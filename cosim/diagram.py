@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.coupling import Coupling, Method
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
-from bayesftc.cosim.ports import Port, PortRef
+from bayesftc.cosim.ports import Port, PortRef, labels
 from bayesftc.cosim.timebase import rational_step, whole_number
 from bayesftc.cosim.units import difference
 
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 class Node:
     """A ``block`` that stands in a diagram under a ``name``; ``node["y"]`` refers to its port.
 
-    It runs at every ``every``-th base step.
+    Of a vector or matrix port, ``node["y[1]"]`` (that is ``node["y"][1]``) and ``node["K[0,1]"]`` refer to one element. It runs
+    at every ``every``-th base step.
     """
 
     name: str
@@ -42,6 +43,10 @@ class Node:
             for candidate in ports:
                 if candidate.name == port:
                     return PortRef(self, candidate, direction, tuple(range(candidate.size)))
+        for direction, ports in directions:
+            for candidate in ports:
+                if candidate.shape and port in (elements := labels(candidate.name, candidate.shape)):
+                    return PortRef(self, candidate, direction, (elements.index(port),))
         names = [p.name for _, ports in directions for p in ports]
         raise UnknownNameError(f"Block {self.name!r} has no port {port!r}; {did_you_mean(port, names)}")
 

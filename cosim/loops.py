@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -48,7 +49,7 @@ def closed_loop(
     ``reference -> controller.goal``; ``plant -> sensors -> faults -> controller.y``; ``controller.u -> input_faults -> plant``;
     ``noise -> input_faults -> plant`` into further inputs. The blocks are named ``plant``, ``controller``, ``sensors``,
     ``reference`` (``reference_0``, ... where there are several), ``<input>_noise``, ``freeze_0`` and the like for faults of
-    sensors, ``<input>_freeze_0`` for those of an input; monitors have the names given.
+    sensors, ``<input>_freeze_0`` for those of an input (``u_1_freeze_0`` for those of ``u[1]``); monitors have the names given.
 
     Parameters
     ----------
@@ -57,9 +58,9 @@ def closed_loop(
     controller : Block
         A block with inputs ``y`` and ``goal`` and the output ``u``.
     control : str or sequence of str
-        The plant's inputs that ``u`` drives, in its order.
+        The plant's inputs that ``u`` drives, in its order. A vector is driven whole, or an element of it (``"u[1]"``).
     measured : str or sequence of str
-        The plant's outputs that the sensors see.
+        The plant's outputs that the sensors see, vectors whole or elements of them.
     reference : Block, float or a sequence of them
         Where the plant is to go: a source, a constant, or one for each element of the controller's goal.
     sensors : Sensors, optional
@@ -103,7 +104,7 @@ def closed_loop(
     goals = [diagram.add(block, name) for name, block in _references(reference)]
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
     outputs = [node[name] for name in _names(measured, "measured")]
-    sensors = _fitted(sensors, len(outputs))
+    sensors = _fitted(sensors, sum(map(len, outputs)))
     seen = diagram.add(sensors, "sensors")
     diagram.connect(outputs, seen["u"])
     samples = _through(diagram, seen["y"], [faults] if isinstance(faults, Fault) else faults)
@@ -115,26 +116,28 @@ def closed_loop(
         )
     diagram.connect(samples, brain["y"])
     diagram.connect([g["y"] for g in goals], brain["goal"])
-    inputs = _names(control, "control")
-    if len(brain["u"]) != len(inputs):
+    inputs = {name: node[name] for name in _names(control, "control")}
+    if len(brain["u"]) != sum(map(len, inputs.values())):
         raise ConnectionError(
-            f"The controller has {len(brain['u'])} controls, but control= names {len(inputs)} inputs of the plant: {inputs}."
+            f"The controller has {len(brain['u'])} controls, but control= names {sum(map(len, inputs.values()))} inputs of the "
+            f"plant: {', '.join(inputs)}."
         )
     if not isinstance(input_faults, Mapping | None):
         raise ModelError(
             f"input_faults is {input_faults!r}; it must say which input of the plant each fault befalls: "
-            f"input_faults={{{inputs[0]!r}: GainFault(factor=0.5)}}."
+            f"input_faults={{{next(iter(inputs))!r}: GainFault(factor=0.5)}}."
         )
-    befallen = dict(input_faults or {})
-    for i, name in enumerate(inputs):
-        _feed(diagram, brain["u"][i], node[name], befallen.pop(name, ()))
+    befallen, first = dict(input_faults or {}), 0
+    for name, target in inputs.items():
+        _feed(diagram, brain["u"][first : first + len(target)], target, befallen.pop(name, ()), name)
+        first += len(target)
     seen_by = {"y": samples, "goal": [g["y"] for g in goals]}
     for name, monitor in (monitors or {}).items():
         _watch(diagram, brain, diagram.add(monitor, name, brain.every), seen_by)
     for name, source in (noise or {}).items():
-        _feed(diagram, diagram.add(source, f"{name}_noise")["y"], node[name], befallen.pop(name, ()))
+        _feed(diagram, diagram.add(source, f"{_plain(name)}_noise")["y"], node[name], befallen.pop(name, ()), name)
     for name, chain in befallen.items():
-        _feed(diagram, _at_rest(diagram, node[name]), node[name], chain)
+        _feed(diagram, _at_rest(diagram, node[name], name), node[name], chain, name)
     return diagram.build()
 
 
@@ -175,9 +178,9 @@ def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], prefix:
     return signal
 
 
-def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Sequence[Fault]) -> None:
+def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Sequence[Fault], name: str) -> None:
     """Connect what feeds an input of the plant to it, through the faults of that input."""
-    name, chain = target.port.name, [faults] if isinstance(faults, Fault) else faults
+    chain = [faults] if isinstance(faults, Fault) else faults
     for fault in chain:
         kinds = fault.kinds if isinstance(fault, RandomFaults) else (fault,)
         if any(isinstance(kind, Dropout) for kind in kinds):
@@ -190,19 +193,25 @@ def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Se
                 f"input_faults has a {type(fault).__name__} with sensor={fault.sensor} for {name!r}, which has {len(signal)} "
                 f"element{'s' if len(signal) > 1 else ''}, numbered from 0; leave sensor out where there is one."
             )
-    diagram.connect(_through(diagram, signal, chain, f"{name}_"), target)
+    diagram.connect(_through(diagram, signal, chain, f"{_plain(name)}_"), target)
 
 
-def _at_rest(diagram: Diagram, target: PortRef) -> PortRef:
+def _plain(name: str) -> str:
+    """Return an input's name as part of a block's name: ``u_1`` for the element ``u[1]``."""
+    return re.sub(r"\W+", "_", name).strip("_") if name.endswith("]") else name
+
+
+def _at_rest(diagram: Diagram, target: PortRef, name: str) -> PortRef:
     """Return a source of the value that an input of the plant has while nothing feeds it."""
     if target.direction == "output":
         raise ConnectionError(f"input_faults names {target.name}, which is an output; name an input of the plant.")
     if target.port.default is None or len(target) > 1:
         raise UnconnectedInputError(
             f"A fault is to befall {target.name}, which has no control, no noise and no start value; give it a source, as "
-            f"closed_loop(noise={{{target.port.name!r}: cosim.Constant(0.0)}})."
+            f"closed_loop(noise={{{name!r}: cosim.Constant(0.0)}})."
         )
-    return diagram.add(Constant(float(np.ravel(target.port.default)[-1])), f"{target.port.name}_start")["y"]
+    start = np.broadcast_to(target.port.default, target.port.shape).ravel()[target.elements[0]]  # type: ignore[arg-type]
+    return diagram.add(Constant(float(start)), f"{_plain(name)}_start")["y"]
 
 
 def _watch(diagram: Diagram, brain: Node, monitor: Node, seen_by: Mapping[str, Any]) -> None:

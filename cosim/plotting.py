@@ -15,7 +15,7 @@ import numpy as np
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import periods
 from bayesftc.cosim.panels import finish, legend, make_panels, name_spans, thin
-from bayesftc.cosim.result import labels
+from bayesftc.cosim.ports import labels
 from bayesftc.cosim.signals import ALARM, Flags, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 
 if TYPE_CHECKING:

@@ -108,3 +108,8 @@ class PortRef:
 
     def __iter__(self) -> Iterator[PortRef]:
         return (self[i] for i in range(len(self)))
+
+
+def labels(name: str, shape: tuple[int, ...]) -> list[str]:
+    """Return a name for each scalar of a signal: itself, or ``name[i]``, ``name[i,j]``."""
+    return [name + (f"[{','.join(map(str, index))}]" if index else "") for index in np.ndindex(*shape)]

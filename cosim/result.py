@@ -21,6 +21,7 @@ import numpy as np
 
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import labels
 
 if TYPE_CHECKING:
     import control
@@ -248,8 +249,3 @@ class Result(Mapping[str, Floats]):
             raise ResultFileError(
                 f"{path} is no result file of bayesftc, or it is damaged; run the simulation again."
             ) from None
-
-
-def labels(name: str, shape: tuple[int, ...]) -> list[str]:
-    """Return a name for each scalar of a signal: itself, or ``name[i]``, ``name[i,j]``."""
-    return [name + (f"[{','.join(map(str, index))}]" if index else "") for index in np.ndindex(*shape)]

@@ -148,7 +148,7 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
             content["controller"], content.get("model"), root / "controller", root, simulation
         ),
         reference=sections.reference(content["reference"], root / "reference"),
-        sensors=sections.sensors(content["sensors"], root / "sensors", wiring) if "sensors" in content else None,
+        sensors=sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None,
         faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],
         noise=sections.noise(content["noise"], root / "noise") if "noise" in content else {},
         input_faults=sections.input_faults(content["input_faults"], root / "input_faults")

@@ -112,9 +112,11 @@ def _source(value: object, place: Place) -> Block:
     return build_one_of(SOURCES, value, place)  # type: ignore[no-any-return]
 
 
-def sensors(table: object, place: Place, wiring: Wiring) -> Sensors:
-    """Return the sensors of ``[sensors]``, which read the plant's measured variables."""
-    measured = 1 if isinstance(wiring.measured, str) else len(wiring.measured)
+def sensors(table: object, place: Place, wiring: Wiring, plant: Block) -> Sensors:
+    """Return the sensors of ``[sensors]``, which read the plant's measured variables, of vectors each element."""
+    names = [wiring.measured] if isinstance(wiring.measured, str) else wiring.measured
+    sizes = {port.name: port.size for port in plant.outputs}
+    measured = sum(sizes.get(name, 1) for name in names)
     # Known here already, so that a matrix has its width without the file saying a second time how many variables there are.
     return build(Sensors, {"signals": measured, **as_table(table, place)}, place)  # type: ignore[no-any-return]
 
