@@ -225,6 +225,9 @@ def _load(name: str, text: str, namespace: dict[str, Any], functions: list[Funct
             _write_once(path, text)
             try:
                 module = _execute(path, text, namespace)
+            except OSError as error:
+                _forget(path)
+                raise _unwritable(path, error) from None
             except Exception as error:
                 if not _forget(path):
                     raise _refusal(namespace["kernel"], error) from error
@@ -294,6 +297,7 @@ def _write_once(path: Path, text: str) -> None:
             return
     except FileNotFoundError:
         pass
+    temporary = None
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
@@ -301,6 +305,13 @@ def _write_once(path: Path, text: str) -> None:
         os.utime(temporary, (_STAMP, _STAMP))
         os.replace(temporary, path)
     except OSError as error:
-        raise BayesFTCError(
-            f"The cache folder {path.parent} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be."
-        ) from None
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise _unwritable(path, error) from None
+
+
+def _unwritable(path: Path, error: OSError) -> BayesFTCError:
+    return BayesFTCError(
+        f"The cache folder {path.parent} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be, "
+        "or make room there."
+    )

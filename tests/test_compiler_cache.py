@@ -481,6 +481,26 @@ def test_cache_folders_that_cannot_be_used(tmp_path, monkeypatch, make_block):
     assert block.online(1)().y == 1.25
 
 
+FULL = """
+import json, resource
+from bayesftc import cosim
+diagram = cosim.Diagram(dt=0.1)
+diagram.add(cosim.Sine(1.0, 1.0), "wave")
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+try:
+    diagram.simulate(1.0, engine="compiled")
+except cosim.BayesFTCError as error:
+    print(json.dumps(str(error)))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits the size of files")
+def test_a_full_cache_folder_ends_in_a_sentence(python, tmp_path):
+    said = python(FULL, cache=tmp_path)
+    assert f"The cache folder {tmp_path / 'compiled'} cannot be written (File too large); set BAYESFTC_CACHE" in said
+    assert not [p for p in tmp_path.rglob("*") if p.is_file() and p.suffix != ".py"]  # no half of anything
+
+
 def test_a_second_run_of_a_built_diagram_does_not_hash_again(monkeypatch):
     diagram = cosim.Diagram(1)
     diagram.add(cosim.Ramp(1.0))
