@@ -175,11 +175,28 @@ class Block:
 
 
 class ExternalBlock(Block):
-    """A block whose step functions are C functions already: an FMU.
+    """A block whose step functions are functions in C already: an FMU, or a plant in a library of your own.
 
-    Instead of ``define``, ``instantiate`` returns an `External`: the addresses of two functions with the engine's signature,
-    the table of integers that they find at their parameters' address, and Python forms of both for the interpreted engine.
+    To write an external block you must:
+
+    1. keep rules 1, 2 and 6 of `Block`; its ports are what C functions read and write, flat, in the order of the ports. A plant
+       sets ``checks_finite``, so that a NaN in its outputs stops the run;
+    2. say in `timing` when outputs are computed, and declare inputs on which they do not depend at once ``feedthrough=False``;
+    3. return from ``instantiate(step, name)`` an `External`, which holds what runs; each run has instances of its own;
+    4. write the step functions in C, with the engine's signature::
+
+           int32_t step(double *state, int64_t *table, const double *inputs, double *outputs, double t, int64_t k)
+
+       ``table`` is a copy of the instance's own (at most 32 words: addresses of what it needs, numbers), ``t`` the time in
+       seconds at the beginning of the step, ``k`` the block's own step count; ``state`` is not used. They return 0, or a
+       status below a million that stops the run and that `External.explain` puts into words;
+    5. give the same two functions in Python, for the interpreted engine and with the same numbers.
     """
+
+    #: ``"plant"``: the output function reads the outputs at t_k, which do not depend on the inputs at t_k; then the update
+    #: function makes a step. ``"direct"``: the same, but they do. ``"sampled"``: the output function makes the step with the
+    #: inputs at t_k, and its outputs count at t_k, as a controller's do; there is no update.
+    timing: Literal["plant", "direct", "sampled"] | None = "plant"
 
     def instantiate(self, step: Fraction, name: str) -> External:
         """Return a new running instance that makes steps of `step` seconds."""
@@ -187,7 +204,12 @@ class ExternalBlock(Block):
 
 
 class External(Protocol):
-    """A running instance of an external block."""
+    """A running instance of an external block.
+
+    Where a coupling iterates or changes step sizes, compiled code calls ``save``, ``restore`` and ``forget``, at the cost of calls
+    of Python; an instance that is saved by C functions with the signatures of FMI 2 can name these instead, by an attribute
+    ``state_functions``: its own address, and those of the three.
+    """
 
     table: NDArray[np.int64]
 

@@ -20,7 +20,7 @@ from bayesftc.cosim._contract import checked
 from bayesftc.cosim._coupled.groups import Group, Grouping, element_name
 from bayesftc.cosim._feedthrough import Feedthrough
 from bayesftc.cosim._memory import Slots, arrange
-from bayesftc.cosim.block import Definition, Floats, Kernel
+from bayesftc.cosim.block import Definition, ExternalBlock, Floats, Kernel
 from bayesftc.cosim.coupling import Coupling
 from bayesftc.cosim.diagram import Diagram, Node, is_external
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnconnectedInputError
@@ -175,12 +175,10 @@ class Schedule:
 
     def updates(self, i: int) -> bool:
         """Return whether a node has something to do between t_k and t_k+1."""
-        definition = self.definitions[i]
-        return (
-            definition.update is not None
-            if definition
-            else getattr(self.nodes[i].block, "timing", "plant") != "sampled"
-        )
+        definition, block = self.definitions[i], self.nodes[i].block
+        if isinstance(block, ExternalBlock):
+            return block.timing != "sampled"
+        return definition is not None and definition.update is not None
 
     def _outputs(self, i: int) -> bool:
         definition = self.definitions[i]

@@ -16,6 +16,7 @@ import numpy as np
 
 from bayesftc.cosim._coupled.engines import check_groups, place_words
 from bayesftc.cosim._isolation.turns import one_processor
+from bayesftc.cosim._memory import TABLE
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
@@ -117,9 +118,21 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
 
 
 def place_tables(run: Run) -> None:
-    """Write into memory what compiled code needs to know of each FMU's instance."""
+    """Write into memory what compiled code needs to know of each FMU's instance.
+
+    Raises
+    ------
+    KernelError
+        If an instance needs more room than there is.
+    """
     place_words(run)
     for i, instance in run.instances.items():
+        if len(instance.table) > TABLE:
+            node = run.schedule.nodes[i]
+            raise KernelError(
+                f"The table of {node.name!r}, a {type(node.block).__name__}, has {len(instance.table)} words, and there is room "
+                f"for {TABLE}: keep what is more in memory of its own, and the address of that in the table."
+            )
         start = run.schedule.slots[i].start["parameters"]
         run.memory[start : start + len(instance.table)] = instance.table.view(np.float64)
 

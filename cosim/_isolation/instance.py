@@ -91,7 +91,7 @@ class Isolated:
         self._states: weakref.WeakSet[IsolatedState] = weakref.WeakSet()
         self._left: list[int] = []  # saved states that nobody needs any more
         self._tokens = 0
-        self._is_ready, self._is_compiled, self._updates = False, False, getattr(block, "timing", "") != "sampled"
+        self._is_ready, self._is_compiled, self._updates = False, False, block.timing != "sampled"
         inputs, outputs = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
         self._process = WorkerProcess(inputs, outputs, min(protocol.ATTENTION, time_limit))
         shared = self.shared = self._process.shared

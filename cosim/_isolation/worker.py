@@ -95,7 +95,7 @@ class _Worker:
         self._block, self._step, self._name = block, step, name
         counts = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
         self._shared = protocol.Shared(memory, *counts)
-        self._reads_ahead = getattr(block, "timing", "") == "plant"
+        self._reads_ahead = block.timing == "plant"
         self._serve: Any = None
         self._saved: dict[int, Any] = {}
         self._instance: External | None = None
