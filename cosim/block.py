@@ -206,8 +206,8 @@ class ExternalBlock(Block):
 class External(Protocol):
     """A running instance of an external block.
 
-    Where a coupling iterates or changes step sizes, compiled code calls ``save``, ``restore`` and ``forget``, at the cost of calls
-    of Python; an instance that is saved by C functions with the signatures of FMI 2 can name these instead, by an attribute
+    Where a coupling iterates or changes step sizes, compiled code calls ``save``, ``restore`` and ``forget``, at the cost of
+    calls of Python; an instance that is saved by C functions with the signatures of FMI 2 can name these instead, by an attribute
     ``state_functions``: its own address, and those of the three.
     """
 
