@@ -13,7 +13,7 @@ from bayesftc.cosim._coupled.engines import CompiledGroup, GroupRun, Interpreted
 from bayesftc.cosim._memory import bind
 from bayesftc.cosim._state_functions import StateFunctions
 from bayesftc.cosim.block import External, Floats
-from bayesftc.cosim.random import CHUNK, draw_chunk, stream_key
+from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
 from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule
 
 WRITES = frozenset({"output", "ahead"})
@@ -102,6 +102,8 @@ class Draws:
     def __init__(self, run: Run):
         self._run, self._streams, self._places = run, run.streams(), run.drawn()
         self._buffer, self._chunk = np.empty((CHUNK, len(self._places))), -1
+        if len(self._places):
+            compiled_fill()  # here, for in a first step that keeps pace with the clock there is no time
 
     def fill(self, k: int) -> None:
         """Draw the numbers of step `k`."""

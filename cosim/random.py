@@ -137,7 +137,8 @@ def fill(seed, streams, first, buffer):
 
 
 @cache
-def _compiled_fill() -> Any:
+def compiled_fill() -> Any:
+    """Return what draws many numbers at once; the first call takes the time to load it."""
     from bayesftc.cosim._compiler import compile_function
 
     return compile_function(fill, "void(uint64, uint64[:, ::1], int64, float64[:, ::1])")
@@ -148,7 +149,7 @@ def draw_chunk(
 ) -> None:
     """Fill `buffer` (steps x numbers) from step `first` on, with the same bits as inside the compiled engine."""
     rows = np.empty(buffer.shape[::-1])
-    _compiled_fill()(np.uint64(seed), streams, first, rows)
+    compiled_fill()(np.uint64(seed), streams, first, rows)
     buffer[:] = rows.T
 
 

@@ -218,7 +218,8 @@ def advance(
         if time_limit is not None and now - started > time_limit:
             t = float(until * run.schedule.step)
             return f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {until} of {end})."
-        piece = max(1, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
+        if not pacer:
+            piece = max(1, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
         begin = until
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import time
 
 import numpy as np
 import pytest
@@ -473,3 +474,21 @@ def test_figures_of_the_compiled_engine_are_the_same():
         figures(loop_signals(loop, scenario.simulate(loop, engine=e))).to_dict() for e in ("compiled", "interpreted")
     ]
     assert runs[0] == runs[1]
+
+
+def test_a_run_keeps_pace_with_the_clock_and_says_where_it_was_late(bayesftc_):
+    begin = time.monotonic()
+    done = run_car(bayesftc_, "--duration", "12", "--pace", "10", "--json")  # more steps than powers of two in a float
+    numbers = json.loads(done.output)
+    assert time.monotonic() - begin > 1.2
+    assert numbers["pace"]["pace"] == 10.0
+    assert "pace of 10 simulated seconds a second" in numbers["notes"][-1]
+    same = json.loads(run_car(bayesftc_, "--duration", "12", "--json").output)
+    assert "pace" not in same
+    assert numbers["tracking"] == same["tracking"]
+    late = run_car(bayesftc_, "--duration", "1", "--pace", "1e6")  # nobody is as fast
+    assert re.search(r"the run was\s+late (once|\d+\s+times),\s+at\s+worst\s+by\s+[\d.e+]+\s+ms", late.output)
+    wrong = run_car(bayesftc_, "--pace", "0")
+    assert (wrong.exit_code, wrong.output) == (
+        9, "Error: pace is 0.0; it must be a positive number of simulated seconds for each second, 1.0 for real time.\n"
+    )  # fmt: skip

@@ -34,6 +34,17 @@ setattr(owner, name, hit)
 from bayesftc.__main__ import main
 main()
 """
+PACED = """
+import bayesftc.cosim._pacing as pacing
+wait = pacing.Pacer.wait
+def said(self, k):
+    if k == 1:
+        print("waits", flush=True)
+    wait(self, k)
+pacing.Pacer.wait = said
+from bayesftc.__main__ import main
+main()
+"""
 COMPILING = ("run", "cruise_control", "--engine", "compiled", "--quiet", "--out", "out")
 
 
@@ -210,3 +221,24 @@ def test_other_ignored_exceptions_and_other_handlers_stay_as_they_are(usual, mon
     with heard():
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     monkeypatch.undo()
+
+
+def test_while_a_run_waits_for_the_clock(tmp_path):
+    slow = "run", "cruise_control", "--engine", "interpreted", "--pace", "0.001", "--out", "out"
+    process = subprocess.Popen(
+        [sys.executable, "-c", PACED, *slow],
+        cwd=tmp_path,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    try:
+        assert process.stdout.readline() == "waits\n"
+        process.send_signal(signal.SIGINT)
+        said, errors = process.communicate(timeout=15)  # a step is 20 s long
+        assert (process.returncode, said, errors) == (130, "", SENTENCE + "\n")
+        assert not list(tmp_path.iterdir())
+    finally:
+        process.kill()
+        process.wait()

@@ -72,6 +72,10 @@ def run(
     seed: Annotated[int | None, typer.Option(help="Seed of all noise, instead of the scenario's.")] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds, instead of the scenario's.")] = None,
     engine: Annotated[Engine | None, typer.Option(help="Engine, instead of the scenario's.")] = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="Simulated seconds for each second of the clock; 1 for real time."),
+    ] = None,
     check_kalman: Annotated[
         bool, typer.Option("--check-kalman", help="Compare the belief with filterpy's Kalman filter.")
     ] = False,
@@ -83,7 +87,7 @@ def run(
     with guarded(debug):
         from bayesftc.cli.run import run_scenario
 
-        options = {"seed": seed, "duration": duration, "engine": engine.value if engine else None}
+        options = {"seed": seed, "duration": duration, "engine": engine.value if engine else None, "pace": pace}
         run_scenario(scenario, out, options, check_kalman=check_kalman, json=json, quiet=quiet)
 
 

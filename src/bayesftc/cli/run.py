@@ -45,7 +45,7 @@ def run_scenario(
     out : pathlib.Path or None
         Folder for ``result.npz``, ``figure.png`` and ``figures.json``.
     options : mapping
-        What is to differ from the file: ``seed``, ``duration``, ``engine``; None leaves it.
+        What is to differ from the file: ``seed``, ``duration``, ``engine``, and the ``pace``; None leaves it.
     check_kalman : bool
         Whether the belief is compared with filterpy's.
     json, quiet : bool
@@ -97,7 +97,22 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         **figures(signals).to_dict(),
         "notes": _notes(scenario, signals),
     }
+    if pace := result.metadata.get("pace"):
+        numbers["pace"] = pace
+        numbers["notes"].append(_in_time(pace))
     return numbers, signals
+
+
+def _in_time(pace: Mapping[str, float]) -> str:
+    """Return how a run kept pace with the clock, in a sentence."""
+    aim = f"At a pace of {pace['pace']:g} simulated seconds a second"
+    if not pace["overruns"]:
+        return f"{aim} every step was done before the next was due."
+    times = "once" if pace["overruns"] == 1 else f"{pace['overruns']} times"
+    return (
+        f"{aim} the run was late {times}, at worst by {1e3 * pace['worst_overrun']:.3g} ms; it then went on without a pause "
+        "until it had caught up."
+    )
 
 
 def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:

@@ -95,7 +95,7 @@ class Scenario:
             What `loop` has returned, where it is at hand already.
         **options
             ``duration``, ``seed``, ``engine``, ``record``, ``decimation`` instead of what the file says (None: what the file
-            says), and ``progress``, ``time_limit``.
+            says), and ``progress``, ``time_limit``, ``pace``.
 
         Returns
         -------
@@ -105,7 +105,7 @@ class Scenario:
         own = {f.name: getattr(self.simulation, f.name) for f in fields(self.simulation) if f.name != "dt"}
         given = {name: value for name, value in options.items() if value is not None}
         # What is wrong with a setting is put down to the file only where the file says it.
-        place = Place(str(self.path)).named() if not own.keys() & given.keys() else nullcontext()
+        place = nullcontext() if given.keys() - {"progress"} else Place(str(self.path)).named()
         diagram = self.loop() if loop is None else loop
         with place:
             return diagram.simulate(**(own | given))
