@@ -351,10 +351,10 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
         return _result(tape, call(name, x), [(x, _plain(tape, "*", 2.0, _value(x)))])
 
     rules: dict[str, Callable[..., Any]] = {
+        **dict.fromkeys(("both", "either", "floor", "isnan", "negate"), call),  # steps: nothing to differentiate
         "absolute": unary(lambda x, value: call("select", _compared(tape, "<", x, 0.0), -1.0, 1.0)),
         "cos": unary(lambda x, value: -call("sin", x)),
         "exp": unary(lambda x, value: value),
-        "floor": lambda name, x: call(name, x),
         "log": unary(lambda x, value: 1.0 / x),
         "maximum": chosen,
         "minimum": chosen,
@@ -365,14 +365,14 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
     }
 
     def operation(name: str) -> Callable[..., Any]:
-        count = getattr(ops, name).__code__.co_argcount
+        count, rule = getattr(ops, name).__code__.co_argcount, rules[name]
 
         def apply(*arguments: Any) -> Any:
             if len(arguments) != count:
                 raise TypeError(f"{name} has {count} argument{'s' * (count > 1)}, not {len(arguments)}")
             if not any(isinstance(a, _Dual | _Condition) for a in arguments):
                 return getattr(ops, name)(*arguments)
-            return rules.get(name, call)(name, *arguments)
+            return rule(name, *arguments)
 
         return apply
 

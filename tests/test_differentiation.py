@@ -83,6 +83,21 @@ def test_the_jacobian_is_that_of_finite_differences():
     np.testing.assert_allclose(ours, theirs, rtol=1e-7, atol=1e-7)
 
 
+def test_every_operation_has_its_derivative():
+    """One without a rule of its own would have the derivative zero."""
+    at, h = 0.7, 1e-6
+    for name in sorted(set(ops.NAMES) - {"both", "either", "floor", "isnan", "negate"}):
+        operation = getattr(ops, name)
+        arguments = {1: "x[0]", 2: "x[0], 0.1 * x[0]", 3: "x[0] > 0.0, x[0], 1.0"}[operation.__code__.co_argcount]
+        function = function_from_text("one", ("x", "y"), (f"y[0] = operation({arguments})",), {"operation": operation})
+        result, ends = np.empty((1, 1)), np.empty((2, 1))
+        jacobian(function, {"x": 1, "y": 1}, "y", ["x"])(np.array([at]), result)
+        for end, x in zip(ends, (at - h, at + h), strict=True):
+            function(np.array([x]), end)
+        assert result[0, 0] == pytest.approx((ends[1, 0] - ends[0, 0]) / (2 * h), rel=1e-8), name
+        assert result[0, 0] != 0.0, name
+
+
 def test_a_jacobian_is_a_step_function_that_compiles_and_can_be_differentiated_again():
     def cube(x, z):
         z[0] = x[0] * x[0] * x[0]
