@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, cast
 from bayesftc.cosim._exchange.settings import checked_settings
 from bayesftc.cosim._fmi.archive import Archive, open_archive
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Given, Value, read_description
-from bayesftc.cosim._fmi.ports import choose, choose_tunable, late_outputs
+from bayesftc.cosim._fmi.ports import choose, choose_tunable, late_outputs, ticking_clocks
 from bayesftc.cosim._fmi.values import as_floats, resolved, start_values, value_of
 from bayesftc.cosim._isolation.settings import check_isolation
 from bayesftc.cosim.block import External, ExternalBlock
@@ -40,10 +40,9 @@ class FMU(ExternalBlock):
         parameters say how large arrays are; enumerations are names or numbers. After construction: plain values in the
         variables' own units.
     inputs, outputs : sequence of str, optional
-        Names of the variables that become ports; all numbers by default, for model exchange all Real (Float64) ones. Arrays
-        are vector and matrix ports; whole numbers, Booleans (0 or 1) and enumerations are converted exactly, and an input that
-        its type does not hold stops the run. An input that is left out keeps its start value. After construction these hold
-        the ports.
+        Names of the variables that become ports; all numbers by default. Arrays are vector and matrix ports; whole numbers,
+        Booleans (0 or 1) and enumerations are converted exactly, and an input that its type does not hold stops the run. An
+        input that is left out keeps its start value. After construction these hold the ports.
     tunable : sequence of str, optional
         Names of tunable parameters that become inputs, with their start value while nothing is connected: a source can change
         them while the FMU runs.
@@ -120,6 +119,8 @@ class FMU(ExternalBlock):
         check_isolation(self.isolate, self.time_limit)
         if not isinstance(self.path, str | PathLike):
             raise ModelError(f"FMU has path={self.path!r}; it must be the path of an .fmu file.")
+        if self.name is not None and not isinstance(self.name, str):
+            raise ModelError(f"FMU has name={self.name!r}; it must be a text, as 'plant'.")
         if not isinstance(self.validate, bool):
             raise ModelError(f"FMU has validate={self.validate!r}; it must be True or False.")
         set_ = object.__setattr__
@@ -128,6 +129,8 @@ class FMU(ExternalBlock):
         kind = _chosen_kind(archive, description, self.kind)
         exchange = kind == "model exchange"
         set_(self, "kind", kind)
+        if exchange:
+            _check_clocks(archive, description)
         settings = checked_settings(archive, description, exchange, self.solver, self.rtol, self.atol)
         for name, value in settings.items():
             set_(self, name, value)
@@ -144,12 +147,23 @@ class FMU(ExternalBlock):
         set_(self, "tunable", tuple(self.tunable) if isinstance(self.tunable, list | tuple) else self.tunable)
         variables = resolved(archive, description, self._given)
         chosen = {
-            side: choose(archive, variables, side, self._without_tunable(f"{side}s"), exchange=exchange)
+            side: choose(
+                archive,
+                variables,
+                side,
+                self._without_tunable(f"{side}s"),
+                ticking_clocks(description, side, exchange=exchange),
+            )
             for side in ("input", "output")
         }
-        chosen["input"] += choose_tunable(archive, variables, self.tunable, exchange=exchange)
+        chosen["input"] += choose_tunable(archive, variables, self.tunable)
         through = [description.feedthrough.get(v.name) for v in chosen["output"]]
-        reaching = {v.name for v in chosen["input"] if any(names is None or v.name in names for names in through)}
+        reaching = {
+            # The model structure names inputs alone: an output may depend on any tunable parameter.
+            v.name
+            for v in chosen["input"]
+            if any(names is None or v.name in names or v.causality == "parameter" for names in through)
+        }
         if asked is None and self.timing == "direct" and not reaching:
             set_(self, "timing", "plant")  # there it is the same
         for side, ports in chosen.items():
@@ -230,11 +244,13 @@ class FMU(ExternalBlock):
             return exchange_instance(
                 load_model(archive, description), name, step, timing, start, inputs, outputs, solver
             )
+        from bayesftc.cosim._fmi.clocked import ClockedInstance, has_clocks
         from bayesftc.cosim._fmi.instance import Instance
         from bayesftc.cosim._fmi.library import load_library
 
         kind: Literal["plant", "sampled"] = "sampled" if timing == "sampled" else "plant"
-        return Instance(load_library(archive, description), name, step, kind, start, inputs, outputs)
+        instance = ClockedInstance if has_clocks(description, [*inputs, *outputs]) else Instance
+        return instance(load_library(archive, description), name, step, kind, start, inputs, outputs)
 
     def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value], list[FMUVariable]]:
         """Return the start values, the inputs with their start values, and the outputs, by variable."""
@@ -253,7 +269,7 @@ class FMU(ExternalBlock):
     def _without_tunable(self, side: str) -> Sequence[str | Port] | None:
         # A block that is made anew from its fields has its tunable parameters among the inputs.
         wanted: Sequence[str | Port] | None = getattr(self, side)
-        if side == "outputs" or wanted is None or isinstance(wanted, str):
+        if side == "outputs" or not isinstance(wanted, list | tuple):
             return wanted
         return [item for item in wanted if not (isinstance(item, Port) and item.name in self.tunable)]
 
@@ -282,6 +298,16 @@ class FMU(ExternalBlock):
         default = as_floats(value_of(variable, self._given))
         feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
         return Port(variable.name, variable.shape, variable.unit, feedthrough, default, meaning=meaning)
+
+
+def _check_clocks(archive: Archive, description: FMUDescription) -> None:
+    """Refuse a model exchange FMU of which parts would stand still, as nobody ticks their clocks."""
+    timed = [v.name for v in description.variables if v.causality == "input" and v.clock and v.clock.is_timed]
+    if timed:
+        raise FMUError(
+            f"The FMU {archive.path} has the clock {timed[0]!r}, and clocks tick in co-simulation only, not in model exchange: "
+            "export it for co-simulation with event mode, or without clocks."
+        )
 
 
 def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescription:

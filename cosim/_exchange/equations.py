@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.cosim._exchange.library import load_model
 from bayesftc.cosim._exchange.model import ExchangeModel, StopError
+from bayesftc.cosim._exchange.settings import DEFAULT_TOLERANCE
 from bayesftc.cosim._fmi.groups import element_names
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.values import resolved
@@ -78,7 +79,9 @@ class ModelEquations:
                 "for model exchange, or identify a model from its inputs and outputs."
             )
         start, inputs, outputs = fmu._variables()
-        self._model = ExchangeModel(load_model(archive, description), fmu.default_name, start, inputs, outputs)
+        self._model = ExchangeModel(
+            load_model(archive, description), fmu.default_name, start, inputs, outputs, fmu.rtol or DEFAULT_TOLERANCE
+        )
         given: Any = fmu.parameters or {}
         variables = resolved(archive, description, given)
         self.state_names, self.input_names, self.output_names = (
@@ -87,8 +90,8 @@ class ModelEquations:
         )
         self.has_directional_derivatives = info.directional
         self._knowns = np.array([v.reference for v in (*info.states, *inputs)], dtype=np.uint32)
+        self._whole = [name for name, v in element_names(list(inputs)) if not v.is_float]
         self._unknowns = np.array([v.reference for v in (*info.derivatives, *outputs)], dtype=np.uint32)
-        self._jumps = any(v.variability == "discrete" for v in inputs)
         self.x0, self.u0 = self._model.x.copy(), self._model.inputs.copy()
         self.nominals = np.ones(self._model.nx)
         self._try(lambda: self._model.read("get_nominals", self.nominals))
@@ -200,7 +203,7 @@ class ModelEquations:
 
         def place() -> None:
             model.set_time(float(t))
-            if self._jumps:  # discrete inputs change in event mode only
+            if model.jumps:  # discrete inputs change in event mode only
                 if not np.array_equal(u, model.inputs):
                     model.event(u)
             else:

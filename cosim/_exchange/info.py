@@ -64,7 +64,7 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
         completed = not says("completedIntegratorStepNotNeeded")
     else:
         completed = says("needsCompletedIntegratorStep")
-    discrete = any(v.variability == "discrete" for v in variables)
+    discrete = any(v.variability == "discrete" or (v.variability == "continuous" and not v.is_float) for v in variables)
     return ExchangeInfo(
         identifier=element.get("modelIdentifier") or "",
         states=tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name")),

@@ -25,13 +25,15 @@ from bayesftc.cosim._exchange.words import (
     ENTER_CONTINUOUS,
     ENTER_EVENT,
     FLAG,
+    GET_INDICATORS,
     GET_NOMINALS,
-    GET_REALS,
     GET_STATES,
+    GET_VALUES,
     GIVES_UP,
-    IN_COUNT,
-    IN_REFERENCES,
+    IN_GROUP_COUNT,
+    IN_GROUPS,
     IN_SIZE,
+    INDICATORS,
     INFO,
     INPUTS,
     INTEGRATE,
@@ -40,14 +42,16 @@ from bayesftc.cosim._exchange.words import (
     LIMIT,
     MAJOR,
     MEMORY,
+    MOST_EVENTS,
+    NAN_INDICATOR,
     NEAR,
     NEXT_EVENT,
     NO_TIME,
     NONE,
     NUMERATOR,
-    OUT_COUNT,
-    OUT_REFERENCES,
-    OUT_SIZE,
+    OUT_GROUP_COUNT,
+    OUT_GROUPS,
+    PRECISION,
     QUIET,
     QUIET_EVENTS,
     QUIET_STEP,
@@ -57,11 +61,12 @@ from bayesftc.cosim._exchange.words import (
     ROLE,
     RTOL,
     SAME,
-    SET_REALS,
     SET_STOP,
     SET_TIME,
     SET_TOLERANCES,
+    SET_VALUES,
     STATES,
+    STATUS,
     STEP_WORD,
     STEPS,
     STOPPED,
@@ -69,16 +74,33 @@ from bayesftc.cosim._exchange.words import (
     TOLERANCE_VECTOR,
     TOLERANCES,
     TOO_MANY,
+    TOO_MANY_EVENTS,
+    UNFIT,
+    UNFIT_INPUT,
+    UNFIT_OUTPUT,
     UPDATE_DISCRETE,
     VECTOR,
     WANTS_STEPS,
+    WHEN,
+    WORK,
     X,
 )
-from bayesftc.cosim._fmi.kernels import number, put_number, put_word, values2, values3, word
+from bayesftc.cosim._fmi.kernels import (
+    GET,
+    SET,
+    UNFIT_INPUT as UNFIT_IN,
+    UNFIT_OUTPUT as UNFIT_OUT,
+    number,
+    put_number,
+    put_word,
+    word,
+)
+from bayesftc.cosim._fmi.typed_kernels import GROUP_WORDS, put, take
 
 _NORMAL, _ONE_STEP = 1, 2
-_ROOT = 2
+_ROOT, _ROOTS_FAILED = 2, -12
 _INFINITY = float("inf")
+_BELOW_ZERO = -1e-100
 
 
 def cvode_slope(t, y, values, table):
@@ -87,24 +109,55 @@ def cvode_slope(t, y, values, table):
 
 
 def cvode_roots(t, y, values, table):
-    """CVRootFn."""
-    return indicators(table, t, word(word(y, 0), 2), values)
+    """CVRootFn.
+
+    To FMI a zero is on the side of what is negative. CVODE would leave an indicator that begins at zero out, so that it never
+    saw it rise.
+    """
+    status = indicators(table, t, word(word(y, 0), 2), values)
+    for i in range(word(table, INDICATORS)):
+        if number(values, i) == 0.0:
+            put_number(values, i, _BELOW_ZERO)
+    return status
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def _cvode_from(table, t, stop):
+    """Begin anew at the present states, to go as far as `stop`; return CVODE's flag."""
+    memory = word(table, MEMORY)
+    flag = restart(word(table, RESTART), memory, t, word(table, VECTOR))
+    return at_time(word(table, SET_STOP), memory, stop) if flag == 0 else flag
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def _copy(source, target, count):
+    for i in range(count):
+        put_word(target, i, word(source, i))
 
 
 @register_jitable(error_model="numpy")
 def _cvode(table, t, end):
     """Do what `runge_kutta` does, by CVODE."""
-    memory, y = word(table, MEMORY), word(table, VECTOR)
-    flag = restart(word(table, RESTART), memory, t, y)
-    if flag == 0:
-        flag = at_time(word(table, SET_STOP), memory, end)
+    memory, y, x, size = word(table, MEMORY), word(table, VECTOR), word(table, X), word(table, STATES)
     wants = word(table, WANTS_STEPS) != 0
     put_number(table, REACHED, t)
+    good, copy, stop = t, word(table, WORK), end
+    _copy(x, copy, size)
+    flag = _cvode_from(table, t, end)
     for steps in range(word(table, LIMIT)):
         if flag == 0:
             task = _ONE_STEP if wants else _NORMAL
-            flag = integrate(word(table, INTEGRATE), memory, end, y, table + 8 * REACHED, task)
+            flag = integrate(word(table, INTEGRATE), memory, stop, y, table + 8 * REACHED, task)
         put_word(table, STEPS, steps + 1)
+        if flag == _ROOTS_FAILED and _may_do_with_less(table):
+            # The step went where the event indicators cannot be had: a part of it, from where they could.
+            half = good + 0.5 * (number(table, WHEN) - good)
+            if half - good > PRECISION * max(abs(good), abs(end)):
+                stop = half
+                put_word(table, ROLE, 0)
+                _copy(copy, x, size)
+                flag = _cvode_from(table, good, stop)
+                continue
         if flag < 0:
             put_word(table, FLAG, flag)
             put_word(table, REASON, GIVES_UP)
@@ -118,10 +171,21 @@ def _cvode(table, t, end):
             return -1
         if flag == _ROOT or asks > 0:
             return 1
+        good = now
+        _copy(x, copy, size)
         if flag != 0 or not wants:
-            return 0
+            if stop == end:
+                return 0
+            stop = end
+            flag = at_time(word(table, SET_STOP), memory, end)
     put_word(table, REASON, TOO_MANY)
     return -1
+
+
+@register_jitable(error_model="numpy", forceinline=True)
+def _may_do_with_less(table):
+    role = word(table, ROLE)
+    return word(table, STATUS) == 2 and role in (GET_INDICATORS, NAN_INDICATOR)
 
 
 @register_jitable(error_model="numpy", forceinline=True)
@@ -217,26 +281,33 @@ def _take(table, inputs):
         return 0
     if _enter_event_mode(table) != 0:
         return STOPPED
-    component, references, count = word(table, COMPONENT), word(table, IN_REFERENCES), word(table, IN_COUNT)
-    if word(table, MAJOR) == 2:
-        status = values2(word(table, SET_REALS), component, references, count, held)
-    else:
-        status = values3(word(table, SET_REALS), component, references, count, held, size)
-    if _called(table, SET_REALS, status) != 0:
-        return STOPPED
+    major, component = word(table, MAJOR), word(table, COMPONENT)
+    note, first = table + 8 * UNFIT, word(table, IN_GROUPS)
+    for i in range(word(table, IN_GROUP_COUNT)):
+        code = put(major, component, note, held, first + 8 * GROUP_WORDS * i)
+        if code != 0:
+            return _refused(table, SET_VALUES, code)
     return _settle(table)
 
 
 @register_jitable(error_model="numpy")
 def _read(table, outputs):
-    component, references, count = word(table, COMPONENT), word(table, OUT_REFERENCES), word(table, OUT_COUNT)
-    if count == 0:
-        return 0
-    if word(table, MAJOR) == 2:
-        status = values2(word(table, GET_REALS), component, references, count, outputs)
-    else:
-        status = values3(word(table, GET_REALS), component, references, count, outputs, word(table, OUT_SIZE))
-    return _called(table, GET_REALS, status)
+    major, component = word(table, MAJOR), word(table, COMPONENT)
+    note, first = table + 8 * UNFIT, word(table, OUT_GROUPS)
+    for i in range(word(table, OUT_GROUP_COUNT)):
+        code = take(major, component, note, outputs, first + 8 * GROUP_WORDS * i)
+        if code != 0:
+            return _refused(table, GET_VALUES, code)
+    return 0
+
+
+@register_jitable(error_model="numpy")
+def _refused(table, role, code):
+    """Note why inputs could not be set or outputs read."""
+    if code in (UNFIT_IN, UNFIT_OUT):
+        put_word(table, REASON, UNFIT_INPUT if code == UNFIT_IN else UNFIT_OUTPUT)
+        return STOPPED
+    return _called(table, role, code - (SET if role == SET_VALUES else GET))
 
 
 @register_jitable(error_model="numpy")
@@ -265,7 +336,7 @@ def _advance(parameters, inputs, t, k):
         end = point  # as the engine counts time; a part of a step ends in between
     near = NEAR * max(abs(end), h)
     quiet, before = 0, number(table, TIME)
-    while True:
+    for _ in range(MOST_EVENTS):
         now, next_event = number(table, TIME), number(table, NEXT_EVENT)
         timed = next_event <= end + near
         target = next_event if timed else end
@@ -291,6 +362,8 @@ def _advance(parameters, inputs, t, k):
         if quiet >= QUIET_EVENTS:
             put_word(table, REASON, CHATTERS)
             return STOPPED
+    put_word(table, REASON, TOO_MANY_EVENTS)
+    return STOPPED
 
 
 def read(state, parameters, inputs, outputs, t, k):

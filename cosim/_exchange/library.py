@@ -84,20 +84,8 @@ class ModelLibrary2(_Bound, Library2):
         "get_nominals": "fmi2GetNominalsOfContinuousStates",
         "completed_step": "fmi2CompletedIntegratorStep",
         "update_discrete": "fmi2NewDiscreteStates",
-        "get_reals": "fmi2GetReal",
-        "set_reals": "fmi2SetReal",
         "directional": "fmi2GetDirectionalDerivative",
     }
-
-    @cached_property
-    def _values(self) -> Any:
-        return ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT, _PLACE)
-
-    @cached_property
-    def values(self) -> tuple[Function, Function]:
-        """Functions ``(instance, references, how many, array, its size)`` that get and set numbers."""
-        get, set_ = self._values(self.address("get_reals")), self._values(self.address("set_reals"))
-        return (lambda c, r, n, a, size: get(c, r, n, a)), (lambda c, r, n, a, size: set_(c, r, n, a))
 
     @cached_property
     def update_discrete(self) -> Callable[[int, Any], int]:
@@ -136,8 +124,6 @@ class ModelLibrary3(_Bound, Library3):
         "get_nominals": "fmi3GetNominalsOfContinuousStates",
         "completed_step": "fmi3CompletedIntegratorStep",
         "update_discrete": "fmi3UpdateDiscreteStates",
-        "get_reals": "fmi3GetFloat64",
-        "set_reals": "fmi3SetFloat64",
         "directional": "fmi3GetDirectionalDerivative",
     }
 
@@ -152,12 +138,6 @@ class ModelLibrary3(_Bound, Library3):
         if component:
             self._narrow_log("fmi3SetDebugLogging", component)
         return component or 0, callback
-
-    @cached_property
-    def values(self) -> tuple[Function, Function]:
-        """See `ModelLibrary2.values`."""
-        kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT, _PLACE, _COUNT)
-        return kind(self.address("get_reals")), kind(self.address("set_reals"))
 
     @cached_property
     def update_discrete(self) -> Callable[[int, Any], int]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -14,14 +15,17 @@ from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.library import ModelLibrary
 from bayesftc.cosim._exchange.words import ITERATIONS
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import element_names
+from bayesftc.cosim._fmi.groups import element_names, groups
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.messages import Messages
+from bayesftc.cosim._fmi.refusals import function_of, misfit
 from bayesftc.cosim._fmi.states import SavedState, States
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError
 
 _FATAL = 4
+_UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
+"""The bits of a NaN that no computation makes."""
 
 
 class StopError(Exception):
@@ -52,9 +56,11 @@ class ExchangeModel:
     start : dict
         Start values.
     inputs : dict
-        The inputs that are set while it runs, with their start values.
+        The inputs and tunable parameters that are set while it runs, with their start values.
     outputs : sequence of FMUVariable
         The outputs that are read while it runs.
+    tolerance : float
+        The relative tolerance of its integrator, for equations that the FMU solves by itself.
 
     Attributes
     ----------
@@ -68,6 +74,8 @@ class ExchangeModel:
         Where `read_states` writes to and `write_states` reads from.
     inputs : ndarray
         The inputs as they were set last.
+    jumps : bool
+        Whether some inputs may only be set in event mode: they are discrete, or tunable parameters.
 
     Raises
     ------
@@ -82,6 +90,7 @@ class ExchangeModel:
         start: dict[FMUVariable, Value],
         inputs: dict[FMUVariable, Value],
         outputs: Sequence[FMUVariable],
+        tolerance: float,
     ):
         exchange = library.description.exchange
         assert exchange is not None
@@ -92,20 +101,23 @@ class ExchangeModel:
         self.reals = self.table.view(np.float64)
         self.time, self.next_event = 0.0, math.inf
         self._event_info = library.event_info()
+        self._elements = element_names(list(inputs)), element_names(outputs)
+        self.jumps = not all(v.variability == "continuous" and v.is_float for v in inputs)
+        values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
+        self.inputs = np.concatenate([np.zeros(0), *values])
         try:
-            self._start(start, inputs)
+            self._start(start, inputs, tolerance)
+            major, find = library.description.fmi_major, library.function_address
+            self._groups = groups(list(inputs), major, "Set", find), groups(outputs, major, "Get", find)
+            self._rows = [np.array([g.words() for g in side], dtype=np.int64) for side in self._groups]
+            self._fill_table()
+            self._check_written()
         except BaseException:
             self.healthy = False
             self.close()
             raise
-        self._references = [np.array([v.reference for v in side], dtype=np.uint32) for side in (inputs, outputs)]
-        self._sizes = [sum(prod(v.shape) for v in side) for side in (inputs, outputs)]
-        values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
-        self.inputs = np.concatenate([np.zeros(0), *values])
-        self._fill_table()
-        self._get, self._set = library.values
 
-    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float) -> None:
         library, model = self.library, self.library.description.name
         if library.alive and self.info.once:
             raise FMUError(
@@ -122,11 +134,14 @@ class ExchangeModel:
         self.states = States(library, self.component, self.name)
         self._bound = library.bound
         try:
-            library.initialize(self.component, start, inputs)
-            self.nx = library.size(self.component, "states", self._declared("states"))
+            library.initialize(self.component, start, inputs, tolerance)
+            self.nx = library.size(self.component, "states", self._declared)
+            if self.nx != self._declared and not any(v.dimensions for v in self.info.states):
+                raise StopError(f"Its binary has {self.nx} continuous states, its model description {self._declared}")
             self.nz = library.size(self.component, "indicators", self.info.indicators)
             self.places = np.zeros(max(self.nx, 1))  # without states, a constant stands for them in an integrator
             self.x = self.places[: self.nx]
+            self.x.view(np.int64)[:] = _UNWRITTEN
             self._iterate()
         except (CallError, StopError) as error:
             self.fatal = isinstance(error, CallError) and error.status == _FATAL
@@ -144,13 +159,34 @@ class ExchangeModel:
         table[words.STATES], table[words.INDICATORS], table[words.X] = self.nx, self.nz, self.places.ctypes.data
         table[words.WANTS_STEPS] = self.info.needs_completed_step
         table[words.NO_RETURN] = not self.info.can_save  # else someone may go back to a saved state
-        sides = (
-            (words.IN_REFERENCES, words.IN_COUNT, words.IN_SIZE),
-            (words.OUT_REFERENCES, words.OUT_COUNT, words.OUT_SIZE),
-        )
-        for places, references, size in zip(sides, self._references, self._sizes, strict=True):
-            table[list(places)] = references.ctypes.data, len(references), size
-        table[words.INPUTS] = self.inputs.ctypes.data
+        into, out = self._rows
+        table[words.IN_GROUPS], table[words.IN_GROUP_COUNT] = into.ctypes.data, len(into)
+        table[words.OUT_GROUPS], table[words.OUT_GROUP_COUNT] = out.ctypes.data, len(out)
+        table[words.IN_SIZE], table[words.INPUTS] = len(self.inputs), self.inputs.ctypes.data
+
+    def _check_written(self) -> None:
+        """Refuse an FMU that says OK and gives nothing: zeros would look like values."""
+        outputs = [name for name, _ in self._elements[1]]
+        reads: list[tuple[int, Callable[[Floats], None], Sequence[str]]] = [
+            (self.nx, lambda array: self.read("get_derivatives", array), ["the derivatives of its states"]),
+            (self.nz, lambda array: self.read("get_indicators", array), ["its event indicators"]),
+            (len(outputs), self.read_outputs, [f"the output {name!r}" for name in outputs]),
+        ]
+        missing = ["its continuous states"] if (self.x.view(np.int64) == _UNWRITTEN).any() else []
+        for size, read, names in reads:
+            values = np.full(size, _UNWRITTEN, dtype=np.int64)
+            try:
+                read(values.view(np.float64))
+            except (CallError, StopError):
+                continue  # the run will say so
+            bad = np.flatnonzero(values == _UNWRITTEN)
+            if len(bad):
+                missing.append(names[min(int(bad[0]), len(names) - 1)])
+        if missing:
+            raise FMUError(
+                f"The FMU {self.library.description.name!r} says that it has given {missing[0]}, but has not written all of it "
+                f"({self.name!r}): its binary and its model description do not agree. Export it again."
+            )
 
     @property
     def time(self) -> float:
@@ -181,11 +217,11 @@ class ExchangeModel:
     @property
     def sizes(self) -> tuple[int, int]:
         """How many elements its inputs and outputs have."""
-        return self._sizes[0], self._sizes[1]
+        return len(self._elements[0]), len(self._elements[1])
 
-    def _declared(self, what: str) -> int:
-        variables: tuple[FMUVariable, ...] = getattr(self.info, what)
-        return sum(prod(v.shape) for v in variables)
+    @property
+    def _declared(self) -> int:
+        return sum(prod(v.shape) for v in self.info.states)
 
     # --- calls -----------------------------------------------------------------------------------------------------
 
@@ -228,21 +264,34 @@ class ExchangeModel:
     def write_inputs(self, values: Floats) -> None:
         """Set the inputs, in the mode in which it is."""
         self.inputs[:] = values
-        references = self._references[0]
-        if len(references):
-            status = self._set(
-                self.component, references.ctypes.data, len(references), self.inputs.ctypes.data, self._sizes[0]
-            )
-            self.check("set_reals", status)
+        for group in self._groups[0]:
+            status, unfit = group.put(self.component, self.inputs)
+            if unfit >= 0:
+                raise StopError(self.misfit(unfit, is_input=True))
+            self._check_values(0, group.begin, status)
 
     def read_outputs(self, values: Floats) -> None:
         """Read the outputs."""
-        references = self._references[1]
-        if len(references):
-            buffer = values.copy()  # what a failing FMU does not write stays as it is
-            status = self._get(self.component, references.ctypes.data, len(references), buffer.ctypes.data, len(buffer))
-            values[:] = buffer
-            self.check("get_reals", status)
+        for group in self._groups[1]:
+            status, unfit = group.take(self.component, values)
+            if unfit >= 0:
+                raise StopError(self.misfit(unfit, is_input=False))
+            self._check_values(1, group.begin, status)
+
+    def _check_values(self, side: int, begin: int, status: int) -> None:
+        if status > 1 or status < 0:
+            self.fatal = self.fatal or status == _FATAL
+            raise CallError(self.function_of(begin, is_input=side == 0), status)
+
+    def function_of(self, begin: int, *, is_input: bool) -> str:
+        """Return which function failed to set inputs or read outputs, and of which, by where they begin."""
+        side = 0 if is_input else 1
+        return function_of(self._groups[side], self._elements[side], begin)
+
+    def misfit(self, place: int, *, is_input: bool) -> str:
+        """Return which input its type does not hold, or which output no double, without a full stop."""
+        elements = self._elements[0 if is_input else 1]
+        return misfit(elements, place, self.library.description.fmi_major, is_input=is_input).removesuffix(".")
 
     # --- events ----------------------------------------------------------------------------------------------------
 
@@ -270,7 +319,7 @@ class ExchangeModel:
         info, update = self._event_info, self.library.update_discrete
         nominals = False
         for _ in range(ITERATIONS):
-            info.defined = 0
+            ctypes.memset(ctypes.addressof(info), 0, ctypes.sizeof(info))
             self.check("update_discrete", update(self.component, info))
             nominals = nominals or bool(info.nominals)
             if info.terminate:
@@ -318,13 +367,15 @@ class ExchangeModel:
                 self.time, self.inputs[:], self.x[:] = saved.time, saved.inputs, saved.x
             else:
                 self.set_time(saved.time)
-                self.write_inputs(saved.inputs)
+                if self.jumps:
+                    self.event(saved.inputs)
+                else:
+                    self.write_inputs(saved.inputs)
                 self.x[:] = saved.x
                 self.write_states()
-        except CallError as error:
-            raise FMUError(
-                f"{self.name!r} could not be restored: {error.sentence()}. {self.messages.quoted()}"
-            ) from None
+        except (CallError, StopError) as error:
+            what = error.sentence() if isinstance(error, CallError) else str(error)
+            raise FMUError(f"{self.name!r} could not be restored: {what}. {self.messages.quoted()}") from None
         self.next_event = saved.next_event
         self.healthy = not self.fatal
 

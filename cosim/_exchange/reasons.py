@@ -52,22 +52,47 @@ def reason(model: ExchangeModel, solver: str, said: str) -> str:
         words.ENDLESS: f"Its event iteration does not end: after {words.ITERATIONS} turns at t = {now:g} s it still wants "
         f"another {model.library.names['update_discrete']}",
         words.NO_TIME: "The FMU says that its next event is at t = NaN",
-        words.CHATTERS: f"Its events do not end at t = {now:.9g} s: {CHATTERS}",
+        words.CHATTERS: endless_events(model),
+        words.TOO_MANY_EVENTS: too_many_events(model),
         words.TOO_MANY: f"{solver} gives up at t = {reached:g} s: {_CVODE[-1]}; {REMEDY}",
         words.TOO_SMALL: f"{solver} gives up at t = {reached:g} s: its step became as small as can be; {REMEDY}",
         words.GIVES_UP: f"{solver} gives up at t = {reached:g} s: {_CVODE.get(flag) or f'it returned {flag} ({said})'}; {REMEDY}",
     }
+    if why in {words.UNFIT_INPUT, words.UNFIT_OUTPUT}:
+        return model.misfit(int(table[words.UNFIT]), is_input=why == words.UNFIT_INPUT)
     return sentences.get(why, f"The step stopped for an unknown reason ({why})")
 
 
 def _call(model: ExchangeModel, role: int, status: int, when: float) -> str:
     if role == words.NAN_INDICATOR:
-        return f"An event indicator came out NaN or infinite at t = {when:g} s"
+        return f"An event indicator came out NaN or infinite at t = {when:g} s, and smaller steps of the integrator do not help"
     if role == words.NAN_DERIVATIVE:
         return f"{nan_derivative(model)} at t = {when:g} s, and smaller steps of the integrator do not help"
     model.fatal = model.fatal or status == 4
     word = STATUS[status] if 0 <= status < len(STATUS) else str(status)
-    return f"{model.library.names[words.NAMES[role]]} returned {word} at t = {when:g} s"
+    if role in {words.SET_VALUES, words.GET_VALUES}:
+        called = model.function_of(int(model.table[words.UNFIT]), is_input=role == words.SET_VALUES)
+    else:
+        called = model.library.names[words.NAMES[role]]
+    return f"{called} returned {word} at t = {when:g} s"
+
+
+def endless_events(model: ExchangeModel) -> str:
+    """Return the sentence for events one after the other without time going on."""
+    if model.next_event <= model.time:
+        return (
+            f"Its events do not end at t = {model.time:.9g} s: the time that it gives for the next one (nextEventTime) is not "
+            f"later, again and again: t = {model.next_event:.9g} s. Its model of time events is wrong; export it again"
+        )
+    return f"Its events do not end at t = {model.time:.9g} s: {CHATTERS}"
+
+
+def too_many_events(model: ExchangeModel) -> str:
+    """Return the sentence for a communication step with more events than anybody waits for."""
+    return (
+        f"More than {words.MOST_EVENTS:,} events came within one step, which has come to t = {model.time:.9g} s: give the switch "
+        "a wider hysteresis, or the run a shorter step"
+    )
 
 
 def nan_derivative(model: ExchangeModel) -> str:

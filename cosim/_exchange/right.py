@@ -87,7 +87,7 @@ def indicators(table, t, x, values):
     returned = vector(word(table, GET_INDICATORS), word(table, COMPONENT), values, count)
     status = failed(table, t, GET_INDICATORS, returned)
     if status == 0 and _not_finite(values, count):
-        return failed(table, t, NAN_INDICATOR, 3)
+        return failed(table, t, NAN_INDICATOR, 2)
     return status
 
 

@@ -167,33 +167,34 @@ def runge_kutta(table, t, end):
                 between[i] = h * total
                 scale[i] = tolerances[i] + rtol * max(abs(x[i]), abs(new[i]))
             error = _norm(between, scale)
+        now, event = end if last else t + h, False
+        if m > 0 and code == 0 and error < 1.0:
+            code = indicators(table, now, at_new, at_after)
+            if code < 0:
+                return _stop(table, CALL, -1)
         if code > 0 or not error < 1.0:  # outside of where the equations hold, or too large a step
             if code > 0 and h <= 100.0 * EPS * max(abs(t), abs(end)):
                 return _stop(table, CALL, -1)
             h *= 0.2 if code > 0 or not error < np.inf else max(0.2, 0.9 * error**-0.2)
             rejected = True
             continue
-        now, event = end if last else t + h, False
-        if m > 0:
-            if indicators(table, now, at_new, at_after) != 0:
-                return _stop(table, CALL, -1)
-            if not _same_signs(before, after):
-                event = True
-                low, high = 0.0, 1.0
-                while (high - low) * h > PRECISION * (abs(now) + h):
-                    middle = 0.5 * (low + high)
-                    if not low < middle < high:
-                        break
-                    _interpolate(x, k, h, middle, between)
-                    if indicators(table, t + middle * h, at_between, at_after) != 0:
-                        return _stop(table, CALL, -1)
-                    if _same_signs(before, after):
-                        low = middle
-                    else:
-                        high = middle
-                if high < 1.0:
-                    now = t + high * h
-                    _interpolate(x, k, h, high, new)
+        if m > 0 and not _same_signs(before, after):
+            event = True
+            low, high = 0.0, 1.0
+            while (high - low) * h > PRECISION * (abs(now) + h):
+                middle = 0.5 * (low + high)
+                if not low < middle < high:
+                    break
+                _interpolate(x, k, h, middle, between)
+                if indicators(table, t + middle * h, at_between, at_after) != 0:
+                    return _stop(table, CALL, -1)
+                if _same_signs(before, after):
+                    low = middle
+                else:
+                    high = middle
+            if high < 1.0:
+                now = t + high * h
+                _interpolate(x, k, h, high, new)
         if place(table, now, at_new) != 0:
             return _stop(table, CALL, -1)
         for i in range(n):

@@ -103,6 +103,11 @@ class FMUVariable:
         return self.type in REAL_TYPES
 
     @property
+    def is_float(self) -> bool:
+        """Whether it is made of floating-point numbers, of 64 or 32 bits: it can be continuous."""
+        return self.type in _FLOATS
+
+    @property
     def is_numeric(self) -> bool:
         """Whether its values are numbers: it can be a port."""
         return self.type not in {"String", "Binary", "Clock"} and not self.clocked

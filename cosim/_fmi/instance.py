@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import element_names, groups, type_range
+from bayesftc.cosim._fmi.groups import element_names, groups
 from bayesftc.cosim._fmi.library import CallError, Library
 from bayesftc.cosim._fmi.messages import STATUS, Messages
+from bayesftc.cosim._fmi.refusals import function_of, misfit
 from bayesftc.cosim._fmi.states import SavedState, States
 from bayesftc.cosim._fmi.steps import (
     DISCARD,
@@ -181,7 +182,9 @@ class Instance(StepFunctions):
         if status == ENDLESS:
             return f"The FMU did not come to the end of the step, or of an event, in {TRIES} calls. {said}"
         if status in {UNFIT_INPUT, UNFIT_OUTPUT}:
-            return self._misfit(status == UNFIT_INPUT)
+            is_input = status == UNFIT_INPUT
+            elements = self._elements[0 if is_input else 1]
+            return misfit(elements, int(self._scratch[UNFIT]), self._major, is_input=is_input)
         where, code = status // 100 * 100, status % 100
         names = {
             GET: self._called(1),
@@ -197,26 +200,10 @@ class Instance(StepFunctions):
 
     def _called(self, side: int) -> str:
         """Return which function has failed to read or set values, and whose."""
-        failing = [g for g in self._groups[side] if self._plain or g.begin == self._scratch[UNFIT]]
-        if not failing or self._plain:
-            return failing[0].name if failing else "An FMI function"
-        begin, end = failing[0].begin, failing[0].begin + failing[0].size
-        names = dict.fromkeys(variable.name for _, variable in self._elements[side][begin:end])
-        return f"{failing[0].name} of {' and '.join(map(repr, names))}"
-
-    def _misfit(self, is_input: bool) -> str:
-        place = int(self._scratch[UNFIT])
-        name, variable = self._elements[0 if is_input else 1][place]
-        if not is_input:
-            return f"The output {name!r} is a whole number that a double cannot hold exactly (2**53 or more)."
-        low, high = type_range(variable, self._major)
-        wanted = (
-            f"a number up to {high:g}" if variable.type == "Float32" else f"a whole number from {low:.0f} to {high:.0f}"
-        )
-        return (
-            f"The input {name!r} is {variable.type} and must be {wanted}, which it is not; put a block before it that rounds or "
-            "limits."
-        )
+        groups = self._groups[side]
+        if self._plain:
+            return groups[0].name if groups else "An FMI function"
+        return function_of(groups, self._elements[side], int(self._scratch[UNFIT]))
 
     def close(self) -> None:
         """Free the instance; the binary stays loaded."""

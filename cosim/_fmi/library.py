@@ -91,8 +91,13 @@ class Library(ABC):
         """Return a new instance (None if refused) and what must be kept alive with it."""
 
     @abstractmethod
-    def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
-        """Set the start values, go through initialization mode, and leave it ready for the first step."""
+    def initialize(
+        self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float = 0.0
+    ) -> None:
+        """Set the start values, go through initialization mode, and leave it ready for the first step.
+
+        A `tolerance` above 0 is that of the integrator, so that the FMU solves its own equations as well as that needs.
+        """
 
     @abstractmethod
     def terminate(self, component: int) -> None:
@@ -173,9 +178,11 @@ class Library2(Library):
             self._narrow_log("fmi2SetDebugLogging", component)
         return component or 0, callbacks
 
-    def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+    def initialize(
+        self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float = 0.0
+    ) -> None:
         """See `Library.initialize`."""
-        self.call("fmi2SetupExperiment", component, 0, 0.0, 0.0, 0, 0.0)
+        self.call("fmi2SetupExperiment", component, int(tolerance > 0.0), tolerance, 0.0, 0, 0.0)
         self.set_values(component, start)
         self.call("fmi2EnterInitializationMode", component)
         self.set_values(component, inputs)
@@ -239,7 +246,9 @@ class Library3(Library):
             self._narrow_log("fmi3SetDebugLogging", component)
         return component or 0, callback
 
-    def initialize(self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+    def initialize(
+        self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float = 0.0
+    ) -> None:
         """See `Library.initialize`."""
         structure = {v: value for v, value in start.items() if v.causality == "structuralParameter"}
         if structure:
@@ -247,7 +256,7 @@ class Library3(Library):
             self.set_values(component, structure)
             self.call("fmi3ExitConfigurationMode", component)
         self.set_values(component, {v: value for v, value in start.items() if v not in structure})
-        self.call("fmi3EnterInitializationMode", component, False, 0.0, 0.0, False, 0.0)
+        self.call("fmi3EnterInitializationMode", component, tolerance > 0.0, tolerance, 0.0, False, 0.0)
         self.set_values(component, inputs)
         self.call("fmi3ExitInitializationMode", component)
 

@@ -16,13 +16,11 @@ def choose(
     variables: Mapping[str, FMUVariable],
     causality: str,
     wanted: Sequence[str | Port] | None,
-    *,
-    exchange: bool,
 ) -> list[FMUVariable]:
-    """Return the variables that become ports of one side: for model exchange, double-precision ones only."""
+    """Return the variables that become ports of one side."""
     candidates = {v.name: v for v in variables.values() if v.causality == causality}
     if wanted is None:
-        return [v for v in candidates.values() if not _obstacle(v, exchange) and not v.alias]
+        return [v for v in candidates.values() if not _obstacle(v) and not v.alias]
     if isinstance(wanted, str):
         raise ModelError(f"FMU has {causality}s={wanted!r}; give a list of names, as [{wanted!r}].")
     chosen: list[FMUVariable] = []
@@ -33,11 +31,10 @@ def choose(
             hint = f"it is of causality {other.causality}." if other else did_you_mean(name, candidates)
             raise UnknownNameError(f"The FMU {archive.path.name} has no {causality} {name!r}; {hint}")
         variable = candidates[name]
-        what = _obstacle(variable, exchange)
+        what = _obstacle(variable)
         if what:
-            only = "double-precision numbers (Real, Float64)" if exchange else "numbers"
             raise FMUError(
-                f"The {causality} {name!r} of the FMU {archive.path.name} is {what}; only {only} can be ports: leave it out of "
+                f"The {causality} {name!r} of the FMU {archive.path.name} is {what}; only numbers can be ports: leave it out of "
                 f"{causality}s, or export it as such."
             )
         if variable in chosen:
@@ -46,26 +43,21 @@ def choose(
     return chosen
 
 
-def _obstacle(variable: FMUVariable, exchange: bool) -> str | None:
+def _obstacle(variable: FMUVariable) -> str | None:
     """Return why a variable cannot be a port, or None."""
     if variable.clocked:
         return "clocked"
-    if not variable.is_numeric or (exchange and not variable.is_real):
+    if not variable.is_numeric:
         return f"of type {variable.type}"
     return None if prod(variable.shape) else f"an array of shape {variable.shape}, which is empty"
 
 
 def choose_tunable(
-    archive: Archive, variables: Mapping[str, FMUVariable], wanted: Sequence[str], *, exchange: bool
+    archive: Archive, variables: Mapping[str, FMUVariable], wanted: Sequence[str]
 ) -> list[FMUVariable]:
     """Return the parameters that become inputs."""
     if isinstance(wanted, str):
         raise ModelError(f"FMU has tunable={wanted!r}; give a list of names, as [{wanted!r}].")
-    if wanted and exchange:
-        raise ModelError(
-            "FMU has tunable=..., but is used for model exchange, where parameters keep their start values; leave it out, or "
-            "use the FMU for co-simulation."
-        )
     names = [v.name for v in variables.values() if v.causality == "parameter" and v.variability == "tunable"]
     for name in wanted:
         if name not in variables:
@@ -73,7 +65,7 @@ def choose_tunable(
                 f"The FMU {archive.path.name} has no variable {name!r}; tunable parameters: {', '.join(names) or 'none'}."
             )
         variable = variables[name]
-        what = f"a {variable.variability} {variable.causality}" if name not in names else _obstacle(variable, exchange)
+        what = f"a {variable.variability} {variable.causality}" if name not in names else _obstacle(variable)
         if what:
             raise FMUError(
                 f"{name!r} of the FMU {archive.path.name} is {what}; only tunable parameters that are numbers can be changed "

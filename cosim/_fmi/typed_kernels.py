@@ -117,8 +117,8 @@ def _fits(group, code, value):
 
 
 @register_jitable(error_model="numpy")
-def _call(major, parameters, group, buffer):
-    function, component = word(group, FUNCTION), word(parameters, COMPONENT)
+def _call(major, component, group, buffer):
+    function = word(group, FUNCTION)
     references, count = word(group, REFERENCES), word(group, COUNT)
     if major == 2:
         return values2(function, component, references, count, buffer)
@@ -126,15 +126,16 @@ def _call(major, parameters, group, buffer):
 
 
 @register_jitable(error_model="numpy")
-def _noted(parameters, group, status):
+def _noted(note, group, status):
     """Remember whose call has failed."""
     if status != 0:
-        put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN))
+        put_word(note, 0, word(group, BEGIN))
     return status
 
 
 @register_jitable(error_model="numpy")
-def _put(major, parameters, inputs, group):
+def put(major, component, note, inputs, group):
+    """Set a group of inputs; return 0, `SET` plus FMI's status, or `UNFIT_INPUT`: the word at `note` has the group or element."""
     begin = inputs + 8 * word(group, BEGIN)
     code, buffer = word(group, CODE), begin
     if code != FLOAT64:
@@ -142,27 +143,28 @@ def _put(major, parameters, inputs, group):
         for i in range(word(group, SIZE)):
             value = number(begin, i)
             if not _fits(group, code, value):
-                put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN) + i)
+                put_word(note, 0, word(group, BEGIN) + i)
                 return UNFIT_INPUT
             store(buffer, i, code, value)
-    return _noted(parameters, group, failed(SET, _call(major, parameters, group, buffer)))
+    return _noted(note, group, failed(SET, _call(major, component, group, buffer)))
 
 
 @register_jitable(error_model="numpy")
-def _take(major, parameters, outputs, group):
+def take(major, component, note, outputs, group):
+    """Read a group of outputs; return 0, `GET` plus FMI's status, or `UNFIT_OUTPUT`, with the word at `note` as in `put`."""
     begin = outputs + 8 * word(group, BEGIN)
     code = word(group, CODE)
     if code == FLOAT64:
-        return _noted(parameters, group, failed(GET, _call(major, parameters, group, begin)))
+        return _noted(note, group, failed(GET, _call(major, component, group, begin)))
     buffer = word(group, BUFFER)
-    status = _noted(parameters, group, failed(GET, _call(major, parameters, group, buffer)))
+    status = _noted(note, group, failed(GET, _call(major, component, group, buffer)))
     if status != 0:
         return status
     for i in range(word(group, SIZE)):
         value = load(buffer, i, code)
         put_number(begin, i, value)
         if code >= INT64 and not (value > -EXACT and value < EXACT):
-            put_word(word(parameters, SCRATCH), UNFIT, word(group, BEGIN) + i)
+            put_word(note, 0, word(group, BEGIN) + i)
             return UNFIT_OUTPUT
     return 0
 
@@ -189,6 +191,7 @@ def _changed(parameters, inputs, group):
 @register_jitable(error_model="numpy")
 def _set_all(major, parameters, inputs):
     events = major == 3 and word(parameters, ENTER_EVENT_MODE) != 0
+    component, note = word(parameters, COMPONENT), word(parameters, SCRATCH) + 8 * UNFIT
     changed = False
     first, count = word(parameters, INPUT_GROUPS), word(parameters, INPUT_GROUP_COUNT)
     for i in range(count):
@@ -199,16 +202,16 @@ def _set_all(major, parameters, inputs):
                 return found
             changed = changed or found == 1
         else:
-            status = _put(major, parameters, inputs, group)
+            status = put(major, component, note, inputs, group)
             if status != 0:
                 return status
     if not changed:
         return 0
-    status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), word(parameters, COMPONENT)))
+    status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
     for i in range(count):
         group = first + 8 * GROUP_WORDS * i
         if status == 0 and word(group, DISCRETE) != 0:
-            status = _put(major, parameters, inputs, group)
+            status = put(major, component, note, inputs, group)
     if status != 0:
         return status
     return settle3(parameters)
@@ -216,9 +219,10 @@ def _set_all(major, parameters, inputs):
 
 @register_jitable(error_model="numpy")
 def _get_all(major, parameters, outputs):
-    first = word(parameters, OUTPUT_GROUPS)
+    first, component = word(parameters, OUTPUT_GROUPS), word(parameters, COMPONENT)
+    note = word(parameters, SCRATCH) + 8 * UNFIT
     for i in range(word(parameters, OUTPUT_GROUP_COUNT)):
-        status = _take(major, parameters, outputs, first + 8 * GROUP_WORDS * i)
+        status = take(major, component, note, outputs, first + 8 * GROUP_WORDS * i)
         if status != 0:
             return status
     return 0
