@@ -83,11 +83,12 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
                 f"The state of the FMU {self._machine.opaque[0]!r} is known to itself alone, so that it cannot be linearized in "
                 "python-control: LinearModel.from_fmu makes a linear model of it."
             )
-        told, self._machine.told = self._machine.told, True  # whoever asks for zeros here means them
+        hints = self._machine.hints
+        told, hints.told = hints.told, True  # whoever asks for zeros here means them
         try:
             return super().linearize(x0, u0, *args, **settings)
         finally:
-            self._machine.told = told
+            hints.told = told
 
 
 def initial_state(system: Any) -> Floats:

@@ -552,6 +552,32 @@ def test_a_beginning_at_zeros_is_told_once():
     assert cosim.initial_state(linear_car()).tolist() == [0.0]
 
 
+def test_a_beginning_at_zeros_is_told_in_continuous_time_too(casadi_fmu):
+    system = cosim.FMU(casadi_fmu("begins", lambda q, u: q)).to_control()  # at q = 0.5
+    with pytest.warns(UserWarning, match=r"begins at zeros, with q = 0 and so on.*X0=cosim\.initial_state"):
+        control.input_output_response(system, T, 0.0)
+    response(system)
+
+
+def test_params_that_reach_nothing_are_told_once():
+    """The plant line is changed for an FMU, and the script goes on to give the mass where python-control takes it."""
+    system = car().to_control(DT, engine="interpreted")
+    with pytest.warns(
+        UserWarning, match=r"params=\{'m': \.\.\.\} of python-control does not reach the FMU 'cruisecontrol'"
+    ):
+        response(system, np.zeros((2, len(T))), params={"k": 1.0, "m": 200.0})
+    response(system, np.zeros((2, len(T))), params={"m": 200.0})
+    response(car().to_control(DT, engine="interpreted"), np.zeros((2, len(T))), params={"k": 1.0})  # of another system
+    tank = control.nlsys(
+        lambda t, x, u, params: [u[0] - params["k"] * x[0]], None, inputs=1, states=1, params={"k": 0.5}
+    )
+    whole = cosim.StateSpace(tank, feedthrough=False).to_control(DT)
+    with pytest.warns(
+        UserWarning, match=r"does not reach the system within the block.*cosim\.StateSpace\(\.\.\., params="
+    ):
+        response(whole, params={"k": 1.0})
+
+
 def test_times_are_multiples_of_the_step():
     system = cosim.UnitDelay().to_control("1/30", engine="interpreted")
     assert response(system, np.arange(301), times=np.arange(301) * (1 / 30)).outputs[0].tolist() == [0, *range(300)]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._control.hints import Hints
 from bayesftc.cosim._exchange.equations import ModelEquations
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.fmu import FMU
@@ -27,7 +28,7 @@ class Equations:
 
     Attributes
     ----------
-    initial, names, opaque, told
+    initial, names, opaque, hints
         As of `bayesftc.cosim._control.machine.Machine`.
     """
 
@@ -38,16 +39,21 @@ class Equations:
         self._u = self._model.u0.copy()
         self.initial, self.names = self._model.x0.copy(), list(self._model.state_names)
         self.opaque: list[str] = []
-        self.told = True
+        self.hints = Hints(self.names, self.initial, [fmu])
 
     def output(self, t: float, x: Any, u: Any, params: object = None) -> Floats:
         """Return the outputs at time `t`."""
+        self.hints.params(params)
         values: Floats = self._model.outputs(np.asarray(x)[: len(self.names)], self._inputs(u), t)[self._out]
         return values
 
     def update(self, t: float, x: Any, u: Any, params: object = None) -> Floats:
         """Return the derivatives of the states at time `t`."""
-        return self._model.derivatives(np.asarray(x)[: len(self.names)], self._inputs(u), t)
+        self.hints.params(params)
+        state = np.asarray(x, dtype=np.float64)[: len(self.names)]
+        if t == 0:
+            self.hints.beginning(state)
+        return self._model.derivatives(state, self._inputs(u), t)
 
     def _inputs(self, u: Any) -> Floats:
         self._u[self._in] = np.asarray(u, dtype=np.float64)[: len(self._in)]

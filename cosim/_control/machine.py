@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 import weakref
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._control.externals import ExternalState, external_state
+from bayesftc.cosim._control.hints import Hints
 from bayesftc.cosim._control.state import state_places
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import Diagram
@@ -54,8 +54,8 @@ class Machine:
         Of the elements of the state.
     opaque : list of str
         Names of the FMUs of which the state is known to themselves alone.
-    told : bool
-        Whether no more need be said of a beginning at zeros.
+    hints : Hints
+        What its user is told.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Machine:
         self.initial = np.concatenate([schedule.initial[self._carried], *(e.initial for e in self._externals)])
         self.names = [name for _, name in self._state] + [name for e in self._externals for name in e.names]
         self.opaque = [e.title for e in self._externals if not e.real]
-        self.told = not self.initial.any()
+        self.hints = Hints(self.names, self.initial, [node.block for node in diagram.nodes])
 
     def _open(self) -> None:
         """Begin anew: with new instances of all FMUs."""
@@ -104,6 +104,7 @@ class Machine:
 
     def output(self, t: float, x: Any, u: Any, params: object = None) -> Floats:
         """Return the outputs at time `t`."""
+        self.hints.params(params)
         key = self._asked(t, x, u)
         values = self._shown.get(key)
         if values is None:
@@ -116,10 +117,11 @@ class Machine:
 
     def update(self, t: float, x: Any, u: Any, params: object = None) -> Floats:
         """Return the state one step after time `t`."""
+        self.hints.params(params)
         key = self._asked(t, x, u)
         if key != self._stepped:
-            if key[0] == 0 and not self.told:
-                self._warn_of_zeros(key[1])
+            if key[0] == 0:
+                self.hints.beginning(np.frombuffer(key[1]))
             self._evaluate(key)
             k, self._evaluated, self._stepped = key[0], None, None
             self._make(self._engine.step, k)
@@ -127,15 +129,6 @@ class Machine:
             self._after = np.concatenate([self._run.memory[self._carried], *parts])
             self._stepped = key
         return self._after.copy()
-
-    def _warn_of_zeros(self, state: bytes) -> None:
-        if not any(state):
-            self.told = True
-            warnings.warn(
-                f"A system of python-control begins at zeros, with {self.names[int(np.argmax(self.initial != 0.0))]} = 0 and so "
-                "on, which is not where its blocks begin; for that, give X0=cosim.initial_state(system).",
-                stacklevel=2,
-            )
 
     def _asked(self, t: float, x: Any, u: Any) -> Asked:
         if t != self._instant[0]:
