@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from bayesftc.cosim._exchange.info import ExchangeInfo, read_exchange
 from bayesftc.cosim._fmi.aliases import check_aliases
 from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, read_entry
+from bayesftc.cosim._fmi.clocks import Clock, read_clocks
 from bayesftc.cosim.errors import FMUError, FMUVersionError
 from bayesftc.cosim.units import BASE, Unit, UnitDefinition
 
@@ -69,8 +70,8 @@ class FMUVariable:
         Whether its start value may be set before initialization.
     reference : int
         The value reference, by which the binary knows it.
-    clocked : bool
-        Whether it only exists at the ticks of a clock (FMI 3).
+    clocks : tuple of int
+        Value references of the clocks at whose ticks alone it exists (FMI 3); none for most.
     alias : bool
         Whether it is another name of a variable that is listed too (FMI 3).
     dimensions : tuple of int or str
@@ -79,6 +80,8 @@ class FMUVariable:
         Of an enumeration: names and numbers.
     relative : bool
         Whether it is a difference, to which a unit's offset (degC) does not apply.
+    clock : Clock or None
+        Of a clock, when it ticks.
     """
 
     name: str
@@ -91,11 +94,17 @@ class FMUVariable:
     shape: tuple[int, ...]
     settable: bool
     reference: int
-    clocked: bool = False
+    clocks: tuple[int, ...] = ()
     alias: bool = False
     dimensions: tuple[int | str, ...] = ()
     items: tuple[tuple[str, int], ...] = ()
     relative: bool = False
+    clock: Clock | None = None
+
+    @property
+    def clocked(self) -> bool:
+        """Whether it only exists at the ticks of clocks."""
+        return bool(self.clocks)
 
     @property
     def is_real(self) -> bool:
@@ -109,8 +118,8 @@ class FMUVariable:
 
     @property
     def is_numeric(self) -> bool:
-        """Whether its values are numbers: it can be a port."""
-        return self.type not in {"String", "Binary", "Clock"} and not self.clocked
+        """Whether its values are numbers."""
+        return self.type not in {"String", "Binary", "Clock"}
 
 
 @dataclass(frozen=True)
@@ -170,6 +179,11 @@ class FMUDescription:
         """2 or 3."""
         return int(self.fmi_version[0])
 
+    @property
+    def uses_event_mode(self) -> bool:
+        """Whether it goes through event mode in co-simulation."""
+        return "coSimulation" in self.kinds and bool(self.capabilities.get("hasEventMode"))
+
 
 _lock = threading.RLock()
 _known: dict[tuple[str, bool], FMUDescription] = {}
@@ -214,7 +228,8 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
     first = getattr(model, kinds[0]) if kinds else None
     experiment = model.defaultExperiment
     annotations = [element.get("timing") for element in root.iter("bayesftc")]
-    variables = tuple(_variable(archive, v) for v in model.modelVariables)
+    clocks = read_clocks(root)
+    variables = tuple(_variable(archive, v, clocks) for v in model.modelVariables)
     if validate and version == "2.0":
         check_aliases(archive, variables)
     return FMUDescription(
@@ -286,7 +301,7 @@ def _checked_xml(archive: Archive) -> io.BytesIO:
     return content
 
 
-def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:
+def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Clock]) -> FMUVariable:
     settable = variable.variability != "constant" and (
         variable.causality == "input" or variable.initial in {"exact", "approx"}
     )
@@ -301,11 +316,12 @@ def _variable(archive: Archive, variable: ModelVariable) -> FMUVariable:
         shape=tuple(variable.shape or ()),
         settable=settable,
         reference=variable.valueReference,
-        clocked=bool(variable.clocks),
+        clocks=tuple(c.valueReference for c in variable.clocks or ()),
         alias=variable.alias is not None,
         dimensions=tuple(int(d.start) if d.start is not None else d.variable.name for d in variable.dimensions),
         items=tuple((item.name, int(item.value)) for item in getattr(variable.declaredType, "items", None) or ()),
         relative=bool(_declared(variable, "relativeQuantity")),
+        clock=clocks.get(variable.valueReference) if variable.type == "Clock" else None,
     )
 
 

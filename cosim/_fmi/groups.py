@@ -112,6 +112,8 @@ class Group:
         Where their elements begin among those of all inputs or outputs, and how many they are.
     read : int
         Of inputs that may only change at events: address of the FMI function that reads them; else 0.
+    clocks : tuple of int
+        Value references of the clocks of which one must be active when they are set or read; none for other variables.
     """
 
     def __init__(
@@ -124,12 +126,13 @@ class Group:
         begin: int,
         size: int,
         read: int = 0,
+        clocks: tuple[int, ...] = (),
     ):
         self.name, self.function, self.kind, self.major = name, function, kind, major
-        self.begin, self.size, self.read = begin, size, read
+        self.begin, self.size, self.read, self.clocks = begin, size, read, clocks
         self.references = np.array(references, dtype=np.uint32)
         self.buffer = np.zeros(max(size, 1), dtype=kind.dtype)
-        self._mine = slice(begin, begin + size)
+        self.mine = slice(begin, begin + size)
 
     def place(self) -> tuple[int, int, int, int]:
         """Return the function, the value references, how many they are and how many values."""
@@ -164,7 +167,7 @@ class Group:
 
     def put(self, component: int, inputs: Floats) -> tuple[int, int]:
         """Set the group's inputs; return FMI's status, and the place of a value that the type does not hold, or -1."""
-        values = inputs[self._mine]
+        values = inputs[self.mine]
         bad = self.kind.misfit(values)
         if bad >= 0:
             return 0, self.begin + bad
@@ -175,7 +178,7 @@ class Group:
         """Read the group's outputs; return FMI's status, and the place of a value that is no double, or -1."""
         buffer, code = self.buffer[: self.size], self.kind.code
         if code == 0:
-            buffer[:] = outputs[self._mine]  # what a failing FMU does not write stays as it is, as in compiled code
+            buffer[:] = outputs[self.mine]  # what a failing FMU does not write stays as it is, as in compiled code
         status = self._call(component)
         if code == 0 or status in {0, 1}:
             values = buffer.astype(np.float64)
@@ -184,13 +187,13 @@ class Group:
                 bad = int(np.argmin(exact))
                 outputs[self.begin : self.begin + bad + 1] = values[: bad + 1]
                 return status, self.begin + bad
-            outputs[self._mine] = values
+            outputs[self.mine] = values
         return status, -1
 
     def changed(self, component: int, inputs: Floats) -> tuple[int, bool]:
         """Return FMI's status, and whether discrete inputs are others than the instance has."""
         status = self._look(component)
-        return status, bool((inputs[self._mine] != self.buffer[: self.size].astype(np.float64)).any())
+        return status, bool((inputs[self.mine] != self.buffer[: self.size].astype(np.float64)).any())
 
 
 def groups(
@@ -216,13 +219,13 @@ def groups(
     events : bool
         Whether inputs that are not continuous may only change at events.
     """
-    runs: list[tuple[tuple[str, NumericType, int], list[int], int, int]] = []
+    runs: list[tuple[tuple[str, NumericType, int, tuple[int, ...]], list[int], int, int]] = []
     begin = 0
     for variable in variables:
         size = prod(variable.shape)
-        discrete = events and verb == "Set" and variable.variability != "continuous"
+        discrete = events and verb == "Set" and variable.variability != "continuous" and not variable.clocked
         read = address(function_name(variable, major, "Get")) if discrete else 0
-        key = function_name(variable, major, verb), numeric_type(variable, major), read
+        key = function_name(variable, major, verb), numeric_type(variable, major), read, variable.clocks
         if runs and runs[-1][0] == key:
             _, references, start, before = runs.pop()
             runs.append((key, [*references, variable.reference], start, before + size))
@@ -230,8 +233,8 @@ def groups(
             runs.append((key, [variable.reference], begin, size))
         begin += size
     return [
-        Group(name, address(name), kind, major, references, start, size, read)
-        for (name, kind, read), references, start, size in runs
+        Group(name, address(name), kind, major, references, start, size, read, clocks)
+        for (name, kind, read, clocks), references, start, size in runs
     ]
 
 

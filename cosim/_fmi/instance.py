@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from math import isfinite
-from typing import Literal
+from math import inf, isfinite
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import element_names, groups
+from bayesftc.cosim._fmi.groups import Group, element_names, groups
 from bayesftc.cosim._fmi.library import CallError, Library
 from bayesftc.cosim._fmi.messages import STATUS, Messages
 from bayesftc.cosim._fmi.refusals import function_of, misfit
@@ -22,6 +22,8 @@ from bayesftc.cosim._fmi.steps import (
     EVENTS,
     FATAL,
     GET,
+    NEXT_DEFINED,
+    NEXT_TIME,
     REACHED,
     SET,
     STEP,
@@ -62,16 +64,16 @@ class Instance(StepFunctions):
         self._library, self._name = library, name
         self._messages = Messages(name)
         self._component, self._healthy, self._fatal = 0, True, False
+        major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
+        into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
+        into, out = self._arranged((into, groups(outputs, major, "Get", find)))
         try:
             self._start(start, inputs)
         except BaseException:
             self._healthy = False
             self.close()
             raise
-        major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
-        into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
-        out = groups(outputs, major, "Get", find)
-        super().__init__(major, addresses, self._component, into, out, float(step), timing)
+        super().__init__(major, addresses, self._component, into, out, float(step), timing, self._cut())
         self._elements = element_names(list(inputs)), element_names(outputs)
         if addresses.enter_event_mode:
             self._first_events()
@@ -100,7 +102,7 @@ class Instance(StepFunctions):
         library.alive += 1
         self._states = States(library, component, name)
         try:
-            library.initialize(component, start, inputs)
+            library.initialize(component, start, inputs, meanwhile=self._initializing)
         except CallError as error:
             self._fatal = error.status == FATAL
             raise FMUError(
@@ -108,9 +110,20 @@ class Instance(StepFunctions):
                 "its parameters and start values."
             ) from None
 
+    def _arranged(self, sides: tuple[list[Group], list[Group]]) -> tuple[list[Group], list[Group]]:
+        """Return the inputs and outputs that are set and read at communication points."""
+        return sides
+
+    def _initializing(self) -> None:
+        """Do what is to be done while the FMU is in initialization mode."""
+
+    def _cut(self) -> float:
+        """Return into parts of which size a step may be cut; see `StepFunctions`."""
+        return _fixed_size(self._library) if self.can_resize else inf
+
     def _first_events(self) -> None:
         """Leave the event mode in which initialization ends."""
-        status = self._settle()
+        status = self._settle(0.0)
         if status:
             what = self.explain(status)
             self.close()
@@ -149,19 +162,31 @@ class Instance(StepFunctions):
 
         None where more has to be done than to call them.
         """
-        if any(group.discrete for group in self._groups[0]):
+        if self._addresses.enter_event_mode:
             return None
         save, restore, free = self._library.state_addresses
         return self._component, save, restore, free
 
     def save(self) -> SavedState:
         """See `bayesftc.cosim.block.External.save`."""
-        return self._states.save()
+        saved = self._states.save()
+        saved.beside = self._beside()
+        return saved
 
     def restore(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.restore`."""
         self._states.restore(saved)
+        self._put_beside(cast("SavedState", saved).beside)
         self._healthy = not self._fatal  # an FMU that has failed may be put back to where it had not
+
+    def _beside(self) -> tuple[Any, ...]:
+        """Return what is to be remembered beside the FMU's own state: when it wants its next event."""
+        return (self._announced,)
+
+    def _put_beside(self, values: tuple[Any, ...]) -> None:
+        next_event = values[0] if values else inf
+        self._scratch[NEXT_DEFINED] = next_event < inf
+        self._scratch.view(np.float64)[NEXT_TIME] = next_event
 
     def forget(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.forget`."""
@@ -169,7 +194,9 @@ class Instance(StepFunctions):
 
     def explain(self, status: int) -> str:
         """Return what a status means in FMI's words, with the instance's last messages."""
-        self._healthy = False
+        where = status // 100 * 100
+        code = status % 100 if where in {GET, SET, STEP, EVENTS} else 0
+        self._healthy = code <= DISCARD  # after an error it may not be asked to terminate
         if status == TERMINATED:
             return f"The FMU asks to end the simulation (terminateSimulation). {self._messages.quoted()}"
         said = self._messages.quoted()
@@ -185,7 +212,6 @@ class Instance(StepFunctions):
             is_input = status == UNFIT_INPUT
             elements = self._elements[0 if is_input else 1]
             return misfit(elements, int(self._scratch[UNFIT]), self._major, is_input=is_input)
-        where, code = status // 100 * 100, status % 100
         names = {
             GET: self._called(1),
             SET: self._called(0),
@@ -195,7 +221,9 @@ class Instance(StepFunctions):
         function = names.get(where, "An FMI function")
         word = STATUS[code] if code < len(STATUS) else str(code)
         self._fatal = code == FATAL
-        more = self._library.last_words(self._component) if where == STEP and code == DISCARD else ""
+        more = ""
+        if code == DISCARD:
+            more = self._library.last_words(self._component) if where == STEP else "It does not take such a value."
         return " ".join(s for s in (f"{function} returned {word}.", more, said) if s)
 
     def _called(self, side: int) -> str:
@@ -221,17 +249,18 @@ class Instance(StepFunctions):
         self._messages.close()
 
 
-def _check_step(library: Library, name: str, step: Fraction) -> None:
-    fixed = library.description.capabilities.get("fixedInternalStepSize")
+def _fixed_size(library: Library) -> float:
+    """Return the size of which all steps must be multiples; 0 where there is none."""
     try:
-        size = float(fixed or 0.0)
+        size = float(library.description.capabilities.get("fixedInternalStepSize") or 0.0)
     except ValueError:  # of a description that nobody has validated
-        size = 0.0
-    if (
-        isfinite(size)
-        and size > 0.0
-        and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size
-    ):
+        return 0.0
+    return size if isfinite(size) and size > 0.0 else 0.0
+
+
+def _check_step(library: Library, name: str, step: Fraction) -> None:
+    size = _fixed_size(library)
+    if size and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size:
         raise StepSizeError(
             f"The FMU {library.description.name!r} makes steps of {size:g} s only (fixedInternalStepSize), but {name!r} is to "
             f"make steps of {show(step)} s: choose dt, or every=, so that its step is a whole multiple of {size:g} s."

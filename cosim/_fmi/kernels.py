@@ -9,6 +9,9 @@ communication point; `typed_kernels` has the others.
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
+import math
+
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, register_jitable
@@ -21,13 +24,14 @@ UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
 (
     COMPONENT, GET_REAL, SET_REAL, DO_STEP, INPUTS, INPUT_COUNT, OUTPUTS, OUTPUT_COUNT, STEP_SIZE, SCRATCH, INPUT_SIZE,
     OUTPUT_SIZE, REAL_STATUS, BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE, ENTER_STEP_MODE, INPUT_GROUPS,
-    INPUT_GROUP_COUNT, OUTPUT_GROUPS, OUTPUT_GROUP_COUNT,
-) = range(21)  # fmt: skip
-WORDS = 21
+    INPUT_GROUP_COUNT, OUTPUT_GROUPS, OUTPUT_GROUP_COUNT, GRID,
+) = range(22)  # fmt: skip
+WORDS = 22
 
 # Words of the scratch memory for what fmi3DoStep returns; a C bool takes the lowest byte of its word. Then what the status of
 # fmi2DoStep is asked, the place of a value that does not fit, and what fmi3UpdateDiscreteStates returns.
 EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
+UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
 SCRATCH_WORDS = 12
 
 TOLERANCE = 1e-9
@@ -267,42 +271,82 @@ def _step3(parameters, inputs, t):
 
 @register_jitable(error_model="numpy", forceinline=True)
 def do_step3(parameters, t):
-    """Make a step of an FMI 3 instance, to its end if it returns early, with the events that it reports."""
+    """Make a step of an FMI 3 instance without event mode, to its end if it returns early or is discarded."""
     h = number(parameters, STEP_SIZE)
     scratch = word(parameters, SCRATCH)
     status = failed(STEP, step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, scratch))
     if status != 0:
-        return status
+        return _go_on3(parameters, t, h, h, status - STEP)
     if word(scratch, TERMINATE) != 0:
         return TERMINATED
-    if word(scratch, RETURNED_EARLY) != 0 or (word(scratch, EVENT) != 0 and word(parameters, ENTER_EVENT_MODE) != 0):
-        return _go_on3(parameters, t, h)
+    if word(scratch, RETURNED_EARLY) != 0:
+        return _go_on3(parameters, t, h, h, 0)
     return 0
 
 
 @register_jitable(error_model="numpy")
-def _go_on3(parameters, t, h):
+def do_event_step3(parameters, t):
+    """Make a step of an FMI 3 instance that uses event mode, with the events within it and at its end."""
+    h = number(parameters, STEP_SIZE)
+    size = _part3(parameters, t, h, TOLERANCE * h)
+    status = step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, size, word(parameters, SCRATCH))
+    return _go_on3(parameters, t, h, size, status)
+
+
+@register_jitable(error_model="numpy")
+def _go_on3(parameters, t, h, size, status):
+    """Bring a step to its end, of which the first part, of this size, has returned this status."""
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
-    now, end = t, t + h
+    events = word(parameters, ENTER_EVENT_MODE) != 0
+    now, end, most, slack = t, t + h, h, TOLERANCE * h
     for _ in range(TRIES):
-        if word(scratch, TERMINATE) != 0:
+        if status == DISCARD and number(parameters, GRID) == 0.0:
+            most = 0.5 * size  # the FMU has stayed where it was
+            if most < SMALLEST * h:
+                return STEP + DISCARD
+        elif status > 1 or status < 0:
+            return STEP + status
+        elif word(scratch, TERMINATE) != 0:
             return TERMINATED
-        early, reached = word(scratch, RETURNED_EARLY) != 0, number(scratch, REACHED)
-        if word(scratch, EVENT) != 0 and word(parameters, ENTER_EVENT_MODE) != 0:
-            status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
-            if status == 0:
-                status = settle3(parameters)
-            if status != 0:
-                return status
-        if not early or reached >= end - TOLERANCE * h:
+        else:
+            reached = number(scratch, REACHED) if word(scratch, RETURNED_EARLY) != 0 else now + size
+            event = events and (word(scratch, EVENT) != 0 or _next_event3(scratch) <= reached + slack)
+            if not (reached > now or (event and reached == now)):
+                return EARLY
+            now = reached
+            if event:
+                status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
+                if status == 0:
+                    status = settle3(parameters)
+                if status != 0:
+                    return status
+        left = end - now
+        if left <= slack:
             return 0
-        if not reached > now:
-            return EARLY
-        now = reached
-        status = failed(STEP, step3(word(parameters, DO_STEP), component, now, end - now, scratch))
-        if status != 0:
-            return status
+        size = _part3(parameters, now, most if most < left - slack else left, slack)
+        status = step3(word(parameters, DO_STEP), component, now, size, scratch)
     return ENDLESS
+
+
+@register_jitable(error_model="numpy")
+def _next_event3(scratch):
+    """Return when the instance wants the next time event: what fmi3UpdateDiscreteStates said last."""
+    return number(scratch, NEXT_TIME) if word(scratch, NEXT_DEFINED) != 0 else np.inf
+
+
+@register_jitable(error_model="numpy")
+def _part3(parameters, now, size, slack):
+    """Return the size of the next part of a step: no more than to the next time event, where the step may be cut there."""
+    if word(parameters, ENTER_EVENT_MODE) == 0:
+        return size
+    event = _next_event3(word(parameters, SCRATCH))
+    if not (event > now + slack and event < now + size - slack):
+        return size
+    grid = number(parameters, GRID)
+    part = event - now
+    if grid > 0.0:
+        part = math.ceil(part / grid - TOLERANCE) * grid
+    return part if part < size - slack else size
 
 
 @register_jitable(error_model="numpy")
@@ -313,7 +357,7 @@ def settle3(parameters):
         status = failed(EVENTS, update3(word(parameters, UPDATE_DISCRETE), component, scratch + 8 * UPDATE))
         if status != 0:
             return status
-        if word(scratch, UPDATE + 1) != 0:
+        if word(scratch, UPDATE_TERMINATE) != 0:
             return TERMINATED
         if word(scratch, UPDATE) == 0:
             return failed(EVENTS, mode3(word(parameters, ENTER_STEP_MODE), component))

@@ -6,6 +6,7 @@ import ctypes
 import os
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -92,11 +93,17 @@ class Library(ABC):
 
     @abstractmethod
     def initialize(
-        self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float = 0.0
+        self,
+        component: int,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value],
+        tolerance: float = 0.0,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Set the start values, go through initialization mode, and leave it ready for the first step.
 
         A `tolerance` above 0 is that of the integrator, so that the FMU solves its own equations as well as that needs.
+        `meanwhile` is called in initialization mode, when all is set.
         """
 
     @abstractmethod
@@ -108,7 +115,7 @@ class Library(ABC):
         """Free an instance."""
 
     def last_words(self, component: int) -> str:
-        """Return what more a discarded step lets one ask, as a sentence or nothing."""
+        """Return what more is known of a discarded step, as a sentence or nothing."""
         return ""
 
     def call(self, function: str, *arguments: Any) -> Any:
@@ -179,13 +186,19 @@ class Library2(Library):
         return component or 0, callbacks
 
     def initialize(
-        self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float = 0.0
+        self,
+        component: int,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value],
+        tolerance: float = 0.0,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """See `Library.initialize`."""
         self.call("fmi2SetupExperiment", component, int(tolerance > 0.0), tolerance, 0.0, 0, 0.0)
         self.set_values(component, start)
         self.call("fmi2EnterInitializationMode", component)
         self.set_values(component, inputs)
+        meanwhile()
         self.call("fmi2ExitInitializationMode", component)
 
     def step_addresses(self) -> Addresses:
@@ -247,7 +260,12 @@ class Library3(Library):
         return component or 0, callback
 
     def initialize(
-        self, component: int, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float = 0.0
+        self,
+        component: int,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value],
+        tolerance: float = 0.0,
+        meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """See `Library.initialize`."""
         structure = {v: value for v, value in start.items() if v.causality == "structuralParameter"}
@@ -258,6 +276,7 @@ class Library3(Library):
         self.set_values(component, {v: value for v, value in start.items() if v not in structure})
         self.call("fmi3EnterInitializationMode", component, tolerance > 0.0, tolerance, 0.0, False, 0.0)
         self.set_values(component, inputs)
+        meanwhile()
         self.call("fmi3ExitInitializationMode", component)
 
     @property
@@ -283,6 +302,10 @@ class Library3(Library):
     def free(self, component: int) -> None:
         """See `Library.free`."""
         self.call("fmi3FreeInstance", component)
+
+    def last_words(self, component: int) -> str:
+        """See `Library.last_words`."""
+        return "It has stayed where it was; a smaller step may do."
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Int64" if kind == "Enumeration" else kind

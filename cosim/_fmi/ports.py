@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from math import prod
 
 from bayesftc.cosim._fmi.archive import Archive
@@ -16,13 +16,15 @@ def choose(
     variables: Mapping[str, FMUVariable],
     causality: str,
     wanted: Sequence[str | Port] | None,
+    ticking: Container[int] = (),
 ) -> list[FMUVariable]:
-    """Return the variables that become ports of one side."""
+    """Return the variables that become ports of one side; of clocked ones, those with a clock among `ticking`."""
     candidates = {v.name: v for v in variables.values() if v.causality == causality}
     if wanted is None:
-        return [v for v in candidates.values() if not _obstacle(v) and not v.alias]
-    if isinstance(wanted, str):
-        raise ModelError(f"FMU has {causality}s={wanted!r}; give a list of names, as [{wanted!r}].")
+        return [v for v in candidates.values() if not _obstacle(v, ticking) and not v.alias]
+    if not isinstance(wanted, list | tuple) or not all(isinstance(item, str | Port) for item in wanted):
+        example = [wanted] if isinstance(wanted, str) else [*candidates][:1] or ["y"]
+        raise ModelError(f"FMU has {causality}s={wanted!r}; give a list of names, as {example}.")
     chosen: list[FMUVariable] = []
     for item in wanted:
         name = item.name if isinstance(item, Port) else item
@@ -31,7 +33,7 @@ def choose(
             hint = f"it is of causality {other.causality}." if other else did_you_mean(name, candidates)
             raise UnknownNameError(f"The FMU {archive.path.name} has no {causality} {name!r}; {hint}")
         variable = candidates[name]
-        what = _obstacle(variable)
+        what = _obstacle(variable, ticking)
         if what:
             raise FMUError(
                 f"The {causality} {name!r} of the FMU {archive.path.name} is {what}; only numbers can be ports: leave it out of "
@@ -43,21 +45,32 @@ def choose(
     return chosen
 
 
-def _obstacle(variable: FMUVariable) -> str | None:
+def ticking_clocks(description: FMUDescription, causality: str, *, exchange: bool) -> frozenset[int]:
+    """Return the clocks of which clocked inputs or outputs can be ports: in co-simulation those that time ticks, and the FMU."""
+    if exchange or not description.uses_event_mode:
+        return frozenset()
+    return frozenset(
+        v.reference
+        for v in description.variables
+        if v.clock and (v.clock.is_timed if v.causality == "input" else causality == "output")
+    )
+
+
+def _obstacle(variable: FMUVariable, ticking: Container[int] = ()) -> str | None:
     """Return why a variable cannot be a port, or None."""
-    if variable.clocked:
-        return "clocked"
+    if variable.clocked and not any(clock in ticking for clock in variable.clocks):
+        return "clocked, by clocks that nothing here ticks"
     if not variable.is_numeric:
         return f"of type {variable.type}"
     return None if prod(variable.shape) else f"an array of shape {variable.shape}, which is empty"
 
 
-def choose_tunable(
-    archive: Archive, variables: Mapping[str, FMUVariable], wanted: Sequence[str]
-) -> list[FMUVariable]:
+def choose_tunable(archive: Archive, variables: Mapping[str, FMUVariable], wanted: Sequence[str]) -> list[FMUVariable]:
     """Return the parameters that become inputs."""
-    if isinstance(wanted, str):
-        raise ModelError(f"FMU has tunable={wanted!r}; give a list of names, as [{wanted!r}].")
+    if not isinstance(wanted, list | tuple) or not all(isinstance(item, str) for item in wanted):
+        raise ModelError(
+            f"FMU has tunable={wanted!r}; give a list of names, as {[wanted] if isinstance(wanted, str) else ['k']}."
+        )
     names = [v.name for v in variables.values() if v.causality == "parameter" and v.variability == "tunable"]
     for name in wanted:
         if name not in variables:

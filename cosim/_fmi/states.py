@@ -22,15 +22,18 @@ class SavedState:
     ----------
     model, token : str
         Name of the model and what proves that a state belongs to a binary.
+    beside : tuple
+        What whoever runs the instance remembers with it, of numbers and texts.
     """
 
     def __init__(self, states: States, place: int):
         self.model, self.token = states.model, states.token
+        self.beside: tuple[Any, ...] = ()
         self._states: States | None = states
         self._place, self._bytes = place, b""
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"model": self.model, "token": self.token, "_states": None, "_place": 0, "_bytes": self.serialised()}
+        return self._with(self.serialised())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -59,8 +62,12 @@ class SavedState:
     def changed_to(self, content: bytes) -> SavedState:
         """Return a state of the same FMU of which the bytes are these."""
         other = object.__new__(SavedState)
-        other.__setstate__({"model": self.model, "token": self.token, "_states": None, "_place": 0, "_bytes": content})
+        other.__setstate__(self._with(content))
         return other
+
+    def _with(self, content: bytes) -> dict[str, Any]:
+        own = {"model": self.model, "token": self.token, "beside": self.beside}
+        return {**own, "_states": None, "_place": 0, "_bytes": content}
 
     def place_in(self, states: States) -> int:
         """Return where in the memory of the FMU the state lies; 0 if it is none of that instance's."""

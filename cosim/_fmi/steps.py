@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -18,6 +19,7 @@ GET, SET, STEP, EVENTS = 100, 200, 300, 500
 EARLY, TERMINATED, ENDLESS = 401, 402, 403
 UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
 EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
+UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
 SCRATCH_WORDS = 12
 TOLERANCE, SMALLEST, TRIES = 1e-9, 1e-6, 10_000
 DISCARD, FATAL = 2, 4
@@ -83,6 +85,8 @@ class StepFunctions:
         Step size in seconds.
     timing : {"plant", "sampled"}
         Whether the outputs are read before the step, or after it.
+    grid : float
+        Of FMI 3, into parts of which size a step may be cut: 0 for any, infinity for none, else multiples of this.
     """
 
     def __init__(
@@ -94,13 +98,16 @@ class StepFunctions:
         outputs: Sequence[Group],
         h: float,
         timing: Literal["plant", "sampled"],
+        grid: float = math.inf,
     ):
-        self._major, self._timing, self._h = major, timing, h
+        self._major, self._timing, self._h, self._grid = major, timing, h, grid
         self._component, self._addresses = component, addresses
         self._groups = tuple(inputs), tuple(outputs)
         self._scratch = np.zeros(SCRATCH_WORDS, dtype=np.int64)
         sides = (inputs, outputs)
-        self._plain = all(len(s) <= 1 for s in sides) and not any(g.kind.code or g.discrete for s in sides for g in s)
+        self._plain = not addresses.enter_event_mode and all(
+            len(s) <= 1 and not any(g.kind.code for g in s) for s in sides
+        )
         into = out = 0, 0, 0, 0
         if self._plain:
             into, out = (side[0].place() if side else (0, 0, 0, 0) for side in sides)
@@ -108,12 +115,13 @@ class StepFunctions:
         else:
             self._rows = [np.array([g.words() for g in side], dtype=np.int64) for side in sides]
             counts = self._rows[0].ctypes.data, len(inputs), self._rows[1].ctypes.data, len(outputs)
-        size, a = int(np.float64(h).view(np.int64)), addresses
+        a = addresses
+        size, parts = np.array([h, grid]).view(np.int64)
         self.table = np.array(
             [
                 component, out[0], into[0], a.do_step, into[1], into[2], out[1], out[2], size, self._scratch.ctypes.data,
                 into[3], out[3], a.real_status, a.boolean_status, a.enter_event_mode, a.update_discrete, a.enter_step_mode,
-                *counts,
+                *counts, parts,
             ],
             dtype=np.int64,
         )  # fmt: skip
@@ -167,18 +175,23 @@ class StepFunctions:
 
     def _read(self, outputs: Floats) -> int:
         for group in self._groups[1]:
-            status, unfit = group.take(self._component, outputs)
-            if unfit >= 0:
-                self._scratch[UNFIT] = unfit
-                return UNFIT_OUTPUT
-            status = _failed(GET, status)
+            status = self._take(group, outputs)
             if status:
-                self._scratch[UNFIT] = group.begin
                 return status
         return 0
 
+    def _take(self, group: Group, outputs: Floats) -> int:
+        status, unfit = group.take(self._component, outputs)
+        if unfit >= 0:
+            self._scratch[UNFIT] = unfit
+            return UNFIT_OUTPUT
+        status = failed(GET, status)
+        if status:
+            self._scratch[UNFIT] = group.begin
+        return status
+
     def _advance(self, inputs: Floats, t: float) -> int:
-        status = self._set(inputs)
+        status = self._set(inputs, t)
         if status:
             return status
         h = self._h
@@ -186,36 +199,37 @@ class StepFunctions:
             status = self._do_step(self._component, t, h, 0)
             if status == DISCARD and self._addresses.real_status:
                 return self._in_parts(t, h)
-            return _failed(STEP, status)
-        status = _failed(STEP, self._do_step(self._component, t, h, False, *self._places[:4]))
-        return status or self._go_on(t, h)
+            return failed(STEP, status)
+        size = self._part(t, h, TOLERANCE * h)
+        return self._go_on(t, h, size, self._do_step(self._component, t, size, False, *self._places[:4]))
 
-    def _set(self, inputs: Floats) -> int:
-        events, changed = self._addresses.enter_event_mode, False
+    def _set(self, inputs: Floats, t: float) -> int:
+        """Set the inputs, all of them in event mode if one has changed that may only change at events.
+
+        What the instance has is asked before anything is set: afterwards FMI allows no reading before the step.
+        """
+        events, changed = self._addresses.enter_event_mode != 0, self._has_event(t)
         for group in self._groups[0]:
-            if events and group.discrete:
-                status, other = group.changed(self._component, inputs)
-                if _failed(EVENTS, status):
+            if events and group.discrete and not changed:
+                status, changed = group.changed(self._component, inputs)
+                if failed(EVENTS, status):
                     return EVENTS + status
-                changed = changed or other
-                continue
-            status = self._put(group, inputs)
-            if status:
-                return status
-        if not changed:
-            return 0
-        status = _failed(EVENTS, self._modes[0](self._component))
+        status = failed(EVENTS, self._modes[0](self._component)) if changed else 0
         for group in self._groups[0]:
-            if not status and group.discrete:
+            if not status and (changed or not events or not group.discrete):
                 status = self._put(group, inputs)
-        return status or self._settle()
+        return status or (self._settle(t) if changed else 0)
+
+    def _has_event(self, t: float) -> bool:
+        """Whether event mode is needed before the step from `t`, whatever the inputs are."""
+        return False
 
     def _put(self, group: Group, inputs: Floats) -> int:
         status, unfit = group.put(self._component, inputs)
         if unfit >= 0:
             self._scratch[UNFIT] = unfit
             return UNFIT_INPUT
-        status = _failed(SET, status)
+        status = failed(SET, status)
         if status:
             self._scratch[UNFIT] = group.begin
         return status
@@ -240,7 +254,7 @@ class StepFunctions:
                 part = 0.5 * part
                 if part < SMALLEST * h:
                     return STEP + DISCARD
-            elif _failed(STEP, status):
+            elif failed(STEP, status):
                 return STEP + status
             else:
                 now = now + part
@@ -252,39 +266,70 @@ class StepFunctions:
             status = self._do_step(self._component, now, part, 0)
         return ENDLESS
 
-    def _go_on(self, t: float, h: float) -> int:
-        """See what a step of FMI 3 says: to end, to handle an event, to go on after an early return."""
-        scratch, now, end = self._scratch, t, t + h
+    def _go_on(self, t: float, h: float, size: float, status: int) -> int:
+        """Bring a step of FMI 3 to its end, of which the first part, of this size, has returned this status."""
+        scratch, events = self._scratch, self._addresses.enter_event_mode
+        now, end, most, slack = t, t + h, h, TOLERANCE * h
         for _ in range(TRIES):
-            if scratch[TERMINATE]:
+            if status == DISCARD and self._grid == 0.0:
+                most = 0.5 * size  # the FMU has stayed where it was
+                if most < SMALLEST * h:
+                    return STEP + DISCARD
+            elif failed(STEP, status):
+                return STEP + status
+            elif scratch[TERMINATE]:
                 return TERMINATED
-            early, reached = scratch[RETURNED_EARLY], float(scratch.view(np.float64)[REACHED])
-            if scratch[EVENT] and self._addresses.enter_event_mode:
-                status = _failed(EVENTS, self._modes[0](self._component)) or self._settle()
-                if status:
-                    return status
-            if not early or reached >= end - TOLERANCE * h:
+            else:
+                reached = float(scratch.view(np.float64)[REACHED]) if scratch[RETURNED_EARLY] else now + size
+                event = events and (scratch[EVENT] or self._next_event <= reached + slack)
+                if not (reached > now or (event and reached == now)):
+                    return EARLY
+                now = reached
+                if event:
+                    status = failed(EVENTS, self._modes[0](self._component)) or self._settle(now)
+                    if status:
+                        return status
+            left = end - now
+            if left <= slack:
                 return 0
-            if not reached > now:
-                return EARLY
-            now = reached
-            status = _failed(STEP, self._do_step(self._component, now, end - now, False, *self._places[:4]))
-            if status:
-                return status
+            size = self._part(now, most if most < left - slack else left, slack)
+            status = self._do_step(self._component, now, size, False, *self._places[:4])
         return ENDLESS
 
-    def _settle(self) -> int:
+    @property
+    def _next_event(self) -> float:
+        """When the instance is to go through event mode next."""
+        return self._announced
+
+    @property
+    def _announced(self) -> float:
+        """When the instance wants the next time event: what fmi3UpdateDiscreteStates said last."""
+        return float(self._scratch.view(np.float64)[NEXT_TIME]) if self._scratch[NEXT_DEFINED] else math.inf
+
+    def _part(self, now: float, size: float, slack: float) -> float:
+        """Return the size of the next part of a step: no more than to the next time event, where it may be cut there."""
+        event = self._next_event
+        if not (now + slack < event < now + size - slack):
+            return size
+        part = event - now
+        if self._grid > 0.0:
+            part = math.ceil(part / self._grid - TOLERANCE) * self._grid
+        return part if part < size - slack else size
+
+    def _settle(self, now: float) -> int:
+        """Update the discrete states in event mode until they stay, and go back to step mode."""
         _, update, leave = self._modes
         for _ in range(TRIES):
-            status = _failed(EVENTS, update(self._component, *self._places[UPDATE:]))
+            status = failed(EVENTS, update(self._component, *self._places[UPDATE:]))
             if status:
                 return status
-            if self._scratch[UPDATE + 1]:
+            if self._scratch[UPDATE_TERMINATE]:
                 return TERMINATED
             if not self._scratch[UPDATE]:
-                return _failed(EVENTS, leave(self._component))
+                return failed(EVENTS, leave(self._component))
         return ENDLESS
 
 
-def _failed(where: int, status: int) -> int:
+def failed(where: int, status: int) -> int:
+    """Return 0 for FMI's OK and Warning, else the status of a step."""
     return where + status if status > 1 or status < 0 else 0

@@ -27,6 +27,7 @@ from bayesftc.cosim._fmi.kernels import (
     UNFIT,
     UNFIT_INPUT,
     UNFIT_OUTPUT,
+    do_event_step3,
     do_step2,
     do_step3,
     failed,
@@ -190,31 +191,32 @@ def _changed(parameters, inputs, group):
 
 @register_jitable(error_model="numpy")
 def _set_all(major, parameters, inputs):
+    """Set the inputs, all of them in event mode if one has changed that may only change at events.
+
+    What the instance has is asked before anything is set: afterwards FMI allows no reading before the step.
+    """
     events = major == 3 and word(parameters, ENTER_EVENT_MODE) != 0
-    component, note = word(parameters, COMPONENT), word(parameters, SCRATCH) + 8 * UNFIT
     changed = False
+    component, note = word(parameters, COMPONENT), word(parameters, SCRATCH) + 8 * UNFIT
     first, count = word(parameters, INPUT_GROUPS), word(parameters, INPUT_GROUP_COUNT)
+    if events:
+        for i in range(count):
+            group = first + 8 * GROUP_WORDS * i
+            if word(group, DISCRETE) != 0 and not changed:
+                found = _changed(parameters, inputs, group)
+                if found > 1:
+                    return found
+                changed = found == 1
+    status = 0
+    if changed:
+        status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
     for i in range(count):
         group = first + 8 * GROUP_WORDS * i
-        if events and word(group, DISCRETE) != 0:
-            found = _changed(parameters, inputs, group)
-            if found > 1:
-                return found
-            changed = changed or found == 1
-        else:
+        if status == 0 and (changed or not events or word(group, DISCRETE) == 0):
             status = put(major, component, note, inputs, group)
-            if status != 0:
-                return status
-    if not changed:
-        return 0
-    status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
-    for i in range(count):
-        group = first + 8 * GROUP_WORDS * i
-        if status == 0 and word(group, DISCRETE) != 0:
-            status = put(major, component, note, inputs, group)
-    if status != 0:
-        return status
-    return settle3(parameters)
+    if changed and status == 0:
+        return settle3(parameters)
+    return status
 
 
 @register_jitable(error_model="numpy")
@@ -226,6 +228,13 @@ def _get_all(major, parameters, outputs):
         if status != 0:
             return status
     return 0
+
+
+@register_jitable(error_model="numpy")
+def _step3(parameters, t):
+    if word(parameters, ENTER_EVENT_MODE) != 0:
+        return do_event_step3(parameters, t)
+    return do_step3(parameters, t)
 
 
 def typed_get2(state, parameters, inputs, outputs, t, k):
@@ -251,7 +260,7 @@ def typed_advance3(state, parameters, inputs, outputs, t, k):
     status = _set_all(3, parameters, inputs)
     if status != 0:
         return status
-    return do_step3(parameters, t)
+    return _step3(parameters, t)
 
 
 def typed_sampled2(state, parameters, inputs, outputs, t, k):
@@ -268,7 +277,7 @@ def typed_sampled3(state, parameters, inputs, outputs, t, k):
     """Set the inputs of an FMI 3 instance, make its step, read its outputs."""
     status = _set_all(3, parameters, inputs)
     if status == 0:
-        status = do_step3(parameters, t)
+        status = _step3(parameters, t)
     if status != 0:
         return status
     return _get_all(3, parameters, outputs)
