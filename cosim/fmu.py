@@ -18,7 +18,7 @@ from bayesftc.cosim._fmi.values import as_floats, resolved, start_values, value_
 from bayesftc.cosim._isolation.settings import check_isolation
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
-from bayesftc.cosim.ports import Port
+from bayesftc.cosim.ports import Port, listed
 from bayesftc.cosim.units import UnitDefinition
 
 
@@ -172,6 +172,18 @@ class FMU(ExternalBlock):
             late = late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
             if late:
                 warnings.warn(late, stacklevel=3)  # at the line that makes the block
+
+    def __repr__(self) -> str:
+        settings = [
+            Path(self.path).name,
+            str(self.kind),
+            f"timing={self.timing!r}",
+            *(["isolated"] if self.isolate else []),
+        ]
+        if self.parameters:
+            settings.append(f"parameters={dict(self.parameters)!r}")
+        into, out = (listed(ports) for ports in (self._ports[: self._count], self._ports[self._count :]))
+        return f"<FMU {', '.join(settings)}: {into} -> {out}>"
 
     @property
     def default_name(self) -> str:

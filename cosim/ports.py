@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Any, Literal
@@ -103,11 +103,25 @@ class PortRef:
             )
         return PortRef(self.node, self.port, self.direction, chosen)
 
+    def __repr__(self) -> str:
+        return f"<{self.direction} {self.name}{f' in {self.port.unit}' if self.port.unit else ''}>"
+
     def __len__(self) -> int:
         return len(self.elements)
 
     def __iter__(self) -> Iterator[PortRef]:
         return (self[i] for i in range(len(self)))
+
+
+def listed(ports: Sequence[Port], most: int = 8) -> str:
+    """Return ports as a line to read: names, sizes and units of the first ones."""
+    shown = [
+        port.name
+        + (f"({'x'.join(map(str, port.shape))})" if port.shape else "")
+        + (f" [{port.unit}]" if port.unit else "")
+        for port in ports[:most]
+    ]
+    return ", ".join(shown + ([f"{len(ports) - most} more"] if len(ports) > most else [])) or "nothing"
 
 
 def labels(name: str, shape: tuple[int, ...]) -> list[str]:

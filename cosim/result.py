@@ -93,11 +93,23 @@ class Result(Mapping[str, Floats]):
         return k / self.step.denominator
 
     def __getitem__(self, name: str) -> Floats:
-        if name not in self._columns:
-            raise UnknownNameError(f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}")
+        if not isinstance(name, str) or name not in self._columns:
+            raise UnknownNameError(self._without(name))
         start, shape = self._columns[name]
         values = self._recording[:, start : start + prod(shape)]
         return values.reshape(len(values), *shape) if len(shape) != 1 else values
+
+    def _without(self, name: object) -> str:
+        """Return the sentence about a signal that is not there."""
+        if isinstance(name, list | tuple):
+            return (
+                f"A result gives one signal at a time, not {name!r}; result.to_pandas()[{list(name)!r}] gives several."
+            )
+        sentence = f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}"
+        block, _, port = str(name).rpartition(".")
+        if block and port and any(known.startswith(f"{block}.") for known in self._columns):
+            sentence += f" An input of a block is kept where it is named: simulate(..., record=['*', {name!r}])."
+        return sentence
 
     # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
     __eq__ = object.__eq__

@@ -17,6 +17,7 @@ from bayesftc import cosim, fmus
 from bayesftc.cosim._fmi import instance as _fmi_instance, messages as _fmi_messages
 from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, SimulationError
 from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.ports import Port, listed
 
 FMI = ("2.0", "3.0")
 ENGINES = ("compiled", "interpreted")
@@ -182,6 +183,19 @@ def test_start_values_of_inputs_hold_while_nothing_is_connected(fmi):
         for engine in ENGINES:
             v = diagram.simulate(0.1, engine=engine)["car.v"]
             assert np.allclose(v, recursion([25.0] * 5, [0.0] * 5), rtol=1e-14)
+
+
+def test_blocks_and_ports_are_shown_in_a_line():
+    car = cosim.FMU(fmus.path("CruiseControl"), parameters={"m": 120.0}, isolate=True)
+    assert repr(car) == (
+        "<FMU CruiseControl.fmu, co-simulation, timing='plant', isolated, parameters={'m': 120.0}: "
+        "force [N], disturbance [m/s] -> v [m/s]>"
+    )
+    assert "timing='sampled': nothing -> v [m/s]" in repr(cosim.FMU(car.path, inputs=[], timing="sampled"))
+    node = cosim.Diagram(0.02).add(car, "car")
+    assert repr(node["v"]) == "<output car.v in m/s>"
+    many = [Port(f"u{i}", (2, 3) if i == 1 else ()) for i in range(12)]
+    assert listed(many, 2) == "u0, u1(2x3), 10 more"
 
 
 def test_no_ports_at_all():

@@ -58,8 +58,14 @@ def test_signals(result):
     assert result.stopped is None
     with pytest.raises(cosim.UnknownNameError, match=r"The result has no signal 'block.d'; did you mean"):
         result["block.d"]
+    with pytest.raises(cosim.UnknownNameError, match=r"An input of a block is kept .* record=\['\*', 'block.u'\]"):
+        result["block.u"]
     with pytest.raises(cosim.UnknownNameError, match="no signal 0"):
         result[0]
+    with pytest.raises(
+        cosim.UnknownNameError, match=r"one signal at a time.*to_pandas\(\)\[\['block.a', 'block.b'\]\]"
+    ):
+        result[["block.a", "block.b"]]
     assert result.get("nothing") is None
     assert result == result
     assert result != pickle.loads(pickle.dumps(result))

@@ -127,8 +127,8 @@ class ExchangeModel:
         self.component, self._callbacks = library.create(self.name, self.messages)
         if not self.component:
             raise FMUError(
-                f"The FMU {model!r} refused to be instantiated as {self.name!r} for model exchange. {self.messages.quoted()} If "
-                "it needs a tool or a licence, check that it is there."
+                f"The FMU {model!r} refused to be instantiated as {self.name!r} for model exchange. If it needs a tool or "
+                f"a licence, check that it is there. {self.messages.quoted()}"
             )
         library.alive += 1
         self.states = States(library, self.component, self.name)
@@ -147,8 +147,8 @@ class ExchangeModel:
             self.fatal = isinstance(error, CallError) and error.status == _FATAL
             what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(
-                f"The FMU {model!r} could not be initialized as {self.name!r}: {what}. {self.messages.quoted()} Check its "
-                "parameters and start values."
+                f"The FMU {model!r} could not be initialized as {self.name!r}: {what}. Check its parameters and "
+                f"start values. {self.messages.quoted()}"
             ) from None
 
     def _fill_table(self) -> None:

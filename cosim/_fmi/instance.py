@@ -96,7 +96,7 @@ class Instance(StepFunctions):
                 else "If it needs a tool or a licence, check that it is there."
             )
             raise FMUError(
-                f"The FMU {model!r} refused to be instantiated as {name!r}. {self._messages.quoted()} {needs}"
+                f"The FMU {model!r} refused to be instantiated as {name!r}. {needs} {self._messages.quoted()}"
             )
         self._component = component
         library.alive += 1
@@ -106,8 +106,8 @@ class Instance(StepFunctions):
         except CallError as error:
             self._fatal = error.status == FATAL
             raise FMUError(
-                f"The FMU {model!r} could not be initialized as {name!r}: {error.sentence()}. {self._messages.quoted()} Check "
-                "its parameters and start values."
+                f"The FMU {model!r} could not be initialized as {name!r}: {error.sentence()}. Check its "
+                f"parameters and start values. {self._messages.quoted()}"
             ) from None
 
     def _arranged(self, sides: tuple[list[Group], list[Group]]) -> tuple[list[Group], list[Group]]:
