@@ -1,0 +1,1 @@
+"""From step functions to C, and from there to FMUs and firmware."""

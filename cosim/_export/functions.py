@@ -1,0 +1,191 @@
+"""The C functions that step functions become: each once for the kinds of arguments that it is called with."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from inspect import getdoc
+from types import FunctionType
+from typing import Any
+
+from bayesftc.cosim._export.kinds import Array, Constant, Kind, Number, Record
+from bayesftc.cosim._export.translator import Translator
+from bayesftc.cosim._export.values import literal
+from bayesftc.cosim._fingerprint import functions_called
+
+WIDTH = 120
+"""Lines of C are broken behind this column."""
+
+_RESERVED = (
+    "auto break case char const continue default do double else enum extern float for goto if inline int long "
+    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
+    "_Bool _Complex _Imaginary acos asin atan atan2 ceil cos cosh exp fabs floor fmod frexp ldexp log log10 modf pow "
+    "sin sinh sqrt tan tanh acosh asinh atanh cbrt copysign erf erfc exp2 expm1 fdim fma fmax fmin hypot ilogb lgamma "
+    "llrint llround log1p log2 logb lrint lround nan nearbyint nextafter nexttoward remainder remquo rint round "
+    "scalbln scalbn tgamma trunc j0 j1 jn y0 y1 yn gamma signgam NAN INFINITY HUGE_VAL main isnan isinf isfinite "
+    "signbit fpclassify asm typeof linux unix c u y m initial int64_t bool true false inline "
+)
+"""Words that mean something to C, to its library of mathematics, or to the code around the functions."""
+
+_TAKEN = frozenset(_RESERVED.split())
+
+OPERATIONS = {
+    "op_select": "static double op_select(int condition, double a, double b)\n"
+    "{\n    return (condition ? a : 0.0) + (condition ? 0.0 : b);\n}",
+    "op_minimum": "static double op_minimum(double a, double b)\n{\n    return op_select(a < b, a, b);\n}",
+    "op_maximum": "static double op_maximum(double a, double b)\n{\n    return op_select(a > b, a, b);\n}",
+    "op_square": "static double op_square(double x)\n{\n    return x * x;\n}",
+    "op_isnan": "static int op_isnan(double x)\n{\n    return x != x;\n}",
+    "op_index": "static int64_t op_index(int64_t i, int64_t length)\n{\n    return i < 0 ? i + length : i;\n}",
+    "op_quotient": "static int64_t op_quotient(int64_t a, int64_t b)\n"
+    "{\n    return a / b - (a % b != 0 && (a < 0) != (b < 0));\n}",
+    "op_remainder": "static int64_t op_remainder(int64_t a, int64_t b)\n"
+    "{\n    return a % b != 0 && (a < 0) != (b < 0) ? a % b + b : a % b;\n}",
+}
+"""What stands in C for operations of `bayesftc.cosim.ops` and of Python that are more than one of C's own."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A C function.
+
+    Parameters
+    ----------
+    name : str
+        What it is called in C.
+    arguments : tuple of str
+        The names of the Python function's arguments.
+    passed, stored : frozenset of str
+        Those that the C function has, too, and the arrays among them into which it stores.
+    returns : Kind or None
+        What it returns.
+    text : str
+        All of it.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    passed: frozenset[str]
+    stored: frozenset[str]
+    returns: Kind | None
+    text: str
+
+
+class Functions:
+    """All functions of one C file.
+
+    Parameters
+    ----------
+    taken : iterable of str
+        Names that the file uses otherwise.
+    """
+
+    def __init__(self, taken: Iterable[str] = ()):
+        self._written: dict[tuple[FunctionType, tuple[Kind, ...]], Written] = {}
+        self._tables: dict[Constant, tuple[str, str]] = {}
+        self._names = set(taken)
+        self._checked: set[FunctionType] = set()
+
+    def require(self, function: FunctionType, kinds: Sequence[Kind]) -> Written:
+        """Return the C function for arguments of these kinds; it stands before the one that asks for it."""
+        if function not in self._checked:
+            self._checked.update(
+                functions_called(function)
+            )  # a sentence for each rule of step functions that is broken
+        key = function, tuple(kinds)
+        if key not in self._written:
+            translator = Translator(self, function, kinds)
+            translator.translate()
+            self._written[key] = self._finished(translator)
+        return self._written[key]
+
+    def name(self, wanted: str) -> str:
+        """Return a name for something of the file, like this one and not taken, and take it."""
+        plain = self.allowed(wanted)
+        found, count = plain, 1
+        while found in self._names:
+            count += 1
+            found = f"{plain}_{count}"
+        self._names.add(found)
+        return found
+
+    @staticmethod
+    def allowed(name: str) -> str:
+        """Return a name as C allows it."""
+        plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else f"u{ord(c):x}" for c in name)
+        return f"{plain}_" if plain in _TAKEN or plain.startswith("op_") else plain
+
+    def table(self, values: tuple[Any, ...], kind: Number) -> str:
+        """Return the name of the file's table of these numbers."""
+        key = Constant(values)
+        if key not in self._tables:
+            name = self.name("table")
+            self._tables[key] = name, table_text(name, values, kind.c)
+        return self._tables[key][0]
+
+    def text(self) -> str:
+        """Return all functions, callees first, below what they need."""
+        body = "\n\n".join(written.text for written in self._written.values())
+        needed = [name for name in OPERATIONS if f"{name}(" in body]
+        if {"op_minimum", "op_maximum"} & set(needed) and "op_select" not in needed:
+            needed.insert(0, "op_select")
+        records = {w.returns.c: w.returns for w in self._written.values() if isinstance(w.returns, Record)}
+        parts = [
+            f"typedef struct {{ {' '.join(f'{item.c} v{i};' for i, item in enumerate(record.items))} }} {name};"
+            for name, record in sorted(records.items())
+        ]
+        parts += [text for _, text in self._tables.values()]
+        return "\n\n".join([*parts, *(OPERATIONS[name] for name in needed), body])
+
+    def _finished(self, t: Translator) -> Written:
+        name = self.name(t.function.__name__.strip("<>"))
+        passed = [a for a, kind in t.arguments.items() if not isinstance(kind, Constant) and a in t.used]
+        arguments = [
+            ("const " if isinstance(t.arguments[a], Array) and a not in t.stored else "")
+            + declared(t.arguments[a], t.local(a))
+            for a in passed
+        ]
+        variables: dict[str, list[str]] = {}
+        for variable, kind in t.declared.items():
+            if variable not in t.arguments:
+                of_array = isinstance(kind, Array)
+                held = "const " if of_array and t.roots[variable] not in t.stored else ""
+                c_type = f"{held}double" if of_array else str(kind.c)  # type: ignore[union-attr]
+                variables.setdefault(c_type, []).append("*" * of_array + t.local(variable))
+        lines = [f"    {c_type} {', '.join(names)};" for c_type, names in variables.items()]
+        result = t.returns.c if isinstance(t.returns, Number | Record) else "void"
+        summary = (getdoc(t.function) or "").strip().split("\n")[0].replace("``", "").replace("*/", "* /")
+        text = [f"/* {summary} */"] if summary else []
+        text += [
+            f"static {result} {name}({', '.join(arguments) or 'void'})",
+            "{",
+            *lines,
+            *([""] if lines else []),
+            *t.lines,
+            "}",
+        ]
+        broken = "\n".join(piece for line in text for piece in wrapped(line))
+        return Written(name, tuple(t.arguments), frozenset(passed), frozenset(t.stored), t.returns, broken)
+
+
+def declared(kind: Kind, name: str) -> str:
+    """Return the declaration of a variable or an argument."""
+    assert isinstance(kind, Number | Array | Record)
+    return f"double *{name}" if isinstance(kind, Array) else f"{kind.c} {name}"
+
+
+def table_text(name: str, values: Sequence[Any], c_type: str = "double") -> str:
+    """Return a table of numbers."""
+    text = f"static const {c_type} {name}[{len(values)}] = {{ {', '.join(literal(value) for value in values)} }};"
+    return "\n".join(wrapped(text))
+
+
+def wrapped(line: str) -> list[str]:
+    """Return a line of C in pieces that are not too long."""
+    if len(line) <= WIDTH:
+        return [line]
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    return textwrap.wrap(
+        line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
+    )

@@ -1,0 +1,112 @@
+"""What a value in a step function can be: the types of the small language that becomes C."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import prod
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number that the running program computes.
+
+    Parameters
+    ----------
+    type : {"float", "int", "bool"}
+        Of float64, of whole numbers (64 bits) or truth values.
+    natural : bool
+        Whether a whole number is known never to be negative.
+    """
+
+    type: str
+    natural: bool = False
+
+    @property
+    def c(self) -> str:
+        """Its type in C."""
+        return {"float": "double", "int": "int64_t", "bool": "int"}[self.type]
+
+
+@dataclass(frozen=True)
+class Array:
+    """An array of float64, by its shape."""
+
+    shape: tuple[int, ...]
+    c = "double *"
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return prod(self.shape)
+
+
+@dataclass(frozen=True)
+class Record:
+    """Several numbers, as a function returns them."""
+
+    items: tuple[Number, ...]
+
+    @property
+    def c(self) -> str:
+        """Its type in C."""
+        return "Record_" + "".join(item.type[0] for item in self.items)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """What is known when the C is written: a number, a tuple of such, a function, a module."""
+
+    value: Any
+
+    def __hash__(self) -> int:
+        return hash((type(self.value), repr(self.value)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Constant) and same(self.value, other.value)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Return whether two constants are one: of the same type, and NaN is NaN."""
+    if a is b:
+        return True
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return type(a) is type(b) and repr(a) == repr(b)
+
+
+Kind = Number | Array | Record | Constant
+
+FLOAT, INT, BOOL, NATURAL = Number("float"), Number("int"), Number("bool"), Number("int", natural=True)
+
+
+def number_of(value: Any) -> Number | None:
+    """Return the kind of number that a constant is; None where it is none."""
+    if isinstance(value, bool):
+        return BOOL
+    if hasattr(value, "item"):  # a NumPy scalar
+        return number_of(value.item())
+    if isinstance(value, int):
+        return NATURAL if value >= 0 else INT
+    return FLOAT if isinstance(value, float) else None
+
+
+def as_number(kind: Kind) -> Number | None:
+    """Return the kind of number that something is; None where it is none."""
+    if isinstance(kind, Number):
+        return kind
+    return number_of(kind.value) if isinstance(kind, Constant) else None
+
+
+def joined(a: Kind, b: Kind) -> Kind | None:
+    """Return the kind of a variable that holds now the one, now the other; None where there is none."""
+    if a == b and not isinstance(a, Constant):
+        return a
+    left, right = as_number(a), as_number(b)
+    if left is None or right is None:
+        return None
+    if left.type == right.type:
+        return replace(left, natural=left.natural and right.natural)
+    if "float" in {left.type, right.type}:
+        return FLOAT
+    return replace(INT, natural=all(n.natural or n.type == "bool" for n in (left, right)))

@@ -1,0 +1,269 @@
+"""From one step function to one C function, for arguments of given kinds.
+
+The language is what the contract of blocks leaves: numbers, arrays of float64 by index, loops over ranges, conditions, calls of
+other such functions. Each operation becomes the same operation of C in the same order, so that a compiler that contracts nothing
+gives the bits of plain Python. Loops stay loops: the C is as long as the Python, whatever the sizes of the arrays.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Sequence
+from dataclasses import replace
+from types import FunctionType
+from typing import TYPE_CHECKING
+
+from bayesftc.cosim._export.expressions import Expressions
+from bayesftc.cosim._export.kinds import INT, NATURAL, Constant, Kind, Number, Record, as_number, joined
+from bayesftc.cosim._export.source import counters, ends, jumps, stores, tree_of
+from bayesftc.cosim._export.values import Value, constant
+from bayesftc.cosim._fingerprint import references
+
+if TYPE_CHECKING:
+    from bayesftc.cosim._export.functions import Functions
+
+
+class Translator(Expressions):
+    """The statements of one function.
+
+    It is read as often as it takes for the kinds of its variables to be settled: a variable that is a whole number at first and
+    a float later is a double all along.
+    """
+
+    def __init__(self, functions: Functions, function: FunctionType, kinds: Sequence[Kind]):
+        self.tree = tree_of(function)
+        arguments = dict(zip((a.arg for a in self.tree.args.args), kinds, strict=True))
+        super().__init__(functions, function, arguments, dict(references(function)))
+        assigned = stores(self.tree)
+        self.counters = counters(self.tree)
+        self.once = {name for name in assigned if assigned.count(name) == 1} - set(arguments) - self.counters
+        #: Names whose values do not change while a loop runs whose bounds they stand in.
+        self.steady = self.counters | self.once | (set(arguments) - set(assigned))
+        self.declared: dict[str, Kind] = {}
+        self.returns: Kind | None = None
+
+    def translate(self) -> None:
+        """Find the lines of C, the kinds of the variables and what the function returns."""
+        before = None
+        while before != (self.declared, self.returns, self.renamed):
+            before = dict(self.declared), self.returns, set(self.renamed)
+            self.kinds, self.constants, self.roots = {}, {}, {}
+            self.lines, self.depth, self.temporaries = [], 1, 0
+            self.block(self.tree.body)
+            hidden = {
+                self.functions.allowed(name) for name in (*self.arguments, *self.declared, *self.counters)
+            } & self.called
+            self.renamed |= {
+                name for name in (*self.arguments, *stores(self.tree)) if self.functions.allowed(name) in hidden
+            }
+        if self.returns is not None and not ends(self.tree.body):
+            self.refuse(self.tree, "returns something on one way and nothing on another; end it with a return")
+
+    def block(self, body: Sequence[ast.stmt]) -> None:
+        """Write statements."""
+        for statement in body:
+            method = getattr(self, f"do_{type(statement).__name__}", None)
+            if method is None:
+                kind = type(statement).__name__.lower()
+                self.refuse(
+                    statement, f"has a statement ({kind}) that C is not written for; use plain loops and assignments"
+                )
+            method(statement)
+
+    def inner(self, head: str, body: Sequence[ast.stmt]) -> None:
+        """Write statements between braces."""
+        self.emit(f"{head} {{")
+        self.depth += 1
+        self.block(body)
+        self.depth -= 1
+        self.emit("}")
+
+    def do_Pass(self, _: ast.Pass) -> None:
+        pass
+
+    def do_Break(self, _: ast.Break) -> None:
+        self.emit("break;")
+
+    def do_Continue(self, _: ast.Continue) -> None:
+        self.emit("continue;")
+
+    def do_Expr(self, node: ast.Expr) -> None:
+        if isinstance(node.value, ast.Constant):
+            return  # the docstring
+        if not isinstance(node.value, ast.Call):
+            self.refuse(node, "has a line that does nothing; leave it out")
+        self.call(node.value, wanted=False)
+
+    def do_Return(self, node: ast.Return) -> None:
+        if node.value is None:
+            self.emit("return;")
+            return
+        kind: Kind
+        if isinstance(node.value, ast.Tuple):
+            values = self.values(node.value.elts)
+            kind = Record(tuple(replace(self.number(node, value), natural=False) for value in values))
+            text = f"({kind.c}){{ {', '.join(value.text for value in values)} }}"
+        else:
+            value = self.value(node.value)
+            kind, text = self.number(node, value), value.text
+        both = joined(self.returns, kind) if self.returns is not None else kind
+        if both is None:
+            self.refuse(node, "returns values of different kinds; return the same everywhere")
+        self.returns = both
+        self.emit(f"return {text};")
+
+    # Assignments
+
+    def do_Assign(self, node: ast.Assign) -> None:
+        if len(node.targets) > 1:
+            value = self.temporary(self.value(node.value))
+            for target in node.targets:
+                self.assign(target, value)
+        elif isinstance(node.targets[0], ast.Tuple):
+            self._assign_all(node, node.targets[0])
+        else:
+            self.assign(node.targets[0], self.value(node.value))
+
+    def do_AnnAssign(self, node: ast.AnnAssign) -> None:
+        if node.value is not None:
+            self.assign(node.target, self.value(node.value))
+
+    def do_AugAssign(self, node: ast.AugAssign) -> None:
+        target = ast.parse(ast.unparse(node.target), mode="eval").body
+        changed = ast.copy_location(ast.BinOp(target, node.op, node.value), node)
+        self.assign(node.target, self.value(ast.fix_missing_locations(changed)))
+
+    def _assign_all(self, node: ast.Assign, target: ast.Tuple) -> None:
+        if isinstance(node.value, ast.Tuple):
+            values = self.values(node.value.elts)
+        else:
+            whole = self.value(node.value)
+            if isinstance(whole.kind, Record):
+                values = [Value(f"{whole.text}.v{i}", kind) for i, kind in enumerate(whole.kind.items)]
+            elif isinstance(whole.kind, Constant) and isinstance(whole.kind.value, tuple):
+                values = [constant(item) for item in whole.kind.value]
+            else:
+                self.refuse(node, "takes apart what is no tuple")
+        if len(values) != len(target.elts):
+            self.refuse(node, f"takes {len(target.elts)} values out of {len(values)}")
+        read = {n.id for n in ast.walk(node.value) if isinstance(n, ast.Name)}
+        if read & set(stores(target)) or any(isinstance(n, ast.Subscript) for n in ast.walk(target)):
+            values = [self.temporary(value) for value in values]  # all are read before the first is written
+        for element, value in zip(target.elts, values, strict=True):
+            self.assign(element, value)
+
+    def assign(self, target: ast.expr, value: Value) -> None:
+        """Write an assignment."""
+        if isinstance(target, ast.Subscript):
+            element = self.element(target, stored=True)
+            if not isinstance(element.kind, Number):
+                self.refuse(target, "stores into a whole row or a tuple; store number by number, in a loop")
+            self.number(target, value)
+            self.emit(f"{element.text} = {value.text};")
+            return
+        if not isinstance(target, ast.Name):
+            self.refuse(target, "assigns to what is neither a name nor an element of an array")
+        name = target.id
+        if isinstance(value.kind, Constant) and name in self.once:
+            self.constants[name] = value
+            return
+        if isinstance(value.kind, Constant) and as_number(value.kind) is None:
+            self.refuse(target, f"assigns {name!r} more than once, and once what is no number; take two names")
+        kind = as_number(value.kind) or value.kind
+        self._declare(target, name, kind)
+        self.roots[name] = value.root
+        self.emit(f"{self.local(name)} = {value.text};")
+
+    def _declare(self, node: ast.AST, name: str, kind: Kind) -> None:
+        """Take a variable to hold this kind, too."""
+        if name in self.arguments:
+            self.used.add(name)
+            self.declared.setdefault(name, self.arguments[name])
+        both = joined(self.declared.get(name, kind), kind)
+        if both is None or (name in self.arguments and both != self.arguments[name]):
+            self.refuse(node, f"keeps values of different kinds in {name!r}; take two names")
+        self.declared[name] = self.kinds[name] = both
+
+    # Branches and loops
+
+    def do_If(self, node: ast.If) -> None:
+        test = self.truth(node.test)
+        if isinstance(test.kind, Constant):
+            self.block(node.body if test.kind.value else node.orelse)
+            return
+        self.inner(f"if ({test.text})", node.body)
+        if node.orelse:
+            self.lines.pop()
+            self.inner("} else", node.orelse)
+
+    def do_While(self, node: ast.While) -> None:
+        if node.orelse:
+            self.refuse(node, "has an else after a loop; write it without")
+        if not self.calls(node.test):
+            self.inner(f"while ({self.truth(node.test).text})", node.body)
+            return
+        leave = ast.If(ast.UnaryOp(ast.Not(), node.test), [ast.Break()], [])
+        self.inner("for (;;)", [ast.fix_missing_locations(ast.copy_location(leave, node)), *node.body])
+
+    def do_For(self, node: ast.For) -> None:
+        if node.orelse:
+            self.refuse(node, "has an else after a loop; write it without")
+        call = node.iter
+        if not isinstance(node.target, ast.Name) or not isinstance(call, ast.Call) or not self._is_range(call):
+            self.refuse(node, "loops over what is no range; write for i in range(n)")
+        name = node.target.id
+        bounds = [self.whole(call, value) for value in self.values(call.args)]
+        begin, end, by = (constant(0), *bounds, constant(1)) if len(bounds) == 1 else (*bounds, constant(1))[:3]
+        if not isinstance(by.kind, Constant) or not by.kind.value:
+            self.refuse(node, "has a loop whose step is not known beforehand; write the step as a number")
+        step = int(by.kind.value)
+        if isinstance(begin.kind, Constant) and isinstance(end.kind, Constant):
+            rounds = range(begin.kind.value, end.kind.value, step)
+            if not rounds:
+                return
+            if len(rounds) == 1 and name in self.counters and not jumps(node.body):
+                self.constants[name] = begin
+                self.block(node.body)
+                del self.constants[name]
+                return
+        if not self._is_steady(call.args[0 if len(bounds) == 1 else 1]):
+            end = self.temporary(end)
+        upward = self.number(call, begin).natural and step > 0
+        downward = step < 0 and isinstance(end.kind, Constant) and end.kind.value >= -1
+        scoped = name in self.counters
+        counter = self.local(name) if scoped else self.new("i")
+        turn = f"{'++' if step > 0 else '--'}{counter}" if abs(step) == 1 else f"{counter} += {step}"
+        self.emit(f"for (int64_t {counter} = {begin.text}; {counter} {'<' if step > 0 else '>'} {end.text}; {turn}) {{")
+        self.depth += 1
+        kind = NATURAL if upward or downward else INT
+        if scoped:
+            self.kinds[name] = kind
+        else:
+            self._declare(node, name, kind)
+            self.emit(f"{self.local(name)} = {counter};")
+        self.block(node.body)
+        self.depth -= 1
+        self.emit("}")
+
+    def _is_range(self, node: ast.Call) -> bool:
+        if node.keywords or not 1 <= len(node.args) <= 3:
+            return False
+        called = self.value(node.func).kind
+        return isinstance(called, Constant) and called.value is range
+
+    def _is_steady(self, node: ast.expr) -> bool:
+        """Return whether an expression stays what it is while the loop runs: it reads no array, and names that are steady."""
+        plain = (
+            ast.Name,
+            ast.Constant,
+            ast.BinOp,
+            ast.UnaryOp,
+            ast.operator,
+            ast.unaryop,
+            ast.expr_context,
+            ast.Attribute,
+        )
+        return not self.calls(node) and all(
+            isinstance(n, plain) and (not isinstance(n, ast.Name) or n.id in self.steady | set(self.names))
+            for n in ast.walk(node)
+        )
