@@ -172,6 +172,8 @@ def _named(plant: Identification, name: str) -> list[int]:
 def _room(u_min: object, u_max: object, size: int) -> Floats:
     """Return half of what its limits leave each control; NaN where there are none."""
     low, high = as_vector("u_min", u_min, size, finite=False), as_vector("u_max", u_max, size, finite=False)
+    if (low > high).any():
+        raise ModelError(f"u_min {low.tolist()} lies above u_max {high.tolist()}; are they in each other's place?")
     span = (high - low) / 2
     return np.where(np.isfinite(span), span, np.nan)
 

@@ -86,6 +86,8 @@ class Linearization:
             )
         order = [rows[i % len(rows)] for i in range(count)]
         std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
+        if (std < 0).any():
+            raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
         variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
         model = LinearModel(
             self.A, self.B[:, columns], self.C[order], self._noise(columns, noise), variances, self.step
@@ -120,6 +122,11 @@ def linearize(
     order: int | None = None,
 ) -> Linearization:
     """Return a plant about a steady state; `others` are outputs that are to be in it beside those that are measured."""
+    for name, given in (("noise", noise), ("at", at)):
+        if not isinstance(given, Mapping | None):
+            raise ModelError(
+                f"{name} is {given!r}; it must be numbers by the names of inputs, as {name}={{'load': 0.02}}."
+            )
     inputs = list(dict.fromkeys([*names_of(actuated, "actuated"), *(noise or {})]))
     outputs = list(dict.fromkeys([*names_of(measured, "measured"), *([others] if isinstance(others, str) else others)]))
     if isinstance(plant, str | PathLike):

@@ -292,6 +292,10 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
         ({"acceptable_error": 0.0}, ModelError, "must be positive"),
         ({"goal": ["angle", "speed"]}, ModelError, "2 goals but 1 controls"),
         ({"dt": "soon"}, StepSizeError, "soon"),
+        ({"sensor_std": -0.01}, ModelError, "must not be negative"),
+        ({"noise": 0.1}, ModelError, r"numbers by the names of inputs, as noise=\{'load'"),
+        ({"at": 0.1}, ModelError, r"numbers by the names of inputs, as at="),
+        ({"u_min": 5.0, "u_max": -5.0}, ModelError, "in each other's place"),
     ],
 )  # fmt: skip
 def test_wrong_settings_are_said_in_a_sentence(settings, error, words):
