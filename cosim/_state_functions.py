@@ -25,7 +25,12 @@ class StateFunctions:
     def __init__(self, instance: External):
         self._instance, self._next = instance, 0
         self._kept: dict[int, object] = {}
-        self.raised: BaseException | None = None
+        self._raised: BaseException | None = None
+
+    def take(self) -> BaseException | None:
+        """Return what the methods have raised, if they have; the next failure has reasons of its own."""
+        raised, self._raised = self._raised, None
+        return raised
 
     @cached_property
     def addresses(self) -> tuple[int, int, int, int]:
@@ -53,6 +58,6 @@ class StateFunctions:
         try:
             action()
         except BaseException as error:  # noqa: BLE001 - it cannot pass compiled code: `GroupRun.explain` says it
-            self.raised = error
+            self._raised = self._raised or error  # what comes after follows from the first
             return ERROR
         return 0

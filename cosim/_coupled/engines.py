@@ -57,12 +57,19 @@ class GroupRun(ABC):
         schedule, group = self.run.schedule, self.group
         names = " and ".join(repr(schedule.nodes[i].name) for i in group.nodes)
         gap, where = self.numbers[steps.GAP], int(self.record[steps.WHERE])
+        # What depends on itself at one instant does so in steps of any size.
+        remedies = [] if group.is_loop else [f"a smaller step than {show(schedule.step * group.every)} s"]
         if status == steps.NOT_CONVERGED:
+            remedies += ["more iterations", "another acceleration", "a UnitDelay between them"]
             return (
                 f"the coupling of {names} did not converge in {self.limit} iterations: {group.names[where]} still changes by "
-                f"{gap:.3g} (1 + its size is the measure), the tolerance is {self.tolerance:g}. Take a smaller step than "
-                f"{show(schedule.step * group.every)} s, more iterations, another acceleration, or put a UnitDelay between them."
+                f"{gap:.3g} (1 + its size is the measure), the tolerance is {self.tolerance:g}. Take {', or '.join(remedies)}."
             )
+        if status == steps.DIVERGED:
+            remedies += [] if self.method == steps.ANDERSON else ["acceleration='anderson'"]
+            remedies += ["a UnitDelay between them"]
+            largest = group.names[int(np.nanargmax(np.abs(self.work[steps.VALUE])))]
+            return f"the iteration of {names} diverges: {largest} has grown beyond {steps.HUGE:g}. Take {', or '.join(remedies)}."
         if status == steps.NO_STEP:
             places = {begin: i for i in group.nodes for begin in [schedule.slots[i].start["outputs"]]}
             begin = max(b for b in places if b <= group.doubling[where][0])
@@ -255,7 +262,8 @@ class CompiledGroup(GroupRun):
 
     def _raised(self) -> BaseException | None:
         kept = [self.run.state_functions[i] for i in self.group.externals if i in self.run.state_functions]
-        return next((functions.raised for functions in kept if functions.raised is not None), None)
+        errors = [functions.take() for functions in kept]
+        return next((error for error in errors if error is not None), None)
 
     def _function(self, part: Part) -> int:
         schedule = self.run.schedule

@@ -89,6 +89,11 @@ class Group:
     size: int = -1
 
     @property
+    def is_loop(self) -> bool:
+        """Whether it stands in the evaluation of t_k."""
+        return all(part.kind == "output" for part in self.parts)
+
+    @property
     def restores(self) -> bool:
         """Whether its FMUs must be able to go back."""
         return bool(self.torn or self.doubling)

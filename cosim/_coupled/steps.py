@@ -6,7 +6,7 @@ and restore a state) and returns the function that computes a group, whose arith
 
 from bayesftc.cosim.ops import sqrt
 
-NOT_CONVERGED, NO_STEP = 701, 702
+NOT_CONVERGED, NO_STEP, DIVERGED = 701, 702, 703
 """Status of a group that failed as a whole; a failed call has its own."""
 
 SAVING = 800
@@ -35,8 +35,12 @@ NUMBERS = 3 + DEPTH * (DEPTH + 2)
 FINEST = 1 << 16
 """Parts of a step from t_k to t_k+1 below which a group's own step is not cut."""
 
+HUGE = 1e100
+"""No value of a loop that has a solution; what is near the end of the numbers would soon come out NaN, which agrees with NaN."""
+
 NOT_FINITE = 1_000_000  # as in bayesftc.cosim.schedule
 FATAL = 4
+CRASHED, INTERRUPTED = 501, 502  # as in bayesftc.cosim._isolation.protocol
 
 
 def build(sweep, save, restore, forget, resize, compiled=lambda function: function):
@@ -58,7 +62,9 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
     def accelerate(work, numbers, count, n, method):
         """Set the next guess from the guesses and results so far, of which these are number `n`."""
         for i in range(count):
-            work[RESIDUAL, i] = (work[VALUE, i] - work[GUESS, i]) * work[SCALE, i]
+            # A missing sample, or one that was missing in the guess, follows as it came out, and the others from each other.
+            residual = (work[VALUE, i] - work[GUESS, i]) * work[SCALE, i]
+            work[RESIDUAL, i] = residual if residual == residual else 0.0
             work[NEXT, i] = work[VALUE, i]
         if method == AITKEN:
             factor = 1.0
@@ -74,13 +80,16 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                         factor = 1.0
             numbers[FACTOR] = factor
             for i in range(count):
-                work[NEXT, i] = work[GUESS, i] + factor * (work[VALUE, i] - work[GUESS, i])
+                change = work[VALUE, i] - work[GUESS, i]
+                if change == change:
+                    work[NEXT, i] = work[GUESS, i] + factor * change
         if method == ANDERSON and n > 0:
             depth = min(DEPTH, count)
             newest = (n - 1) % depth
             for i in range(count):
                 work[RESIDUALS + newest, i] = work[RESIDUAL, i] - work[RESIDUAL_BEFORE, i]
-                work[VALUES + newest, i] = work[VALUE, i] - work[VALUE_BEFORE, i]
+                change = work[VALUE, i] - work[VALUE_BEFORE, i]
+                work[VALUES + newest, i] = change if change == change else 0.0
                 work[LEFT, i] = work[RESIDUAL, i]
             used = min(n, depth)
             # Gram and Schmidt's method, modified, from the newest difference to the oldest; one that adds nothing is left out.
@@ -133,8 +142,8 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
 
     @compiled
     def is_fatal(status):
-        """Return whether an FMU has said that no function of it may be called any more."""
-        return status < NOT_FINITE and status % 100 == FATAL
+        """Return whether an FMU has said that no function of it may be called any more, or has been stopped from outside."""
+        return status < NOT_FINITE and (status % 100 == FATAL or status in (CRASHED, INTERRUPTED))
 
     @compiled
     def agree(machine, memory, torn, guesses, work, numbers, tolerance, limit, method, t, h, k, record):
@@ -160,17 +169,25 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 break
             worst, where = 0.0, 0
             for i in range(count):
-                work[VALUE, i] = memory[torn[i]]
-                scale = 1.0 / (1.0 + abs(work[VALUE, i]))
+                value, guess = memory[torn[i]], work[GUESS, i]
+                work[VALUE, i] = value
+                scale = 1.0 / (1.0 + abs(value))
                 if n == 0:
-                    work[SCALE, i] = scale
-                gap = abs(work[VALUE, i] - work[GUESS, i]) * scale
+                    work[SCALE, i] = scale if scale == scale else 1.0
+                gap = abs(value - guess) * scale
+                if value != value and guess != guess:
+                    gap = 0.0  # a missing sample that stays missing
+                if abs(value) > HUGE:
+                    status = DIVERGED
                 if worst == worst and not gap <= worst:
                     worst, where = gap, i
-            if worst <= tolerance:
-                return forget(machine, memory, INNER)
             numbers[GAP] = worst
             record[WHERE] = where
+            if status != 0:
+                record[STATUS] = status
+                break
+            if worst <= tolerance:
+                return forget(machine, memory, INNER)
             accelerate(work, numbers, count, n, method)
             for i in range(count):
                 memory[torn[i]] = work[NEXT, i]
@@ -226,7 +243,7 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                     each = abs(fine - memory[doubling[i, 3]]) / divisor / (1.0 + abs(fine))
                     if gap == gap and not each <= gap:
                         gap, where = each, i
-            elif is_fatal(record[STATUS]):
+            elif is_fatal(record[STATUS]) or status >= SAVING:
                 return status
             if status == 0 and gap <= error:
                 status = forget(machine, memory, OUTER)

@@ -283,11 +283,18 @@ class Isolated:
             self._die()
         if self._process.is_over:
             raise FMUError(f"The instance {self._name!r} is closed.")
-        if self._is_ready:  # before, it waits for requests alone
-            self._order(protocol.TALK)
-        with contextlib.suppress(OSError):  # it has died, as is seen at once
-            self._process.talk.send(request)
-        return self._reply(self._limit if limit is None else limit)
+        try:
+            if self._is_ready:  # before, it waits for requests alone
+                self._order(protocol.TALK)
+            with contextlib.suppress(OSError):  # it has died, as is seen at once
+                self._process.talk.send(request)
+            return self._reply(self._limit if limit is None else limit)
+        except errors.BayesFTCError:
+            raise
+        except BaseException:  # the next request would take the answer to this one for its own
+            self._process.kill()
+            self._note_crash("was ended, for Ctrl-C came while it was asked for something.")
+            raise
 
     def _reply(self, limit: float) -> Any:
         process = self._process
