@@ -1,7 +1,7 @@
 """FMUs without a binary for this machine are compiled from their sources, once, with the same numbers as the shipped ones."""
 
 import logging
-import shutil
+import re
 import zipfile
 
 import numpy as np
@@ -14,9 +14,7 @@ from bayesftc.cosim._fmi.sources import read_sources
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.fmu import FMU, describe
 
-pytestmark = pytest.mark.skipif(
-    not (shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")), reason="needs a C compiler"
-)
+pytestmark = pytest.mark.usefixtures("c_compiler")
 
 
 def without_binary(fmi, target, changes=None, drop=("binaries/",)):
@@ -54,6 +52,38 @@ def test_sources_are_compiled_once_and_give_the_same_bits(tmp_path, monkeypatch,
     assert binary.stat().st_mtime_ns == stamp
     assert not caplog.records
     assert [p.name for p in binary.parent.iterdir()] == [binary.name]
+
+
+def prefixed(text):
+    """Return sources as the standard wants them: the functions have the model's name before their own."""
+    return "#define FMI2_FUNCTION_PREFIX CruiseControl_\n#define FMI3_FUNCTION_PREFIX CruiseControl_\n" + text
+
+
+def old_header(text):
+    """Return a header as it was before FMI 2.0.4, which lets nobody leave the model's name out."""
+    joined = "#define fmi2Joined(a, b) a ## b\n#define fmi2Joint(a, b) fmi2Joined(a, b)\n"
+    text, count = re.subn(
+        r"#\s*define fmi2FullName\(name\).*", "#define fmi2FullName(name) fmi2Joint(FMI2_FUNCTION_PREFIX, name)", text
+    )
+    assert count >= 1
+    return joined + text
+
+
+@pytest.mark.parametrize(("fmi", "header"), [("3.0", None), ("2.0", None), ("2.0", old_header)])
+def test_functions_with_the_models_name_before_them_get_their_own_names(tmp_path, monkeypatch, fmi, header):
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "cache"))
+    changes = {f"sources/fmi{fmi[0]}.c": prefixed} | ({"sources/fmi2Functions.h": header} if header else {})
+    path = without_binary(fmi, tmp_path / "car.fmu", changes)
+    np.testing.assert_array_equal(coast(path), coast(fmus.path("CruiseControl", fmi=fmi)))
+
+
+def test_sources_without_the_functions_of_fmi_are_no_sources(tmp_path, monkeypatch):
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "cache"))
+    empty = without_binary("2.0", tmp_path / "car.fmu", {"sources/fmi2.c": lambda text: "int nothing;\n"})
+    with pytest.raises(
+        FMUError, match=r"its sources cannot be compiled: they do not define the functions of FMI. Export it"
+    ):
+        FMU(empty).instantiate(cosim.Diagram(0.1).step, "car")
 
 
 def describe_platform(fmi):

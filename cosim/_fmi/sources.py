@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
@@ -34,12 +35,15 @@ class Sources:
         Macros, as ``NAME`` or ``NAME=value``.
     libraries : tuple of str
         Libraries of the system.
+    major : int
+        2 or 3: the version of FMI.
     """
 
     files: tuple[str, ...]
     includes: tuple[str, ...] = ()
     definitions: tuple[str, ...] = ()
     libraries: tuple[str, ...] = ()
+    major: int = 2
 
 
 def read_sources(archive: Archive, description: FMUDescription, *, exchange: bool = False) -> Sources | None:
@@ -62,7 +66,7 @@ def read_sources(archive: Archive, description: FMUDescription, *, exchange: boo
         found = Sources(tuple(f.get("name", "") for f in root.findall(f"{kind}/SourceFiles/File")))
     if found is None or not found.files or not all(f"sources/{name}" in archive.names for name in found.files):
         return None
-    return found if all(_stays_inside(name) for name in found.includes) else None
+    return replace(found, major=description.fmi_major) if all(_stays_inside(name) for name in found.includes) else None
 
 
 def _from_build(root: ElementTree.Element, identifier: str) -> Sources | None:
@@ -134,15 +138,14 @@ def _compile(archive: Archive, folder: Path, sources: Sources, platform: str, en
     target.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=target.parent, suffix=".tmp")
     os.close(handle)
+    libraries = [*sources.libraries, *(["m"] if os.name == "posix" else [])]
     try:
-        compile_foreign(
-            folder / "sources",
-            sources.files,
-            Path(temporary),
-            _options(sources),
-            [*sources.libraries, *(["m"] if os.name == "posix" else [])],
-            _LONGEST,
-        )
+        for options in _attempts(sources):
+            compile_foreign(folder / "sources", sources.files, Path(temporary), options, libraries, _LONGEST)
+            if _has_functions(Path(temporary), sources.major):
+                break
+        else:
+            raise CompilerError("they do not define the functions of FMI")
         os.replace(temporary, target)
     except CompilerError as error:
         text = str(error).replace(str(folder), "<fmu>")
@@ -154,14 +157,27 @@ def _compile(archive: Archive, folder: Path, sources: Sources, platform: str, en
         Path(temporary).unlink(missing_ok=True)
 
 
-def _options(sources: Sources) -> Sequence[str]:
+def _attempts(sources: Sources) -> Iterator[list[str]]:
+    """Yield options of the compiler under which the functions have the names that they have in a binary.
+
+    In sources the standard wants the model's name before them. Headers can be told to leave it out, but for those of FMI 2
+    before 2.0.4: there the header of a binary goes before all, and takes their place.
+    """
     import fmpy
 
     headers = Path(fmpy.__file__).parent / "c-code"  # the standard's own, for FMUs that bring none
-    return [
+    common = [
         *(f"-D{name}" for name in sources.definitions),
         *(f"-I{name}" for name in sources.includes),
         "-I.",
         "-idirafter",
         str(headers),
+        f"-DFMI{sources.major}_OVERRIDE_FUNCTION_PREFIX",
     ]
+    yield common
+    yield [*common, "-include", str(headers / f"fmi{sources.major}Functions.h")]
+
+
+def _has_functions(library: Path, major: int) -> bool:
+    """Whether the functions of FMI have their own names in a library, in which names end with a zero."""
+    return re.search(rb"\0_?fmi%dGetVersion\0" % major, library.read_bytes()) is not None
