@@ -15,6 +15,8 @@ from bayesftc.cosim.timebase import rational_step, whole_number
 from bayesftc.cosim.units import difference
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from bayesftc.cosim.control_system import ControlSystem
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.schedule import Schedule
@@ -301,6 +303,18 @@ class Diagram:
             Simulated seconds for each second of the clock.
         """
         return self._live().advance(duration, pace=pace)
+
+    def set(self, name: str | PortRef, value: ArrayLike) -> None:
+        """Give an input of the live run that nothing feeds a value; see `Session.set`.
+
+        Parameters
+        ----------
+        name : str or port
+            Name of the input, ``"plant.force"``.
+        value : float or array
+            One number for each element, or one for all.
+        """
+        self._live().set(name, value)
 
     def save_state(self) -> RunState:
         """Return all that the live run remembers, FMUs included; see `Session.save_state`."""

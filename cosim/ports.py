@@ -113,6 +113,13 @@ class PortRef:
         return (self[i] for i in range(len(self)))
 
 
+def label(reference: PortRef) -> str:
+    """Return the name that results have for a port, or for the one element of it that is meant: ``plant.K[0,1]``."""
+    if len(reference.elements) != 1 or not reference.port.shape:
+        return reference.name
+    return labels(f"{reference.node.name}.{reference.port.name}", reference.port.shape)[reference.elements[0]]
+
+
 def listed(ports: Sequence[Port], most: int = 8) -> str:
     """Return ports as a line to read: names, sizes and units of the first ones."""
     shown = [

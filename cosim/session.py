@@ -18,8 +18,10 @@ from numpy.typing import ArrayLike
 
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim.block import Floats
+from bayesftc.cosim.diagram import is_external
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import PortRef, label, labels
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
@@ -28,7 +30,6 @@ from bayesftc.cosim.timebase import whole_number, whole_steps
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram import Diagram
-    from bayesftc.cosim.ports import PortRef
     from bayesftc.cosim.schedule import Schedule
     from bayesftc.cosim.simulation import Progress
 
@@ -104,6 +105,13 @@ class Session:
         self._schedule: Schedule = diagram.schedule
         self._decimation = whole_number(decimation, "decimation is ")
         self._selection = select_signals(self._schedule, record)
+        self._free = _settable(self._schedule)
+        self._fed = {
+            f"{node.name}.{port.name}": source[0].name
+            for node in diagram.nodes
+            for port in node.block.inputs
+            if (source := diagram.source_of(node, port, 0))
+        }
         self._wanted = engine
         self._engine: Engine
         self._run: Run | None = None
@@ -185,35 +193,42 @@ class Session:
             raise failed(stopped, result, run)
         return result
 
-    def set(self, name: str, value: ArrayLike) -> None:
+    def set(self, name: str | PortRef, value: ArrayLike) -> None:
         """Give an input that nothing feeds a value, which it keeps until it is set again; `reset` brings its start value back.
 
         A plant takes it in its next step, a block that feeds it through shows it at the next t_k.
 
         Parameters
         ----------
-        name : str
-            Name of the input, ``"plant.force"``.
+        name : str or port
+            Name of the input, ``"plant.force"``, or of one of its elements, ``"plant.u[1]"``; or the port, ``plant["force"]``.
         value : float or array
-            One number for each element, or one for all.
+            One number for each element, or one for all. An FMU takes no NaN and no infinity.
 
         Raises
         ------
         UnknownNameError
             If there is no such input, or it has a source.
+        ModelError
+            If the value does not fit.
         """
         run = self._sound_run()
-        free = {f"{node.name}.{port.name}": (node, port) for node, port in self._schedule.free}
-        if name not in free:
-            raise UnknownNameError(f"There is no input {name!r} that nothing feeds; {did_you_mean(name, free)}")
-        lies = self._schedule.signal(*free[name])
+        asked = label(name) if isinstance(name, PortRef) else name
+        if asked not in self._free:
+            raise UnknownNameError(self._not_free(asked))
+        lies, shape, is_plant = self._free[asked]
         try:
-            run.memory[lies] = np.broadcast_to(np.asarray(value, dtype=np.float64), free[name][1].shape or (1,)).ravel()
+            values = np.broadcast_to(np.asarray(value, dtype=np.float64), shape or (1,)).ravel()
         except (ValueError, TypeError):
             size = lies.stop - lies.start
             raise ModelError(
-                f"{name} cannot be set to {value!r}; give {'one number' if size == 1 else f'{size} numbers'}."
+                f"{asked} cannot be set to {value!r}; give {'one number' if size == 1 else f'{size} numbers'}."
             ) from None
+        if is_plant and not np.isfinite(values).all():
+            raise ModelError(
+                f"{asked} cannot be set to {value!r}: an FMU must be given finite numbers; see what computed it."
+            )
+        run.memory[lies] = values
 
     @property
     def k(self) -> int:
@@ -308,6 +323,12 @@ class Session:
     def __reduce__(self) -> NoReturn:
         raise ModelError("A live session cannot be pickled; pickle the diagram, and what save_state() returns.")
 
+    def _not_free(self, name: object) -> str:
+        source = self._fed.get(name if isinstance(name, str) else "")
+        if source:
+            return f"{name} is fed by {source} and cannot be set; leave that connection out, or set what feeds it."
+        return f"There is no input {name!r} that nothing feeds; {did_you_mean(name, self._free)}"
+
     def _open(self, seed: int) -> None:
         self._run, self._pacer = None, None
         try:
@@ -334,3 +355,15 @@ class Session:
                 f"The session stopped in the middle of a step after step {run.k}; go back with restore(state) or reset() first."
             )
         return run
+
+
+def _settable(schedule: Schedule) -> dict[str, tuple[slice, tuple[int, ...], bool]]:
+    """Return the inputs that nothing feeds, and their elements, by name: where in memory, the shape, whether an FMU's."""
+    found: dict[str, tuple[slice, tuple[int, ...], bool]] = {}
+    for node, port in schedule.free:
+        lies, name, is_plant = schedule.signal(node, port), f"{node.name}.{port.name}", is_external(node)
+        found[name] = lies, port.shape, is_plant
+        if port.shape:
+            for i, element in enumerate(labels(name, port.shape), lies.start):
+                found[element] = slice(i, i + 1), (), is_plant
+    return found

@@ -185,6 +185,29 @@ def test_inputs_that_nothing_feeds_are_set_between_steps():
                 session.set("car.farce", 1.0)
             with pytest.raises(cosim.ModelError, match=r"car.force cannot be set to \[1, 2\]; give one number"):
                 session.set("car.force", [1, 2])
+            with pytest.raises(cosim.ModelError, match=r"car.force cannot be set to nan: an FMU must be given finite"):
+                session.set("car.force", np.nan)
+
+
+def test_ports_and_elements_are_set_by_name_or_as_ports(make_block):
+    def hold(u, v, y):
+        y[0] = 10.0 * u[0, 1] + v[0]
+
+    inputs = (Port("u", (2, 2), default=0.0), Port("v", default=0.0))
+    diagram = cosim.Diagram(1)
+    block = diagram.add(make_block(inputs=inputs, outputs=[Port("y")], output=hold), "block")
+    diagram.connect(diagram.add(cosim.Constant(1.0), "one")["y"], block["v"])
+    diagram.set("block.u[0,1]", 2.0)
+    assert diagram.advance(0)["block.y"].tolist() == [21.0]
+    diagram.set(block["u"], [[0, 3], [0, 0]])
+    assert diagram.advance(1)["block.y"].tolist() == [31.0]
+    diagram.set(block["u"][1], 4.0)
+    assert diagram.advance(1)["block.y"].tolist() == [41.0]
+    diagram.set("block.u", np.nan)  # a missing sample, say: only FMUs must have numbers
+    with pytest.raises(cosim.UnknownNameError, match=r"block.v is fed by one.y and cannot be set"):
+        diagram.set("block.v", 2.0)
+    with pytest.raises(cosim.UnknownNameError, match=r"no input 'block.u\[2,0\]' that nothing feeds"):
+        diagram.set("block.u[2,0]", 2.0)
 
 
 def test_wrong_states_and_closed_sessions_are_refused(diagram):
