@@ -29,7 +29,7 @@
 
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
-       STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD };
+       STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -124,6 +124,19 @@ static int step(COMPONENT c, double t)
         break;
     case LAST_WORDS: say("these are my last words"); crash(); break;
     case SLEEPS: usleep(300000); break;
+    case CLOSES_ALL:
+        for (i = 3; i < 1000; ++i) {
+            close(i);
+        }
+        break;
+    case GOES_ON_TWICE: fork(); break;
+    case BABBLES: /* to whoever listens */
+        for (i = 3; i < 100 && t < 0.11; ++i) {
+            if (write(i, "\x7f\xff\xff\x00 and so on", 14) < 0) {
+                continue;
+            }
+        }
+        break;
     case LEAVES_A_CHILD: /* which holds all that its parent held */
         if (fork() == 0) {
             prctl(PR_SET_NAME, "left-by-an-fmu");

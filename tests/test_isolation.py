@@ -151,7 +151,7 @@ def test_sampled_and_mute_ones(engine, ports, same_bits):
 
 def test_both_ends_of_the_way_have_the_same_words():
     kernels, protocol = _isolated_kernels, _isolated_protocol
-    for name in ("COMMAND", "STATUS", "AHEAD", "READ_STATUS", "PHASE", "TIME", "COUNT", "READ", "STEP", "INTERRUPTED"):
+    for name in "COMMAND STATUS AHEAD READ_STATUS PHASE ASKED TIME COUNT READ STEP INTERRUPTED".split():
         assert getattr(kernels, name) == getattr(protocol, name)
     assert protocol.INTERRUPTED > 500  # no status of an FMU in process
     instance = car().instantiate(STEP, "car")
@@ -329,6 +329,30 @@ def test_a_crash_is_seen_and_all_is_ended_where_a_child_holds_everything_open(ly
         alone(lying, "LEAVES_A_CHILD").simulate(1.0, engine="interpreted")
     assert time.monotonic() - started < 8.0  # not the time limit
     until(lambda: not [comm for comm in Path("/proc").glob("[0-9]*/comm") if "left-by-an-fmu" in read(comm)])
+
+
+@pytest.mark.parametrize("engine", ["interpreted", pytest.param("compiled", marks=pytest.mark.slow)])
+def test_what_an_fmu_does_to_its_connections(engine, lying, nothing_left):
+    fmi = FMI[engine == "compiled"]
+    sentence = r"at t = 0\.1 s \(step 5\): the FMU of 'car' crashed: its connections to this process were closed\."
+    with pytest.raises(FMUCrashed, match=sentence):
+        alone(lying, "CLOSES_ALL", fmi).simulate(1.0, engine=engine)
+    # A child that goes on as if it were the FMU's process comes to an end, and each answer is there once.
+    _, ways = lying(fmi)
+    result = alone(lying, "GOES_ON_TWICE", fmi).simulate(0.14, engine=engine)
+    v = [0.0]
+    while len(v) < 8:
+        v.append((1 - ways["GOES_ON_TWICE"] / 100.0 * 0.02) * v[-1] + 0.02)
+    np.testing.assert_allclose(result["car.v"], v, rtol=1e-12)
+    # What is no answer is not taken for one: the run goes on with the right numbers, or stops.
+    v = [0.0]
+    while len(v) < 51:
+        v.append((1 - ways["BABBLES"] / 100.0 * 0.02) * v[-1] + 0.02)
+    try:
+        found = alone(lying, "BABBLES", fmi).simulate(1.0, engine=engine)["car.v"]
+    except FMUCrashed as error:
+        found = error.result["car.v"]
+    np.testing.assert_allclose(found, v[: len(found)], rtol=1e-12)
 
 
 def test_after_a_crash_the_session_begins_anew(lying, nothing_left):

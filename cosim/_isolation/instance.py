@@ -157,6 +157,7 @@ class Isolated:
         shared.inputs[:] = inputs
         shared.time[0], shared.size[0] = t, self._h
         shared.words[protocol.COUNT] = step_at(t, self._step)
+        shared.words[protocol.PHASE] = protocol.ASKED
         self._order(command)
         status = self.attend(0)
         self._raise_interrupt()
@@ -180,6 +181,10 @@ class Isolated:
         try:
             if answered != protocol.MESSAGE:
                 self._await_answer()
+            if words[protocol.PHASE] != protocol.IDLE:
+                self._process.kill()
+                self._note_crash("was ended, for it has written into the connections that its process answers through.")
+                self._die()
             if words[protocol.LOGGED]:
                 words[protocol.LOGGED] = 0
                 while self._process.talk.poll(0):
@@ -316,11 +321,11 @@ class Isolated:
         """Take one message from the other process; return it, unless it was of something logged, which is logged here."""
         try:
             message: tuple[Any, ...] = self._process.talk.recv()
-        except (EOFError, OSError):
+            if message[0] != "log":
+                return message
+            _, logger, level, text, line = message
+        except Exception:  # noqa: BLE001 - it is closed, or the FMU has written into it: that may be anything
             self._bury()
-        if message[0] != "log":
-            return message
-        _, logger, level, text, line = message
         if line is not None:
             self._lines.append(line)
         logging.getLogger(logger).log(level, "%s", text)
@@ -331,7 +336,7 @@ class Isolated:
         if self._process.is_anothers:
             self._note_crash("belongs to the process that this one was forked from; begin a new run here.")
             self._die()
-        with contextlib.suppress(EOFError, OSError):
+        with contextlib.suppress(Exception):
             while self._process.talk.poll(0):  # its last words
                 message = self._process.talk.recv()
                 if message[0] == "log" and message[4] is not None:

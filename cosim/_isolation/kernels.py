@@ -26,7 +26,7 @@ AHEAD, READ_STATUS, LOGGED, PHASE = protocol.AHEAD, protocol.READ_STATUS, protoc
 TIME, SIZE, COUNT = protocol.TIME, protocol.SIZE, protocol.COUNT
 HEADER, MESSAGE = protocol.WORDS, protocol.MESSAGE
 READ, STEP = protocol.READ, protocol.STEP
-IDLE, STEPPING, READING = protocol.IDLE, protocol.STEPPING, protocol.READING
+IDLE, STEPPING, READING, ASKED = protocol.IDLE, protocol.STEPPING, protocol.READING, protocol.ASKED
 PROCESSOR, INTERRUPTED = protocol.PROCESSOR, protocol.INTERRUPTED
 GONE, SIGNALLED, PAUSED, ELSEWHERE = protocol.GONE, protocol.SIGNALLED, protocol.PAUSED, protocol.ELSEWHERE
 PAUSE = protocol.PAUSE
@@ -94,12 +94,13 @@ def _exchange(command, parameters, inputs, t, k):
     set_number(shared, SIZE, number(parameters, STEP_SIZE))
     set_word(shared, COUNT, k)
     set_word(shared, PROCESSOR, processor(word(parameters, WHERE)))
+    set_word(shared, PHASE, ASKED)
     set_word(shared, COMMAND, command)
     socket = word(parameters, SOCKET)
     answered = 0
     if transfer(word(parameters, SEND), socket, shared + 8 * COMMAND, MESSAGE, NO_SIGNAL) == MESSAGE:
         answered = transfer(word(parameters, RECEIVE), socket, shared + 8 * ANSWER, MESSAGE, 0)
-    if answered != MESSAGE or word(shared, LOGGED) != 0:
+    if answered != MESSAGE or word(shared, LOGGED) != 0 or word(shared, PHASE) != IDLE:
         set_word(shared, RESULT, INTERRUPTED)  # stands if Ctrl-C comes before the callback can say anything
         call_block(word(parameters, ATTEND), 0, 0, 0, answered, t, k)
         return word(shared, RESULT)

@@ -71,6 +71,8 @@ class WorkerProcess:
             seconds, part = divmod(max(round(attention * 1e6), 1), 1_000_000)
             self.steps.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", seconds, part))
             ours, talk = socket.socketpair()
+            for direction in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):  # once a message has begun, all of it comes
+                ours.setsockopt(socket.SOL_SOCKET, direction, struct.pack("ll", int(LEAVING), 0))
             opened.callback(talk.close)
             self.talk = Connection(ours.detach())
             theirs = lifeline, memory, steps.fileno(), talk.fileno()
@@ -114,10 +116,12 @@ class WorkerProcess:
         while not self._is_dead():
             if time.monotonic() > end:
                 self.kill()
-                return "it closed its connections and had to be ended"
+                return "it closed its connections, or wrote what is no answer into them, and had to be ended"
             time.sleep(0.001)
         _kill(self._process)  # what it has started, while its number is still its own
         code = self._process.wait()
+        if code == protocol.LOST:
+            return "its connections to this process were closed"
         if code >= 0:
             return f"it ended its own process with exit code {code}"
         try:

@@ -23,8 +23,8 @@ READ, STEP, TALK = 1, 2, 3
 MESSAGE = 8
 """Bytes of a message."""
 
-# Phases: what the FMU is doing, for the host to know where it died.
-IDLE, STEPPING, READING, STARTING = range(4)
+# Phases: what the FMU is doing, for the host to know where it died, and that an answer is one.
+IDLE, STEPPING, READING, STARTING, ASKED = range(5)
 
 GONE, SIGNALLED, PAUSED, ELSEWHERE = 0, -1, -2, -3
 """Why the worker's compiled loop returns, if not for a command: the host has gone; a signal came; `PAUSE` commands were done; the
@@ -34,6 +34,9 @@ PAUSE = 1000
 
 CRASHED, INTERRUPTED = 501, 502
 """Statuses of a step beside those of an FMU in process: its process has ended; a signal came while it was awaited."""
+
+LOST = 71
+"""Exit code of a process that finds its connections to the host closed: the host has gone, or the FMU has closed them."""
 
 ATTENTION = 0.05
 """Seconds that the host waits for an answer before it looks whether all is well."""
@@ -54,11 +57,17 @@ class Shared:
         import mmap
 
         self._map = mmap.mmap(descriptor, size(inputs, outputs))
+        self._keep = getattr(mmap, "MADV_DONTFORK", None)
         self.words: NDArray[np.int64] = np.frombuffer(self._map, dtype=np.int64, count=WORDS)
         numbers = np.frombuffer(self._map, dtype=np.float64)
         self.time, self.size = numbers[TIME : TIME + 1], numbers[SIZE : SIZE + 1]
         self.inputs = numbers[WORDS : WORDS + inputs]
         self.outputs = numbers[WORDS + inputs : WORDS + inputs + outputs]
+
+    def keep_from_children(self) -> None:
+        """Leave processes that this one forks without it, so that one which goes on as if it were this one comes to an end."""
+        if self._keep is not None:
+            self._map.madvise(self._keep)
 
 
 def size(inputs: int, outputs: int) -> int:

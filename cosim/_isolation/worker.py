@@ -6,6 +6,7 @@ It dies with its host, whatever the FMU is doing then: the kernel kills it when 
 from __future__ import annotations
 
 import ctypes
+import errno
 import fcntl
 import logging
 import os
@@ -30,6 +31,8 @@ from bayesftc.cosim.errors import BayesFTCError, FMUError
 if TYPE_CHECKING:
     from bayesftc.cosim.block import VariableStep
 
+_LOST = {errno.EPIPE, errno.ECONNRESET, errno.EBADF, errno.ENOTSOCK}
+
 QUICK = 2e-4
 """Seconds for a step and all that the host does in between, up to which the FMU's process keeps to the host's processor."""
 
@@ -48,12 +51,13 @@ def main(lifeline: int, memory: int, step_socket: int, connection: int) -> None:
         import bayesftc.cosim.fmu  # noqa: F401 - what takes time is not the FMU's fault
 
         talk.send(("done", None))
-        _Worker(memory, steps, talk, *talk.recv()).run()
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        pass  # the host has gone
-    except BaseException:  # noqa: BLE001 - the host is to know what went wrong here, whatever it is
-        traceback.print_exc()
-        status = 70
+        status = _Worker(memory, steps, talk, *talk.recv()).run()
+    except BaseException as error:  # noqa: BLE001 - the host is to know what went wrong here, whatever it is
+        if isinstance(error, EOFError) or (isinstance(error, OSError) and error.errno in _LOST):
+            status = protocol.LOST
+        else:
+            traceback.print_exc()
+            status = 70
     os._exit(status)  # what the FMU's library does at a regular exit could hang
 
 
@@ -75,8 +79,16 @@ class _Forward(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         is_line = record.name == messages.logger.name and isinstance(record.args, tuple) and len(record.args) == 2
         line = record.args[1] if is_line else None  # type: ignore[index]
-        self._talk.send(("log", record.name, record.levelno, record.getMessage(), line))
+        self.send(("log", record.name, record.levelno, record.getMessage(), line))
         self._shared.words[protocol.LOGGED] = 1  # the host looks when the step is done
+
+    def send(self, message: tuple[Any, ...]) -> None:
+        """Send a message, whole: an FMU may log from threads of its own while an answer is on its way."""
+        self.acquire()
+        try:
+            self._talk.send(message)
+        finally:
+            self.release()
 
 
 class _Worker:
@@ -95,6 +107,7 @@ class _Worker:
         self._block, self._step, self._name = block, step, name
         counts = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
         self._shared = protocol.Shared(memory, *counts)
+        self._shared.keep_from_children()
         self._reads_ahead = block.timing == "plant"
         self._serve: Any = None
         self._saved: dict[int, Any] = {}
@@ -102,10 +115,11 @@ class _Worker:
         log = logging.getLogger("bayesftc")
         log.setLevel(logging.DEBUG)
         log.propagate = False
-        log.addHandler(_Forward(talk, self._shared))
+        self._forward = _Forward(talk, self._shared)
+        log.addHandler(self._forward)
 
-    def run(self) -> None:
-        """Answer until the host closes the instance."""
+    def run(self) -> int:
+        """Answer until the host closes the instance; return the exit code."""
         self._answer(self._open)
         while self._instance is not None:
             command = self._serve() if self._serve else self._step_once()
@@ -113,13 +127,16 @@ class _Worker:
                 what, *arguments = self._talk.recv()
                 self._answer(getattr(self, f"_do_{what}"), *arguments)
             elif command == protocol.GONE:
-                return
+                return protocol.LOST
+        return 0
 
     def _answer(self, function: Any, *arguments: Any) -> None:
+        message: tuple[Any, ...]
         try:
-            self._talk.send(("done", function(*arguments)))
+            message = "done", function(*arguments)
         except BayesFTCError as error:
-            self._talk.send(("refused", type(error).__name__, str(error)))
+            message = "refused", type(error).__name__, str(error)
+        self._forward.send(message)
 
     def _open(self) -> dict[str, Any]:
         words = self._shared.words
