@@ -151,7 +151,8 @@ def test_sampled_and_mute_ones(engine, ports, same_bits):
 
 def test_both_ends_of_the_way_have_the_same_words():
     kernels, protocol = _isolated_kernels, _isolated_protocol
-    for name in "COMMAND STATUS AHEAD READ_STATUS PHASE ASKED TIME COUNT READ STEP INTERRUPTED".split():
+    names = ["COMMAND", "STATUS", "AHEAD", "READ_STATUS", "PHASE", "ASKED", "TIME", "COUNT", "READ", "STEP", "INTERRUPTED"]
+    for name in names:
         assert getattr(kernels, name) == getattr(protocol, name)
     assert protocol.INTERRUPTED > 500  # no status of an FMU in process
     instance = car().instantiate(STEP, "car")
