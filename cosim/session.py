@@ -11,6 +11,8 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from fractions import Fraction
+from math import prod
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
@@ -21,6 +23,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import is_external
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.ports import PortRef, label, labels
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
@@ -52,6 +55,8 @@ class RunState:
         The saved state of each FMU.
     layout : tuple
         What the diagram is like, so that a state goes back only where it fits.
+    parameters : mapping of str to mapping
+        What each FMU was given as parameters, which its saved state holds as well.
     """
 
     k: int
@@ -59,6 +64,7 @@ class RunState:
     memory: Floats = field(repr=False)
     instances: Mapping[str, Any] = field(repr=False)
     layout: tuple[Any, ...] = field(repr=False)
+    parameters: Mapping[str, Mapping[str, Any]] = field(repr=False)
 
 
 class Session:
@@ -160,7 +166,7 @@ class Session:
         steps = whole_steps(duration, self._schedule.step, "The duration")
         end = max(run.k, 0) + steps
         whole_steps(end * self._schedule.step, self._schedule.step, "The run's length")
-        if time_limit is not None and not time_limit >= 0:
+        if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0):
             raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
         if pace is None or self._pacer is None or self._pacer.pace != pace:
             self._pacer = None if pace is None else Pacer(pace, self._schedule.step, max(run.k, 0))
@@ -255,7 +261,10 @@ class Session:
         """
         run = self._sound_run()
         saved = {self._schedule.nodes[i].name: instance.save() for i, instance in run.instances.items()}
-        return RunState(run.k, run.seed, run.memory.copy(), saved, self._schedule.layout())
+        given = {
+            node.name: dict(node.block.parameters or {}) for node in self._schedule.nodes if isinstance(node.block, FMU)
+        }
+        return RunState(run.k, run.seed, run.memory.copy(), saved, self._schedule.layout(), given)
 
     def restore(self, state: RunState) -> None:
         """Go back to a saved state: of this session, or of another one of the same diagram.
@@ -263,7 +272,8 @@ class Session:
         Raises
         ------
         ModelError
-            If it is no state of such a diagram.
+            If it is no state of such a diagram, or of one in which a block has other parameters: the saved state of an FMU
+            has its parameters in it, so that the new ones would be without effect.
         FMUError
             If an FMU cannot take it: one without ``canSerializeFMUState`` takes states of this session only, and none from before
             a `reset`.
@@ -272,6 +282,7 @@ class Session:
             raise ModelError(
                 f"{state!r} is no saved state of this diagram; restore what save_state() has returned for the same blocks."
             )
+        _check_parameters(self._schedule, state)
         run = self._opened()
         run.sound = False  # until all of it is restored
         for i, instance in run.instances.items():
@@ -367,3 +378,30 @@ def _settable(schedule: Schedule) -> dict[str, tuple[slice, tuple[int, ...], boo
             for i, element in enumerate(labels(name, port.shape), lies.start):
                 found[element] = slice(i, i + 1), (), is_plant
     return found
+
+
+def _check_parameters(schedule: Schedule, state: RunState) -> None:
+    """Refuse a state of a diagram of the same blocks with other parameters."""
+    for node, slots, definition in zip(schedule.nodes, schedule.slots, schedule.definitions, strict=True):
+        for name, (section, _, shape) in slots.sections.items() if definition else ():
+            if section == "parameters":
+                place = slice(slots.offset(name), slots.offset(name) + prod(shape))
+                there, here = state.memory[place], schedule.initial[place]
+                # What is computed for a sample time may differ in its last bits on another machine.
+                last = 1e-13 * float(np.max(np.abs(here[np.isfinite(here)]), initial=0.0))
+                if not np.allclose(there, here, rtol=1e-9, atol=last, equal_nan=True):
+                    raise _other_parameters(node.name, name)
+        if isinstance(node.block, FMU):
+            before, now = state.parameters.get(node.name, {}), dict(node.block.parameters or {})
+            own = {variable.name: variable.start for variable in node.block.description.variables}
+            for name in sorted(before.keys() | now.keys()):
+                values = before.get(name, own.get(name)), now.get(name, own.get(name))
+                if values[0] != values[1]:
+                    raise _other_parameters(node.name, name, f", {values[0]!r} and not {values[1]!r}")
+
+
+def _other_parameters(block: str, name: str, values: str = "") -> ModelError:
+    return ModelError(
+        f"The saved state is of a diagram in which block {block!r} has another parameter {name!r}{values}, and parameters are "
+        "part of a state; restore it where they are the same, and make what is to change an input (an FMU's with tunable=...)."
+    )

@@ -218,11 +218,43 @@ def test_wrong_states_and_closed_sessions_are_refused(diagram):
             session.restore("state")
         with pytest.raises(cosim.StepSizeError, match=r"no whole number of steps"):
             session.advance(0.011)
-        with pytest.raises(cosim.ModelError, match=r"time_limit is -1"):
-            session.advance(0.01, time_limit=-1)
+        for limit in (-1, "1", float("nan")):
+            with pytest.raises(cosim.ModelError, match=r"time_limit is .*; it must be a number of seconds, or None"):
+                session.advance(0.01, time_limit=limit)
     for use in (session.save_state, session.reset, lambda: session.advance(1), lambda: session.time):
         with pytest.raises(cosim.ModelError, match=r"The session is closed; start a new one with diagram.start\(\)"):
             use()
+
+
+def driven(*, m=100.0, gain=1.0, **settings):
+    diagram = cosim.Diagram(0.02)
+    car = diagram.add(cosim.FMU(fmus.path("CruiseControl"), parameters={"m": m} if m else {}, **settings), "car")
+    push, gained = diagram.add(cosim.Constant(300.0), "push"), diagram.add(cosim.Gain(gain), "gain")
+    diagram.connect(push["y"], gained["u"])
+    diagram.connect(gained["y"], car["force"])
+    return diagram
+
+
+def test_a_state_of_other_parameters_is_refused():
+    """They are part of the state, so those of the diagram that takes it would be without effect."""
+    with driven(m=None).start(engine="interpreted") as session:
+        session.advance(1)
+        state = pickle.loads(pickle.dumps(session.save_state()))
+        rest = session.advance(1)["car.v"][-1]
+    cases = {
+        r"block 'car' has another parameter 'm', 100\.0 and not 50\.0, and parameters are part of a state": {"m": 50.0},
+        r"block 'gain' has another parameter 'gain', and parameters are part of a state; restore it where": {
+            "gain": 2.0
+        },
+    }
+    for sentence, changed in cases.items():
+        with driven(**changed).start(engine="interpreted") as session:
+            with pytest.raises(cosim.ModelError, match=sentence):
+                session.restore(state)
+            assert len(session.advance(1).time) == 51  # it was left as it was
+    with driven(m=100.0).start(engine="interpreted") as session:  # the FMU's own value
+        session.restore(state)
+        assert session.advance(1)["car.v"][-1] == rest
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -247,6 +279,21 @@ def test_a_failed_run_goes_back(engine, make_block):
         assert session.advance(1)["grows.y"].tolist() == [1e300]
         session.reset()
         assert session.advance(1)["grows.y"].tolist() == [1.0, 1e100]
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_an_fmu_that_has_returned_fatal_is_not_called_any_more(fmi, lying):
+    path, ways = lying(fmi)
+    diagram = cosim.Diagram(0.02)
+    diagram.add(cosim.FMU(path, parameters={"b": ways["FATAL"]}), "car")
+    with diagram.start(engine="interpreted") as session:
+        state = session.save_state()
+        with pytest.raises(cosim.SimulationError, match="DoStep returned Fatal"):
+            session.advance(1)
+        with pytest.raises(cosim.FMUError, match=r"\('car'\) has returned Fatal, .*; begin anew with reset\(\)\.$"):
+            session.restore(state)
+        session.reset()
+        assert session.advance(0.02).time.tolist() == [0.0, 0.02]
 
 
 def test_a_time_limit_stops_where_it_can_go_on(same_bits):

@@ -175,9 +175,14 @@ class Instance(StepFunctions):
 
     def restore(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.restore`."""
+        if self._fatal:
+            raise FMUError(
+                f"The FMU {self._library.description.name!r} ({self._name!r}) has returned Fatal, after which FMI allows no call "
+                "of it any more; begin anew with reset()."
+            )
         self._states.restore(saved)
         self._put_beside(cast("SavedState", saved).beside)
-        self._healthy = not self._fatal  # an FMU that has failed may be put back to where it had not
+        self._healthy = True  # an FMU that has failed may be put back to where it had not
 
     def _beside(self) -> tuple[Any, ...]:
         """Return what is to be remembered beside the FMU's own state: when it wants its next event."""
