@@ -91,7 +91,10 @@ class ModelEquations:
         self.has_directional_derivatives = info.directional
         self._knowns = np.array([v.reference for v in (*info.states, *inputs)], dtype=np.uint32)
         self._whole = [name for name, v in element_names(list(inputs)) if not v.is_float]
-        self._unknowns = np.array([v.reference for v in (*info.derivatives, *outputs)], dtype=np.uint32)
+        unknowns = [*info.derivatives, *(v for v in outputs if v.is_float)]
+        self._unknowns = np.array([v.reference for v in unknowns], dtype=np.uint32)
+        smooth = [v.is_float for _, v in element_names(outputs)]
+        self._rows = np.flatnonzero([True] * self._model.nx + smooth)
         self.x0, self.u0 = self._model.x.copy(), self._model.inputs.copy()
         self.nominals = np.ones(self._model.nx)
         self._try(lambda: self._model.read("get_nominals", self.nominals))
@@ -139,19 +142,28 @@ class ModelEquations:
     def jacobians(self, x: ArrayLike, u: ArrayLike, t: float = 0.0) -> Jacobians:
         """Return the matrices A, B, C, D of the linearization at a point.
 
-        By the FMU's directional derivatives where it has them, else by central differences with steps of 6e-6 times the state
-        or input, or its nominal value where that is larger (1 of an input). Arguments and errors are as of `derivatives`.
+        By the FMU's directional derivatives where it has them and all inputs are continuous, else by central differences with
+        steps of 6e-6 times the state or input, or its nominal value where that is larger (1 of an input). Outputs that are whole
+        numbers have derivatives of zero. Arguments and errors are as of `derivatives`; a ModelError, too, if an input is a whole
+        number.
         """
         x, u = self._checked(x, u)
+        if self._whole:
+            raise ModelError(
+                f"The FMU {self._model.library.description.name!r} has no derivative with respect to {self._whole[0]!r}, a whole "
+                "number; leave it out of inputs=, so that it keeps its start value."
+            )
         nx, nu = len(x), len(u)
-        columns = np.empty((nx + len(self.output_names), nx + nu))
-        if self.has_directional_derivatives:
+        columns = np.zeros((nx + len(self.output_names), nx + nu))
+        if (
+            self.has_directional_derivatives and not self._model.jumps
+        ):  # FMI gives none by parameters or discrete inputs
             self._place(x, u, t)
             for i in range(nx + nu):
-                seed, column = np.zeros(nx + nu), np.zeros(len(columns))
+                seed, column = np.zeros(nx + nu), np.zeros(len(self._rows))
                 seed[i] = 1.0
                 self._try(lambda seed=seed, column=column: self._directional(seed, column))  # type: ignore[misc]
-                columns[:, i] = column
+                columns[self._rows, i] = column
         else:
             scale = np.maximum(np.abs([*x, *u]), [*self.nominals, *np.ones(nu)])
             point = np.array([*x, *u])
@@ -163,7 +175,7 @@ class ModelEquations:
                     at = moved[:nx], moved[nx:], t
                     sides.append((moved[i], np.concatenate([self.derivatives(*at), self.outputs(*at)])))
                 (high, above), (low, below) = sides
-                columns[:, i] = (above - below) / (high - low)
+                columns[self._rows, i] = ((above - below) / (high - low))[self._rows]
         return Jacobians(columns[:nx, :nx], columns[:nx, nx:], columns[nx:, :nx], columns[nx:, nx:])
 
     def close(self) -> None:

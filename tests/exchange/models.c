@@ -13,6 +13,17 @@
  *   past     announces time events in the past, from t = 0.2 on
  *   lag      x' = u - x for arrays of three, in FMI 3 only; y = x
  *   clock    a time event every second; no states, no indicators; n counts them
+ *   edge     x' = u; n = (x > 0), which changes in events alone
+ *   fine     x' = -s, s changes its sign where |x| = w: an event each 2 w seconds
+ *   wild     x' = -1 until x <= 0.1; where x < 0.05, by `how`: 0 indicators are discarded, 1 derivatives, 2 indicators are NaN
+ *   stack    x' = 1; three time events at `at`, one after the other, counted by n
+ *   blank    says OK and does not write, by `what`: 1 outputs, 2 derivatives, 3 states, 4 event indicators
+ *   count    has two states where its description has one (FMI 3)
+ *   slide    a mass on a belt, held by a spring: it sticks until x = Fs and slips until its speed v is that of the belt
+ *   scale    x' = -x; at 0.5 x becomes 1e-6 and, unless `quiet`, says that its nominal value is that, too
+ *   quits    x' = 1; ends the simulation: after a step with x >= 0.35, or (`now` = 1) at once
+ *   pol      the oscillator of van der Pol
+ *   typed    x' = u + m, y = k x + s; inputs, parameters and outputs (which show the inputs) of all types
  */
 #include <math.h>
 #include <stdarg.h>
@@ -22,12 +33,17 @@
 #include "fmi2Functions.h"
 #include "fmi3Functions.h"
 
-enum { BALL, HEATER, PULSE, RELAY, COUNTER, GATE, ENDLESS, ENDS, NOT_A_NUMBER, FAILS, PAST, CLOCK, LAG, MODELS };
+enum { BALL, HEATER, PULSE, RELAY, COUNTER, GATE, ENDLESS, ENDS, NOT_A_NUMBER, FAILS, PAST, CLOCK, LAG, EDGE, FINE, WILD, STACK,
+       BLANK, COUNT, SLIDE, SCALE, QUITS, POL, TYPED, MODELS };
 static const char *TOKENS[MODELS] = {"ball", "heater", "pulse", "relay", "counter", "gate", "endless", "ends", "nan", "fails",
-                                     "past", "clock", "lag"};
+                                     "past", "clock", "lag", "edge", "fine", "wild", "stack", "blank", "count", "slide", "scale",
+                                     "quits", "pol", "typed"};
 enum { START, INIT, EVENT, CONTINUOUS };
-/* Value references: 0, 1 states; 2, 3 derivatives; 4, 5 inputs; 6 n or on; 7 y; 10.. parameters. */
-enum { NV = 16 };
+/* Value references: 0, 1 states; 2, 3 derivatives; 4, 5 inputs; 6 n or on; 7 y; 10.. parameters. Of `typed`: 14 to 28 inputs and
+ * tunable parameters, 34 to 48 the outputs that show them, 20 further on. */
+enum { NV = 64 };
+/* The type of each: Float64, Float32, (U)Int8 ... 64 as letters, Boolean, an enumeration. The array of two has two places. */
+static const char KINDS[] = "fabcdijlmBEDiii";
 
 typedef struct {
     int model, mode, flag;
@@ -41,8 +57,21 @@ typedef struct {
     void *environment;
 } Instance;
 
-static int states(int model) { return model == LAG ? 3 : model == BALL ? 2 : (model == GATE || model == CLOCK) ? 0 : 1; }
-static int indicators(int model) { return model == BALL || model == RELAY ? 1 : model == HEATER ? 2 : 0; }
+static int states(int model) {
+    switch (model) {
+    case LAG: return 3;
+    case BALL: case SLIDE: case POL: return 2;
+    case GATE: case CLOCK: return 0;
+    default: return 1;
+    }
+}
+static int indicators(int model) {
+    switch (model) {
+    case BALL: case RELAY: case EDGE: case WILD: case BLANK: return 1;
+    case HEATER: case FINE: case SLIDE: return 2;
+    default: return 0;
+    }
+}
 
 static int say(Instance *m, int status, const char *text) {
     if (m->log2) m->log2(m->environment, "test", (fmi2Status)status, "logStatusError", "%s", text);
@@ -66,6 +95,14 @@ static Instance *make(const char *token) {
             if (i == CLOCK) m->s.event = 1;
             if (i == ENDLESS) m->s.event = 0.5;
             if (i == ENDS) m->s.event = 0.4;
+            if (i == EDGE) v[4] = 1;
+            if (i == FINE) v[10] = 1e-7, v[6] = 1;
+            if (i == WILD) v[0] = 1, v[6] = 1;
+            if (i == STACK) v[10] = 0.5;
+            if (i == SLIDE) v[10] = 0.2, v[11] = 0.6, v[12] = 0.4;
+            if (i == SCALE) v[0] = 1, m->s.event = 0.5;
+            if (i == POL) v[0] = 2, v[10] = 1000;
+            if (i == TYPED) v[24] = v[25] = 1;
             return m;
         }
     return NULL;
@@ -82,6 +119,14 @@ static int derivatives(Instance *m, double *dx) {
     case NOT_A_NUMBER: dx[0] = -1 + 0 * sqrt(v[0]); break;
     case LAG: for (int i = 0; i < 3; i++) dx[i] = v[4 + i] - v[i]; break;
     case FAILS: if (s->t >= 0.35) return say(m, 3, "the valve is stuck"); dx[0] = 1; break;
+    case EDGE: dx[0] = v[4]; break;
+    case FINE: dx[0] = -v[6]; break;
+    case WILD: if (v[10] == 1 && v[0] < 0.05) return say(m, 2, "too far"); dx[0] = -v[6]; break;
+    case BLANK: if (v[10] != 2) dx[0] = 1; break;
+    case SLIDE: dx[0] = v[1]; dx[1] = s->flag ? 0 : v[12] - v[0]; break;
+    case SCALE: dx[0] = -v[0]; break;
+    case POL: dx[0] = v[1]; dx[1] = v[10] * (1 - v[0] * v[0]) * v[1] - v[0]; break;
+    case TYPED: dx[0] = v[4] + v[26]; break;
     default: if (states(s->model)) dx[0] = 1;
     }
     return 0;
@@ -92,7 +137,14 @@ static int reached(Instance *m, double *z) {
     switch (m->s.model) {
     case BALL: z[0] = m->s.flag ? 1 : v[0]; break;
     case HEATER: z[0] = v[0] - v[10]; z[1] = v[0] - v[11]; break;
-    case RELAY: z[0] = v[0]; break;
+    case RELAY: case EDGE: z[0] = v[0]; break;
+    case FINE: z[0] = v[0] - v[10]; z[1] = v[0] + v[10]; break;
+    case WILD:
+        if (v[10] == 0 && v[0] < 0.05) return say(m, 2, "too far");
+        z[0] = v[10] == 2 && v[0] < 0.05 ? NAN : v[0] - 0.1;
+        break;
+    case BLANK: if (v[10] != 4) z[0] = 1; break;
+    case SLIDE: z[0] = m->s.flag ? 1 : v[10] - v[1]; z[1] = m->s.flag ? v[11] - v[0] : 1; break;
     }
     return 0;
 }
@@ -106,6 +158,8 @@ static int get(Instance *m, unsigned reference, double *value) {
         return status;
     }
     if (reference >= NV) return say(m, 3, "no such variable");
+    if (s->model == TYPED && reference == 7) return *value = s->v[25] * s->v[0] + s->v[14], 0;
+    if (s->model == TYPED && reference >= 34) return *value = s->v[reference - 20], 0;
     *value = reference != 7 ? s->v[reference] : s->model == GATE ? 2 * s->v[5] + s->v[4] : s->v[0] + s->v[4];
     return 0;
 }
@@ -114,7 +168,9 @@ static int set(Instance *m, unsigned reference, double value) {
     int mode = m->s.mode;
     if (reference >= NV) return say(m, 3, "no such variable");
     if (reference == 5 && mode == CONTINUOUS) return say(m, 3, "a discrete input changes in event mode only");
-    if (reference >= 10 && mode > INIT) return say(m, 3, "parameters are fixed");
+    if (m->s.model == TYPED && reference != 4 && reference != 14 && mode == CONTINUOUS)
+        return say(m, 3, "discrete inputs and tunable parameters change in event mode only");
+    if (m->s.model != TYPED && reference >= 10 && mode > INIT) return say(m, 3, "parameters are fixed");
     m->s.v[reference] = value;
     return 0;
 }
@@ -141,6 +197,19 @@ static int update(Instance *m, int *needed, int *terminate, int *changed, int *d
     case GATE: v[6] += 1; break;
     case ENDLESS: if (s->t >= 0.5) *needed = 1; break;
     case ENDS: if (s->t >= 0.4) { say(m, 0, "the tank is empty"); *terminate = 1; } break;
+    case EDGE: v[6] = v[0] > 0; break;
+    case FINE: if (v[0] <= -v[10]) v[6] = -1; if (v[0] >= v[10]) v[6] = 1; break;
+    case WILD: if (v[0] <= 0.1) v[6] = 0; break;
+    case STACK:
+        if (!s->flag) s->flag = 1, s->event = v[10];
+        else if (s->t >= s->event && (v[6] += 1) >= 3) s->event = INFINITY;
+        break;
+    case SLIDE:
+        if (s->flag && v[0] >= v[11]) s->flag = 0;
+        else if (!s->flag && v[1] >= v[10] && v[0] < v[11]) s->flag = 1, v[1] = v[10], *changed = 1;
+        break;
+    case SCALE: if (s->t >= s->event) v[0] = 1e-6, *changed = 1, s->flag = 1, s->event = INFINITY; break;
+    case QUITS: *terminate = v[10] == 1; break;
     case CLOCK: if (s->t >= s->event) v[6] += 1, s->event += 1; break;
     }
     *defined = s->event < INFINITY;
@@ -171,11 +240,63 @@ static int write_states(Instance *m, const double *x, size_t n) {
 static int completed(Instance *m, int *enter, int *terminate) {
     if (m->s.mode != CONTINUOUS) return say(m, 3, "not in continuous-time mode");
     *enter = m->s.model == COUNTER && m->s.v[0] >= 1;
-    *terminate = 0;
+    *terminate = m->s.model == QUITS && m->s.v[0] >= 0.35;
     return 0;
 }
 
+static int read_states(Instance *m, double *x, size_t n) {
+    if (m->s.model != BLANK || m->s.v[10] != 3) memcpy(x, m->s.v, n * sizeof(double));
+    return 0;
+}
+
+static int nominals(Instance *m, double *x, size_t n) {
+    for (size_t i = 0; i < n; i++) x[i] = m->s.model == SCALE && m->s.flag && !m->s.v[10] ? 1e-6 : 1;
+    return 0;
+}
+
+/* How many places a variable has, if it is of this type; else 0. */
+static int places(Instance *m, unsigned reference, char kind) {
+    unsigned i = reference - (reference >= 34 ? 34 : 14);
+    if (m->s.model != TYPED || i >= sizeof KINDS - 1) return kind == 'D';
+    return KINDS[i] != kind ? 0 : reference == 27 || reference == 47 ? 2 : 1;
+}
+
 #define M ((Instance *)c)
+#define GET(name, type, kinds, given) { \
+    size_t j = 0; \
+    for (size_t i = 0; i < n; i++) { \
+        int size = 0; \
+        for (const char *kind = kinds; *kind && !size; kind++) size = places(M, r[i], *kind); \
+        if (!size) return say(M, 3, #name ": a variable of another type"); \
+        for (int e = 0; e < size; e++) { \
+            double value = NAN; \
+            int status = get(M, r[i] + e, &value); \
+            if (status) return status; \
+            if (j < given && !(M->s.model == BLANK && M->s.v[10] == 1)) x[j] = (type)value; \
+            j++; \
+        } \
+    } \
+    return j == given ? 0 : say(M, 3, #name ": a number of values that does not fit"); \
+}
+#define SET(name, kinds, given) { \
+    size_t j = 0; \
+    for (size_t i = 0; i < n; i++) { \
+        int size = 0; \
+        for (const char *kind = kinds; *kind && !size; kind++) size = places(M, r[i], *kind); \
+        if (!size) return say(M, 3, #name ": a variable of another type"); \
+        for (int e = 0; e < size; e++, j++) { \
+            int status = j < given ? set(M, r[i] + e, (double)x[j]) : 3; \
+            if (status) return status; \
+        } \
+    } \
+    return j == given ? 0 : say(M, 3, #name ": a number of values that does not fit"); \
+}
+#define GET2(name, type, kinds) fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, type x[]) GET(name, type, kinds, n)
+#define SET2(name, type, kinds) fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, const type x[]) SET(name, kinds, n)
+#define GET3(name, type, kinds) \
+    fmi3Status name(fmi3Instance c, const fmi3ValueReference r[], size_t n, type x[], size_t nx) GET(name, type, kinds, nx)
+#define SET3(name, type, kinds) \
+    fmi3Status name(fmi3Instance c, const fmi3ValueReference r[], size_t n, const type x[], size_t nx) SET(name, kinds, nx)
 /* FMI 2 */
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 const char *fmi2GetVersion(void) { return "2.0"; }
@@ -197,20 +318,11 @@ fmi2Status fmi2Reset(fmi2Component c) {
     free(m);
     return fmi2OK;
 }
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real x[]) {
-    int status = 0;
-    for (size_t i = 0; i < n && !status; i++) status = get(M, r[i], x + i);
-    return status;
-}
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real x[]) {
-    int status = 0;
-    for (size_t i = 0; i < n && !status; i++) status = set(M, r[i], x[i]);
-    return status;
-}
-#define NONE2(name, type) \
-    fmi2Status name(fmi2Component c, const fmi2ValueReference r[], size_t n, type x[]) { return n ? fmi2Error : fmi2OK; }
-NONE2(fmi2GetInteger, fmi2Integer) NONE2(fmi2GetBoolean, fmi2Boolean) NONE2(fmi2GetString, fmi2String)
-NONE2(fmi2SetInteger, const fmi2Integer) NONE2(fmi2SetBoolean, const fmi2Boolean) NONE2(fmi2SetString, const fmi2String)
+GET2(fmi2GetReal, fmi2Real, "D") SET2(fmi2SetReal, fmi2Real, "D")
+GET2(fmi2GetInteger, fmi2Integer, "iE") SET2(fmi2SetInteger, fmi2Integer, "iE")
+GET2(fmi2GetBoolean, fmi2Boolean, "B") SET2(fmi2SetBoolean, fmi2Boolean, "B")
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String x[]) { return n ? fmi2Error : fmi2OK; }
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String x[]) { return n ? fmi2Error : fmi2OK; }
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *s) {
     if (!*s) *s = malloc(sizeof(State));
     memcpy(*s, &M->s, sizeof(State));
@@ -230,7 +342,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2EnterEventMode(fmi2Component c) { return into(M, CONTINUOUS, EVENT); }
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return into(M, EVENT, CONTINUOUS); }
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *e) {
-    e->nominalsOfContinuousStatesChanged = 0;
+    e->nominalsOfContinuousStatesChanged = M->s.model == SCALE && !M->s.v[10];
     return update(M, &e->newDiscreteStatesNeeded, &e->terminateSimulation, &e->valuesOfContinuousStatesChanged,
                   &e->nextEventTimeDefined, &e->nextEventTime);
 }
@@ -239,8 +351,8 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real t) { return now(M, t); }
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) { return write_states(M, x, n); }
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real x[], size_t n) { return derivatives(M, x); }
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) { return reached(M, z); }
-fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { memcpy(x, M->s.v, n * sizeof(double)); return fmi2OK; }
-fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { for (size_t i = 0; i < n; i++) x[i] = 1; return fmi2OK; }
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { return read_states(M, x, n); }
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) { return nominals(M, x, n); }
 
 /* FMI 3: what a model exchange FMU needs; the rest are symbols that nobody calls. */
 const char * fmi3GetVersion(void) { return "3.0"; }
@@ -256,8 +368,10 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean td, fmi3Float
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return into(M, INIT, EVENT); }
 fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3Reset(fmi3Instance c) { return fmi2Reset(c); }
+static GET3(get_numbers, fmi3Float64, "D")
+static SET3(set_numbers, fmi3Float64, "D")
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, fmi3Float64 x[], size_t nx) {
-    if (M->s.model != LAG) return fmi2GetReal(c, r, n, x);
+    if (M->s.model != LAG) return get_numbers(c, r, n, x, nx);
     if (nx != 3 * n) return say(M, 3, "arrays of three");
     for (size_t i = 0; i < n; i++)
         if (r[i] == 2) derivatives(M, x + 3 * i);
@@ -265,11 +379,21 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n
     return fmi3OK;
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference r[], size_t n, const fmi3Float64 x[], size_t nx) {
-    if (M->s.model != LAG) return fmi2SetReal(c, r, n, x);
+    if (M->s.model != LAG) return set_numbers(c, r, n, x, nx);
     if (nx != 3 * n) return say(M, 3, "arrays of three");
     for (size_t i = 0; i < n; i++) memcpy(M->s.v + r[i], x + 3 * i, 3 * sizeof(double));
     return fmi3OK;
 }
+GET3(fmi3GetFloat32, fmi3Float32, "f") SET3(fmi3SetFloat32, fmi3Float32, "f")
+GET3(fmi3GetInt8, fmi3Int8, "a") SET3(fmi3SetInt8, fmi3Int8, "a")
+GET3(fmi3GetUInt8, fmi3UInt8, "b") SET3(fmi3SetUInt8, fmi3UInt8, "b")
+GET3(fmi3GetInt16, fmi3Int16, "c") SET3(fmi3SetInt16, fmi3Int16, "c")
+GET3(fmi3GetUInt16, fmi3UInt16, "d") SET3(fmi3SetUInt16, fmi3UInt16, "d")
+GET3(fmi3GetInt32, fmi3Int32, "i") SET3(fmi3SetInt32, fmi3Int32, "i")
+GET3(fmi3GetUInt32, fmi3UInt32, "j") SET3(fmi3SetUInt32, fmi3UInt32, "j")
+GET3(fmi3GetInt64, fmi3Int64, "lE") SET3(fmi3SetInt64, fmi3Int64, "lE")
+GET3(fmi3GetUInt64, fmi3UInt64, "m") SET3(fmi3SetUInt64, fmi3UInt64, "m")
+GET3(fmi3GetBoolean, fmi3Boolean, "B") SET3(fmi3SetBoolean, fmi3Boolean, "B")
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *s) { return fmi2GetFMUstate(c, s); }
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState s) { return fmi2SetFMUstate(c, s); }
 fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *s) { return fmi2FreeFMUstate(c, s); }
@@ -281,7 +405,7 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return into(M, EVENT, C
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *needed, fmi3Boolean *terminate, fmi3Boolean *nominals,
                                     fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next) {
     int n, e, v, d, status = update(M, &n, &e, &v, &d, next);
-    *needed = n, *terminate = e, *nominals = 0, *values = v, *defined = d;
+    *needed = n, *terminate = e, *nominals = M->s.model == SCALE && !M->s.v[10], *values = v, *defined = d;
     return status;
 }
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no, fmi3Boolean *enter, fmi3Boolean *end) {
@@ -296,4 +420,4 @@ fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) { r
 fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { return fmi2GetContinuousStates(c, x, n); }
 fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) { return fmi2GetNominalsOfContinuousStates(c, x, n); }
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n) { *n = indicators(M->s.model); return fmi3OK; }
-fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) { *n = states(M->s.model); return fmi3OK; }
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) { *n = states(M->s.model) + (M->s.model == COUNT); return fmi3OK; }
