@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import ClassVar, Literal, cast
 
 from bayesftc.cosim._exchange.settings import checked_settings
-from bayesftc.cosim._fmi.archive import Archive, open_archive
+from bayesftc.cosim._fmi.archive import Archive, absolute, open_archive
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Given, Value, read_description
 from bayesftc.cosim._fmi.ports import choose, choose_tunable, late_outputs, ticking_clocks
 from bayesftc.cosim._fmi.values import as_floats, resolved, start_values, value_of
@@ -114,17 +114,16 @@ class FMU(ExternalBlock):
     checks_finite: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        if self.timing not in {None, "plant", "direct", "sampled"}:
+        if self.timing not in (None, "plant", "direct", "sampled"):
             raise ModelError(f"FMU has timing={self.timing!r}; it must be 'plant', 'direct' or 'sampled'.")
         check_isolation(self.isolate, self.time_limit)
-        if not isinstance(self.path, str | PathLike):
-            raise ModelError(f"FMU has path={self.path!r}; it must be the path of an .fmu file.")
+        path = absolute(self.path, "FMU", "an .fmu file", ModelError)
         if self.name is not None and not isinstance(self.name, str):
             raise ModelError(f"FMU has name={self.name!r}; it must be a text, as 'plant'.")
         if not isinstance(self.validate, bool):
             raise ModelError(f"FMU has validate={self.validate!r}; it must be True or False.")
         set_ = object.__setattr__
-        set_(self, "path", Path(self.path).expanduser().absolute())
+        set_(self, "path", path)
         archive, description = self._read()
         kind = _chosen_kind(archive, description, self.kind)
         exchange = kind == "model exchange"
@@ -342,7 +341,7 @@ def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescript
     FMUError
         If the file is missing or damaged, or no FMU of FMI 2.0 or 3.0.
     """
-    return read_description(open_archive(Path(path).expanduser().absolute()), validate=validate)
+    return read_description(open_archive(absolute(path, "describe", "an .fmu file", FMUError)), validate=validate)
 
 
 def _chosen_kind(archive: Archive, description: FMUDescription, asked: str | None) -> str:
@@ -354,7 +353,7 @@ def _chosen_kind(archive: Archive, description: FMUDescription, asked: str | Non
     }
     have = [names[kind] for kind in description.kinds]
     usable = [kind for kind in ("co-simulation", "model exchange") if kind in have]
-    if asked is not None and asked not in {"co-simulation", "model exchange"}:
+    if asked is not None and asked not in ("co-simulation", "model exchange"):
         raise ModelError(f"FMU has kind={asked!r}; it must be 'co-simulation' or 'model exchange'.")
     if asked is not None and asked not in usable:
         raise FMUVersionError(

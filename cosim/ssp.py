@@ -13,7 +13,7 @@ from stat import S_ISREG
 from typing import Literal
 
 from bayesftc.cosim import units
-from bayesftc.cosim._fmi.archive import extract, open_archive, read_entry
+from bayesftc.cosim._fmi.archive import absolute, extract, open_archive, read_entry
 from bayesftc.cosim._fmi.description import FMUDescription
 from bayesftc.cosim._ssp.flat import Feed, Flat, Path as Place, Variable, components
 from bayesftc.cosim._ssp.read import SSP_FILE, Component, Linear, Parameter, Structure, Value, read_structure
@@ -94,7 +94,7 @@ def open_ssp(
     ...     cosim.open_ssp(file).build("jacobi")
     <Diagram of 2 blocks at 0.02 s: lead, follower>
     """
-    path = Path(path).expanduser().absolute()
+    path = absolute(path, "open_ssp", "an .ssp or .ssd file", SSPError)
     where, place_files, resource = _located(path, variant)
     structure = read_structure(resource(where), where, resource, validate=validate)
     sources = {p: c.source for p, c in components(structure.system)}

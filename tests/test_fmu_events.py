@@ -14,7 +14,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmu import FMU, describe
 
 SOURCE = Path(__file__).parent / "events" / "clocked.c"
 ENGINES = ("compiled", "interpreted")
@@ -320,6 +320,10 @@ def test_names_that_are_none_are_refused_in_a_sentence(clocked):
         ({"tunable": 3}, "FMU has tunable=3; give a list of names"),
         ({"inputs": 3}, "FMU has inputs=3; give a list of names"),
         ({"outputs": [3]}, r"FMU has outputs=\[3\]; give a list of names"),
+        ({"timing": []}, r"FMU has timing=\[\]; it must be 'plant', 'direct' or 'sampled'"),
+        ({"kind": []}, r"FMU has kind=\[\]; it must be 'co-simulation' or 'model exchange'"),
     ):
         with pytest.raises(ModelError, match=words):
             FMU(clocked(), **settings)
+    with pytest.raises(FMUError, match=r"describe has path=3; it must be the path of an .fmu file"):
+        describe(3)

@@ -427,6 +427,11 @@ def test_wrong_values_are_the_fmus_to_refuse(tmp_path):
 
 
 def test_files_that_are_no_ssp(tmp_path):
+    for function, arguments in ((cosim.open_ssp, (3,)), (cosim.save_ssp, (cosim.Diagram(dt=0.1), 3))):
+        with pytest.raises(SSPError, match=rf"{function.__name__} has path=3; it must be the path of"):
+            function(*arguments)
+    with pytest.raises(SSPError, match="save_ssp has diagram=3; it must be a Diagram"):
+        cosim.save_ssp(3, tmp_path / "none.ssp")
     refused(tmp_path / "none.ssp", "none.ssp cannot be read (No such file")
     refused(tmp_path / "none.ssd", "none.ssd cannot be read (No such file")
     (tmp_path / "text.ssp").write_text("no zip")

@@ -8,12 +8,14 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path, PurePosixPath
 from stat import S_ISDIR, S_ISREG
 
 from bayesftc.cosim import _zip
 from bayesftc.cosim._cache import cache_directory
 from bayesftc.cosim._zip import FMU_FILE, Kind
+from bayesftc.cosim.errors import BayesFTCError
 
 DESCRIPTION = FMU_FILE.main
 
@@ -43,6 +45,23 @@ class Archive:
         """Return the names of the platforms that it has binaries for, as FMI spells them."""
         found = (PurePosixPath(name).parts for name in self.names)
         return tuple(sorted({parts[1] for parts in found if len(parts) > 2 and parts[0] == "binaries"}))
+
+
+def absolute(path: object, who: str, what: str, error: type[BayesFTCError]) -> Path:
+    """Return a path that somebody has given as an absolute one.
+
+    Parameters
+    ----------
+    path : object
+        What was given.
+    who, what : str
+        Whom it was given to, and what it is to be the path of, as the error says.
+    error : type
+        What is raised if it is no path.
+    """
+    if not isinstance(path, str | PathLike):
+        raise error(f"{who} has path={path!r}; it must be the path of {what}.")
+    return Path(path).expanduser().absolute()
 
 
 def open_archive(path: Path, kind: Kind = FMU_FILE) -> Archive:

@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent, regi
 
 import numpy as np
 
-from bayesftc.cosim._fmi.archive import open_archive
+from bayesftc.cosim._fmi.archive import absolute, open_archive
 from bayesftc.cosim._fmi.description import FMUVariable
 from bayesftc.cosim._ssp.read import FMU_TYPE, NAMESPACE, SSC, SSD, SSP_FILE, SSV, Linear
 from bayesftc.cosim.diagram import Diagram, Node
@@ -66,7 +66,9 @@ def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
         If the diagram has what SSP cannot express (any other block, a sum of signals, FMUs at several rates, an FMU placed with
         ``timing="sampled"``), or the file cannot be written.
     """
-    path = Path(path).expanduser().absolute()
+    path = absolute(path, "save_ssp", "the .ssp file to write", SSPError)
+    if not isinstance(diagram, Diagram):
+        raise SSPError(f"save_ssp has diagram={diagram!r}; it must be a Diagram of FMUs.")
     if path.suffix.lower() != SSP_FILE.suffix:
         raise SSPError(f"{path.name} is no name for an SSP; let it end in {SSP_FILE.suffix}.")
     nodes = [node for node in diagram.nodes if isinstance(node.block, FMU)]
