@@ -101,6 +101,16 @@ class Layout:
         return FIRST_SETTINGS + self.modes * self.width_of_settings
 
     @property
+    def actuator_settings(self) -> int:
+        """Where in the settings those of the actuators' modes stand."""
+        return self.m * self.row + 1
+
+    @property
+    def process_settings(self) -> int:
+        """Where in the settings those of the process' modes stand."""
+        return self.actuator_settings + self.p * self.actuator_modes * ACTUATOR_SETTINGS
+
+    @property
     def actuator(self) -> int:
         """How many numbers are kept of an actuator."""
         return OF_MODES + 2 * self.actuator_modes
@@ -111,9 +121,14 @@ class Layout:
         return self.process + self.process_modes + (self.process_modes > 0)
 
     @property
+    def first_actuator(self) -> int:
+        """Which hypothesis is the first one of a mode of an actuator."""
+        return 1 + self.m * len(self.kinds)
+
+    @property
     def process(self) -> int:
         """Which hypothesis is the first one of a mode of the process; those from here on have no offset."""
-        return 1 + self.m * len(self.kinds) + self.p * self.actuator_modes
+        return self.first_actuator + self.p * self.actuator_modes
 
     @property
     def kept(self) -> int:
@@ -147,8 +162,18 @@ class Layout:
 
     @property
     def couples(self) -> int:
-        """Where it stands how an offset moves the state, then what else moves it, then scratch space."""
+        """Where it stands how an offset moves the state."""
         return self.grow + 2 * self.hypotheses
+
+    @property
+    def shift(self) -> int:
+        """Where it stands what else moves the state."""
+        return self.couples + self.n + 2
+
+    @property
+    def scratch(self) -> int:
+        """Where scratch space begins."""
+        return self.shift + self.n + 2
 
     def start(self, sensors: Floats) -> Floats:
         """Return what is kept before the first sample besides ``sensors``, what the per-sensor form keeps of all of them."""

@@ -59,7 +59,7 @@ def make_weigh(
     n, m, H, K, process = layout.n, layout.m, layout.hypotheses, len(layout.kinds), layout.process
     kinds, sensor, row_length = layout.kinds or (0,), layout.sensor, layout.row
     width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
-    told, scratch = layout.grow + H, layout.couples + 2 * (n + 2)
+    told, scratch = layout.grow + H, layout.scratch
 
     def weigh(y, e, present, nominal, C, memory, settings):
         for h in range(H):
@@ -157,8 +157,14 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
     """
     n, m, p, H, K, L = layout.n, layout.m, layout.p, layout.hypotheses, len(layout.kinds), layout.actuator_modes
     kinds, sensor, modes, width = layout.kinds or (0,), layout.sensor, layout.modes, layout.width
-    none, stride, kept, N = layout.first, layout.length, layout.kept, layout.n + 2
-    actuators, actuator, of_actuators = layout.actuators, layout.actuator, m * layout.row + 1
+    none, stride, kept, N, first_actuator = (
+        layout.first,
+        layout.length,
+        layout.kept,
+        layout.n + 2,
+        layout.first_actuator,
+    )
+    actuators, actuator, of_actuators = layout.actuators, layout.actuator, layout.actuator_settings
 
     def summarise(y, present, memory, settings):
         for i in range(m):
@@ -200,7 +206,7 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
             works, load = 0.0 * healthy, 0.0 * healthy
             squared, pushed = 0.0 * healthy, 0.0 * healthy
             for q in range(L):
-                at = none + (1 + m * K + j * L + q) * stride
+                at = none + (first_actuator + j * L + q) * stride
                 row = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
                 c = memory[at + STATE + n]
                 through = maximum(1.0 + settings[row + TAKES] + settings[row + RELATIVE] * c, 0.0)

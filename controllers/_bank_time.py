@@ -5,20 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers._bank_kernels import (
-    OFFSET_AGE,
-    STATE,
-    blend,
-    blend_between,
-    blend_healthy,
-    blend_sensor,
-    inflate,
-    move,
-)
+from bayesftc.controllers._bank_begins import make_arrive, make_begin
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, blend_between, inflate, move
 from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
-    BEGIN,
     END,
     FOLLOWS,
     LOAD,
@@ -26,7 +17,6 @@ from bayesftc.controllers._bank_layout import (
     MORE,
     PROCESS_SETTINGS,
     RELATIVE,
-    STARTS,
     STOPS,
     TAKES,
     VARIANCE,
@@ -34,17 +24,9 @@ from bayesftc.controllers._bank_layout import (
     WORKS,
     Layout,
 )  # fmt: skip
-from bayesftc.controllers._mode_kernels import AGE, OWN, SIZE, WEIGHT, expected_jump
-from bayesftc.controllers._switching_kernels import (
-    BEGINS,
-    ENDS,
-    FIRST,
-    FIRST_SETTINGS,
-    HEALTHY,
-    LEAST,
-    OWN_SETTINGS,
-    held,
-)  # fmt: skip
+from bayesftc.controllers._bank_merges import make_collect, make_receive, make_witnessed
+from bayesftc.controllers._mode_kernels import expected_jump
+from bayesftc.controllers._switching_kernels import ENDS, FIRST_SETTINGS, LEAST, OWN_SETTINGS, held
 from bayesftc.cosim.ops import maximum, minimum
 
 EXPIRES = 0.02
@@ -68,51 +50,58 @@ def make_pass_time(
     pass_alone, pass_other : function
         Time passing for a sensor's modes where no sensor has an offset, and for the other sensors where one has.
     """
-    n, plant, m, p, K, L = layout.n, layout.plant, layout.m, layout.p, len(layout.kinds), layout.actuator_modes
-    kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
-    fresh, begins_here = layout.fresh, layout.begins_here
-    alone, other, modes = layout.alone, layout.other, layout.modes
-    sensor, row_length, actuator = layout.sensor, layout.row, layout.actuator
-    width, width_of_settings = layout.width, layout.width_of_settings
-    none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
-    couples = layout.couples
-    shift, scratch = couples + n + 2, couples + 2 * (n + 2)
-    actuators, of_actuators = layout.actuators, m * layout.row + 1
-    first_actuator, process, G = 1 + m * K, layout.process, layout.process_modes
-    H, N = layout.hypotheses, n + 2
-    of_process = of_actuators + p * L * ACTUATOR_SETTINGS
+    begin, set_out = make_begin(layout), make_set_out(layout)
+    move_offsets, move_actuators = make_move_offsets(layout, pass_other), make_move_actuators(layout, pass_other)
+    move_process, arrive = make_move_process(layout, pass_other), make_arrive(layout)
+    n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
+    couples, shift, scratch = layout.couples, layout.shift, layout.scratch
 
-    def witnessed(memory, sensors, i):
-        """Return the probability that a sensor other than ``i`` is healthy."""
-        nobody = 1.0 + 0.0 * memory[sensors + HEALTHY]
-        for j in range(m):
-            if j != i:
-                nobody = nobody * (1.0 - minimum(memory[sensors + j * sensor + HEALTHY], 1.0))
-        return 1.0 - nobody
+    def pass_time(e, A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
+        begin(memory, settings)
+        set_out(B, applied, memory)
+        for i in range(m):
+            pass_alone(memory, none + kept + i * sensor, settings, i * row_length)
+        move(
+            memory, none, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
+        )  # fmt: skip
+        move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings)
+        move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings)
+        move_process(A, Q, start, covariance, largest, memory, settings)
+        arrive(e, Q, nominal, applied, memory, settings)
 
-    def collect(memory, at, end, i):
-        """Merge into the pool what ends of a hypothesis, in which sensor ``i``, if it is one, had an offset."""
-        ended = memory[at] * end
-        memory[at] = maximum(memory[at] - ended, LEAST)
-        both = maximum(memory[pool] + ended, LEAST * LEAST)
-        part = ended / both
-        memory[pool] = both
-        blend(memory, pool, part, at, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        for j in range(m):
-            if j == i:
-                blend_healthy(memory, pool + kept + j * sensor, part, FIRST, width, modes)
-            else:
-                blend_sensor(memory, pool + kept + j * sensor, part, at + kept + j * sensor, 1.0, FIRST, width, other)
+    return pass_time
 
-    def receive(memory, at, came, source, i, age, c, b, cc, cb, bb):
-        """Merge into a hypothesis what comes from another one, with an offset of this mean, slope and covariance."""
-        part = came / (memory[at] + came)
-        memory[at] = memory[at] + came
-        blend(memory, at, part, source, n, 1, c, b, cc, cb, bb)
-        memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + part * (age - memory[at + OFFSET_AGE])
-        for j in range(m):
-            if j != i:
-                blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0, FIRST, width, other)
+
+@cache
+def make_set_out(layout: Layout) -> Callable[..., None]:
+    """Return the step function that says what moves the state beside the prediction, and empties the pool.
+
+    The prediction counts on what is believed of the actuators; a hypothesis departs from it by what it believes of them.
+    """
+    n, p, none, pool, couples, shift = layout.n, layout.p, layout.first, layout.pool, layout.couples, layout.shift
+    actuators, actuator = layout.actuators, layout.actuator
+
+    def set_out(B, applied, memory):
+        for a in range(n):
+            memory[couples + a] = 0.0 * memory[none]
+            total = 0.0 * memory[none]
+            for j in range(p):
+                works, load = memory[actuators + j * actuator + WORKS], memory[actuators + j * actuator + LOAD]
+                total = total + B[a, j] * (applied[j] - (works * applied[j] + load))
+            memory[shift + a] = total
+        memory[pool] = 0.0 * memory[none]
+
+    return set_out
+
+
+@cache
+def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh."""
+    n, m, K, N = layout.n, layout.m, len(layout.kinds), layout.n + 2
+    kinds, becomes, slow, fresh = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,), layout.fresh
+    row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
+    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    witnessed, collect, receive = make_witnessed(layout), make_collect(layout), make_receive(layout)
 
     def become(memory, at, source, i):
         """Merge all of a hypothesis into another one with an offset of the same sensor."""
@@ -125,37 +114,7 @@ def make_pass_time(
         blend_between(memory, at, part, source, n)
         memory[source] = LEAST + 0.0 * came
 
-    def pass_time(e, A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
-        # What begins, by the probabilities before time passes.
-        for i in range(m):
-            seen = witnessed(memory, none + kept, i)
-            for q in range(K):
-                begin = (
-                    begins_here[q] * settings[i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + BEGINS]
-                )
-                healthy = memory[none + kept + i * sensor + HEALTHY]
-                memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (seen if slow[q] else 1.0)
-        for j in range(p):
-            for q in range(L):
-                begin = settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
-                memory[grow + first_actuator + j * L + q] = memory[none] * begin
-        for q in range(G):
-            memory[grow + process + q] = memory[none] * settings[of_process + q * PROCESS_SETTINGS + STARTS]
-
-        # The prediction counts on what is believed of the actuators; a hypothesis departs from it by what it believes of them.
-        for a in range(n):
-            memory[couples + a] = 0.0 * memory[none]
-            total = 0.0 * memory[none]
-            for j in range(p):
-                works, load = memory[actuators + j * actuator + WORKS], memory[actuators + j * actuator + LOAD]
-                total = total + B[a, j] * (applied[j] - (works * applied[j] + load))
-            memory[shift + a] = total
-        memory[pool] = 0.0 * memory[none]
-        for i in range(m):
-            pass_alone(memory, none + kept + i * sensor, settings, i * row_length)
-        move(
-            memory, none, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
-        )  # fmt: skip
+    def move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings):
         for i in range(m):
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
@@ -177,6 +136,19 @@ def make_pass_time(
                 )
                 if fresh[q]:
                     become(memory, none + (1 + i * K + becomes[q]) * stride, at, i)
+
+    return move_offsets
+
+
+@cache
+def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that moves the hypotheses of an actuator's mode, of which some end."""
+    n, m, p, L = layout.n, layout.m, layout.p, layout.actuator_modes
+    sensor, kept, row_length, first_actuator = layout.sensor, layout.kept, layout.row, layout.first_actuator
+    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    of_actuators, collect = layout.actuator_settings, make_collect(layout)
+
+    def move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings):
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
@@ -195,6 +167,19 @@ def make_pass_time(
                     memory[shift + a] = memory[shift + a] - B[a, j] * settings[own + TAKES] * applied[j]
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 collect(memory, at, settings[own + END], -1)
+
+    return move_actuators
+
+
+@cache
+def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that moves the hypotheses of the process' modes, and the one that such a mode has ended."""
+    n, plant, m, H, G = layout.n, layout.plant, layout.m, layout.hypotheses, layout.process_modes
+    sensor, kept, row_length, process = layout.sensor, layout.kept, layout.row, layout.process
+    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    of_process, collect, receive = layout.process_settings, make_collect(layout), make_receive(layout)
+
+    def move_process(A, Q, start, covariance, largest, memory, settings):
         for q in range(H - process):
             at = none + (process + q) * stride
             for i in range(m):
@@ -212,53 +197,4 @@ def make_pass_time(
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 inflate(memory, at, n, plant, settings[own + MORE], Q)
 
-        # What has begun, and what goes on alone after the end of another: an offset that was known sensor by sensor.
-        stays, left = memory[none], memory[pool]
-        for i in range(m):
-            for q in range(K):
-                at = none + (1 + i * K + q) * stride
-                own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
-                jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
-                slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
-                if begins_here[q]:
-                    came = memory[grow + 1 + i * K + q]
-                    stays = stays - came
-                    receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
-                if fresh[q]:
-                    continue
-                block = pool + kept + i * sensor + FIRST + kinds[q] * width
-                came = left * memory[block + WEIGHT]
-                left = left - came
-                b, bb = memory[block + OWN], memory[block + OWN + 3]
-                cb = memory[block + OWN + 2] + bb
-                cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk
-                receive(memory, at, came, pool, i, memory[block + AGE], memory[block + SIZE] + b, b, cc, cb, bb)
-        for j in range(p):
-            for q in range(L):
-                at = none + (first_actuator + j * L + q) * stride
-                own = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
-                came = memory[grow + first_actuator + j * L + q]
-                stays = stays - came
-                c = settings[own + MEAN] + settings[own + FOLLOWS] * applied[j]
-                receive(memory, at, came, none, -1, 0.0, c, 0.0, settings[own + VARIANCE], 0.0, 0.0)
-        for q in range(G):
-            at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
-            came = memory[grow + process + q]
-            stays = stays - came
-            part = came / (memory[at] + came)
-            receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            inflate(memory, at, n, plant, part * settings[own + MORE], Q)
-        stays, left = maximum(stays, LEAST), maximum(left, LEAST)
-        part = left / (stays + left)
-        memory[none] = stays + left
-        blend(memory, none, part, pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        for j in range(m):
-            of_pool = pool + kept + j * sensor
-            rest = 1.0 + 0.0 * left
-            for q in range(K):
-                if not fresh[q]:
-                    rest = rest - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
-            scale = 1.0 / maximum(rest, 1e-3)
-            blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
-
-    return pass_time
+    return move_process

@@ -1,0 +1,139 @@
+"""What begins in a bank of hypotheses between two samples: how probable that is, and where it arrives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers._bank_kernels import blend, blend_sensor, inflate
+from bayesftc.controllers._bank_layout import (
+    ACTUATOR_SETTINGS,
+    BEGIN,
+    FOLLOWS,
+    MEAN,
+    MORE,
+    PROCESS_SETTINGS,
+    STARTS,
+    VARIANCE,
+    Layout,
+)  # fmt: skip
+from bayesftc.controllers._bank_merges import make_receive, make_witnessed
+from bayesftc.controllers._mode_kernels import AGE, OWN, SIZE, WEIGHT, expected_jump
+from bayesftc.controllers._switching_kernels import (
+    BEGINS,
+    FIRST,
+    FIRST_SETTINGS,
+    HEALTHY,
+    LEAST,
+    OWN_SETTINGS,
+    held,
+)  # fmt: skip
+from bayesftc.cosim.ops import maximum
+
+
+@cache
+def make_begin(layout: Layout) -> Callable[..., None]:
+    """Return the step function that notes how probable it is that each hypothesis begins, before time passes."""
+    m, p, K, L, G = layout.m, layout.p, len(layout.kinds), layout.actuator_modes, layout.process_modes
+    kinds, slow, begins_here = layout.kinds or (0,), layout.slow or (0,), layout.begins_here
+    row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
+    none, grow, first_actuator, process = layout.first, layout.grow, layout.first_actuator, layout.process
+    of_actuators, of_process, witnessed = layout.actuator_settings, layout.process_settings, make_witnessed(layout)
+
+    def begin_all(memory, settings):
+        for i in range(m):
+            seen = witnessed(memory, none + kept, i)
+            for q in range(K):
+                begin = (
+                    begins_here[q] * settings[i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + BEGINS]
+                )
+                healthy = memory[none + kept + i * sensor + HEALTHY]
+                memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (seen if slow[q] else 1.0)
+        for j in range(p):
+            for q in range(L):
+                begin = settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
+                memory[grow + first_actuator + j * L + q] = memory[none] * begin
+        for q in range(G):
+            memory[grow + process + q] = memory[none] * settings[of_process + q * PROCESS_SETTINGS + STARTS]
+
+    return begin_all
+
+
+@cache
+def make_arrive(layout: Layout) -> Callable[..., None]:
+    """Return the step function that merges what has begun into each hypothesis, once all have moved.
+
+    What is in the pool goes on alone: as an offset that was known sensor by sensor, or as nothing.
+    """
+    n, plant, m, p = layout.n, layout.plant, layout.m, layout.p
+    K, L, G = len(layout.kinds), layout.actuator_modes, layout.process_modes
+    kinds, fresh, begins_here, alone = layout.kinds or (0,), layout.fresh, layout.begins_here, layout.alone
+    row_length, width, width_of_settings, sensor = layout.row, layout.width, layout.width_of_settings, layout.sensor
+    none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
+    first_actuator, process = layout.first_actuator, layout.process
+    of_actuators, of_process, receive = layout.actuator_settings, layout.process_settings, make_receive(layout)
+
+    def arrive_offsets(e, nominal, memory, settings, stays, left):
+        """Return what stays without any fault, and what is left of the pool."""
+        for i in range(m):
+            for q in range(K):
+                at = none + (1 + i * K + q) * stride
+                own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
+                jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
+                slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
+                if begins_here[q]:
+                    came = memory[grow + 1 + i * K + q]
+                    stays = stays - came
+                    receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
+                if fresh[q]:
+                    continue
+                block = pool + kept + i * sensor + FIRST + kinds[q] * width
+                came = left * memory[block + WEIGHT]
+                left = left - came
+                b, bb = memory[block + OWN], memory[block + OWN + 3]
+                cb = memory[block + OWN + 2] + bb
+                cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk
+                receive(memory, at, came, pool, i, memory[block + AGE], memory[block + SIZE] + b, b, cc, cb, bb)
+        return stays, left
+
+    def arrive_actuators(applied, memory, settings, stays):
+        for j in range(p):
+            for q in range(L):
+                at = none + (first_actuator + j * L + q) * stride
+                own = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
+                came = memory[grow + first_actuator + j * L + q]
+                stays = stays - came
+                c = settings[own + MEAN] + settings[own + FOLLOWS] * applied[j]
+                receive(memory, at, came, none, -1, 0.0, c, 0.0, settings[own + VARIANCE], 0.0, 0.0)
+        return stays
+
+    def arrive_process(Q, memory, settings, stays):
+        for q in range(G):
+            at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
+            came = memory[grow + process + q]
+            stays = stays - came
+            part = came / (memory[at] + came)
+            receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            inflate(memory, at, n, plant, part * settings[own + MORE], Q)
+        return stays
+
+    def go_on(memory, stays, left):
+        """Merge what is left of the pool into the hypothesis without any fault."""
+        part = left / (stays + left)
+        memory[none] = stays + left
+        blend(memory, none, part, pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for j in range(m):
+            of_pool = pool + kept + j * sensor
+            rest = 1.0 + 0.0 * left
+            for q in range(K):
+                if not fresh[q]:
+                    rest = rest - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
+            scale = 1.0 / maximum(rest, 1e-3)
+            blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
+
+    def arrive(e, Q, nominal, applied, memory, settings):
+        stays, left = arrive_offsets(e, nominal, memory, settings, memory[none], memory[pool])
+        stays = arrive_process(Q, memory, settings, arrive_actuators(applied, memory, settings, stays))
+        go_on(memory, maximum(stays, LEAST), maximum(left, LEAST))
+
+    return arrive
