@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
+from bayesftc.cli._works import verdicts
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError
 from bayesftc.cosim.fmu import FMU, describe
 
@@ -327,3 +328,19 @@ def test_names_that_are_none_are_refused_in_a_sentence(clocked):
             FMU(clocked(), **settings)
     with pytest.raises(FMUError, match=r"describe has path=3; it must be the path of an .fmu file"):
         describe(3)
+
+
+def test_inspect_says_which_clocks_tick(clocked):
+    def row(*arguments):
+        path = clocked(*arguments)
+        return {v.what: v for v in verdicts(path, describe(path), validate=True)}
+
+    rows = row(EVENTS, CLOCKS)
+    assert rows["clocks"].works == "partly"
+    assert rows["clocks"].how == (
+        "time ticks tick, fixed, countdown and 1 more, when it asks for that; nothing triggers triggered."
+    )
+    assert rows["outputs"].how == "12 ports; never: even, on_trigger."
+    rows = row(VARIES, CLOCKS)
+    assert (rows["clocks"].works, rows["inputs"].how.split("never: ")[1][:2]) == ("no", "v,")
+    assert "clocks" not in row()

@@ -116,8 +116,9 @@ def _ports(block: FMU | None, description: FMUDescription) -> list[Verdict]:
     for side in ("input", "output"):
         have = [v for v in description.variables if v.causality == side and not v.alias]
         ports = {port.name for port in getattr(block, f"{side}s") or ()}
-        named = [v.name for v in have if v.name not in ports and v.is_numeric]
-        never = [v.name for v in have if v.name not in ports and not v.is_numeric]
+        free = [v for v in have if v.name not in ports]
+        never = [v.name for v in free if v.clocked or not v.is_numeric]
+        named = [v.name for v in free if v.name not in never]
         arrays = sum(1 for v in have if v.shape and v.name in ports)
         text = _many(len(ports), "port") + (f", {arrays} of them vectors or matrices" if arrays else "")
         text += f"; others by name, {side}s=[...]: {_some(named)}" if named else ""
@@ -199,12 +200,26 @@ def _steps(description: FMUDescription) -> list[Verdict]:
     ]
     if description.fmi_major == 3:
         for flag, what, how in (
-            ("hasEventMode", "event mode", "events between steps are handled where it asks for it."),
+            ("hasEventMode", "event mode", "events are handled when it asks for it, within steps too."),
             ("mightReturnEarlyFromDoStep", "early return", "a step that it ends early is carried to its end."),
         ):
             has = _flag(description, flag)
             found.append(Verdict(what, "yes" if has else "no", how if has else "it has none."))
-    return found
+    return [*found, *_clocks(description)]
+
+
+def _clocks(description: FMUDescription) -> list[Verdict]:
+    clocks = [v for v in description.variables if v.clock and v.causality == "input"]
+    timed = [v.name for v in clocks if v.clock and v.clock.is_timed]
+    triggered = [v.name for v in clocks if v.name not in timed]
+    if not clocks:
+        return []
+    if not description.uses_event_mode:
+        return [Verdict("clocks", "no", "without event mode they are its own affair; what is clocked is no port.")]
+    how = [f"time ticks {_some(timed)}, when it asks for that"] if timed else []
+    how += [f"nothing triggers {_some(triggered)}"] if triggered else []
+    works: Literal["yes", "no", "partly"] = "no" if not timed else "partly" if triggered else "yes"
+    return [Verdict("clocks", works, f"{'; '.join(how)}.")]
 
 
 def _ssp(block: FMU | None) -> Verdict:
