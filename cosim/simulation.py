@@ -7,14 +7,16 @@ for runs that stay alive (`session`).
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from bayesftc.cosim._coupled.engines import check_groups, place_words
+from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._memory import TABLE
 from bayesftc.cosim._pacing import Pacer
@@ -107,7 +109,8 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
     memory = schedule.initial.copy()
     for i, node in enumerate(schedule.nodes):
         if isinstance(node.block, ExternalBlock):
-            instance = node.block.instantiate(schedule.step * node.every, node.name)
+            with kept():
+                instance = node.block.instantiate(schedule.step * node.every, node.name)
             stack.callback(instance.close)
             instances[i] = instance
     run = Run(schedule, seed, memory, instances, selection.places, np.empty((0, 0)), decimation)
@@ -203,8 +206,10 @@ def advance(
         if pacer:
             pacer.wait(until)
         run.sound = False
-        with one_processor(run.instances.values()):
+        with one_processor(run.instances.values()), kept() if run.instances else nullcontext() as changed:
             run.k, failure = engine.advance(begin, until, first=run.k < 0)
+        if changed:
+            _warn_of_arithmetic(run)
         now = time.perf_counter()
         if failure:
             return explain(failure, run)
@@ -221,6 +226,17 @@ def advance(
         if not pacer:
             piece = max(1, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
         begin = until
+
+
+def _warn_of_arithmetic(run: Run) -> None:
+    suspects = " or ".join(repr(run.schedule.nodes[i].name) for i in run.instances)
+    warnings.warn(
+        f"The FMU of {suspects} has changed how this process rounds, or makes numbers below 2.2e-308 zero, for all that is "
+        "computed. It was put back, but the results of other blocks may differ in their last digits from what they should be: "
+        "isolate the FMU (isolate=True).",
+        RuntimeWarning,
+        stacklevel=4,
+    )
 
 
 def explain(failure: Failure, run: Run) -> str:

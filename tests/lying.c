@@ -1,6 +1,7 @@
 /* An FMU that lies: the shipped car, whose parameter b says from t = 0.1 s on what goes wrong (see WRONG in conftest.py).
 
    Compiled with the car's own sources, in which the functions below have the name original_... instead. */
+#include <fenv.h>
 #include <math.h>
 #include <signal.h>
 #include <stdbool.h>
@@ -29,7 +30,8 @@
 
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
-       STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES };
+       STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES,
+       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -130,6 +132,9 @@ static int step(COMPONENT c, double t)
         }
         break;
     case GOES_ON_TWICE: fork(); break;
+    case ROUNDS_UP: fesetround(FE_UPWARD); break;
+    case GOES_AWAY: return chdir("/") == 0 ? -1 : 4;
+    case TAKES_CTRL_C: signal(SIGINT, SIG_IGN); break;
     case BABBLES: /* to whoever listens */
         for (i = 3; i < 100 && t < 0.11; ++i) {
             if (write(i, "\x7f\xff\xff\x00 and so on", 14) < 0) {
@@ -226,6 +231,11 @@ void NAME(FreeInstance)(COMPONENT c)
 {
     if (what(c) == CRASH_IN_FREE) {
         crash();
+    }
+    if (what(c) == SPEAKS_LATE) {
+        original_Free(c);
+        say("speaking from beyond");
+        return;
     }
     original_Free(c);
 }

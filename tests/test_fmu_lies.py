@@ -1,14 +1,17 @@
 """FMUs that lie: each ends in one clear sentence, in process and isolated, never in a hang or a silent zero."""
 
 import logging
+import signal
+import threading
 import time
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim._fmi import messages as _fmi_messages
+from bayesftc.cosim._fmi import messages as _fmi_messages, surroundings
 from bayesftc.cosim.errors import FMUError, SimulationError
 from bayesftc.cosim.fmu import describe
 
@@ -153,6 +156,47 @@ def test_ten_megabytes_of_log_in_a_million_messages(lying, isolate, caplog):
     assert len(texts) == _fmi_messages.FORWARDED + 1
     assert set(texts[:-1]) == {"car: ten bytes."}
     assert texts[-1] == "car: This FMU has logged 10000 messages; later ones are not forwarded any more."
+
+
+# --- what is none of their business -------------------------------------------------------------------------------------------
+
+
+def test_arithmetic_that_is_changed_is_put_back_and_told(lying):
+    path, ways = lying("2.0")
+    with pytest.warns(RuntimeWarning, match="The FMU of 'car' has changed how this process rounds") as caught:
+        run(path, ways["ROUNDS_UP"], False, steps=8)
+    assert len(caught) < 5
+    one, small = np.ones(2), np.full(2, 1e-20)
+    assert (one + small == one).all()
+    assert surroundings.computes_as_usual()
+    run(path, ways["ROUNDS_UP"], True, steps=8)  # in another process it harms nobody: no warning
+
+
+def test_the_working_directory_is_gone_back_to(lying, tmp_path, monkeypatch):
+    path, ways = lying("3.0")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+    run(path, ways["GOES_AWAY"], False, steps=8)
+    assert Path.cwd() == tmp_path
+
+
+def test_ctrl_c_is_given_back(lying):
+    path, ways = lying("2.0")
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        run(path, ways["TAKES_CTRL_C"], False, steps=8)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@WHERE
+def test_what_is_said_after_the_end_is_not_printed(lying, isolate, capfd):
+    path, ways = lying("2.0")
+    run(path, ways["SPEAKS_LATE"], isolate, steps=8)
+    assert capfd.readouterr() == ("", "")
 
 
 # --- value references ---------------------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value, 
 from bayesftc.cosim._fmi.messages import STATUS, Messages, callback3, callbacks2
 from bayesftc.cosim._fmi.sources import compiled, read_sources
 from bayesftc.cosim._fmi.steps import Addresses
+from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim.errors import FMUError, FMUPlatformError
 
 _STATUS_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
@@ -367,11 +368,12 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
     }
     here = os.getcwd()
     try:
-        if description.fmi_major == 2:
-            slave = (FMU2Model if exchange else FMU2Slave)(**settings)
-        else:
-            slave = (FMU3Model if exchange else FMU3Slave)(**settings)
-        keep = ctypes.CDLL(str(folder / entry))
+        with kept():
+            if description.fmi_major == 2:
+                slave = (FMU2Model if exchange else FMU2Slave)(**settings)
+            else:
+                slave = (FMU3Model if exchange else FMU3Slave)(**settings)
+            keep = ctypes.CDLL(str(folder / entry))
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError where a function lacks
         raise FMUError(
             f"The binary of the FMU {archive.path} cannot be loaded: {_reason(error, folder)}. Install the libraries that it "

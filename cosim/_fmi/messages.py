@@ -34,9 +34,12 @@ _open: dict[int, Messages] = {}
 class Messages:
     """The last messages of one instance, which the FMU's callbacks find by `key`."""
 
+    #: The last key that was given away.
+    last = 0
+
     def __init__(self, name: str):
         self.name = name
-        self.key = next(_numbers)
+        self.key = Messages.last = next(_numbers)
         self._lines: deque[bytes] = deque(maxlen=KEPT)
         self._count = 0
         _open[self.key] = self
@@ -79,10 +82,11 @@ def _cleaned(line: bytes) -> str:
 
 
 def _deliver(key: int | None, status: int, text: bytes | None) -> bool:
+    """Keep a message for whom it is; return whether it is of an instance of ours, maybe of one that is closed."""
     messages = _open.get(key or 0)
     if messages is not None:
         messages.add(status, text or b"")
-    return messages is not None
+    return 0 < (key or 0) <= Messages.last
 
 
 @cache
