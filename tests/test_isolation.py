@@ -1,12 +1,15 @@
 """FMUs in processes of their own: the same numbers, whatever they do, and nothing is left of them."""
 
+import contextlib
 import gc
 import json
 import logging
 import math
+import multiprocessing
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -151,7 +154,19 @@ def test_sampled_and_mute_ones(engine, ports, same_bits):
 
 def test_both_ends_of_the_way_have_the_same_words():
     kernels, protocol = _isolated_kernels, _isolated_protocol
-    names = ["COMMAND", "STATUS", "AHEAD", "READ_STATUS", "PHASE", "ASKED", "TIME", "COUNT", "READ", "STEP", "INTERRUPTED"]
+    names = [
+        "COMMAND",
+        "STATUS",
+        "AHEAD",
+        "READ_STATUS",
+        "PHASE",
+        "ASKED",
+        "TIME",
+        "COUNT",
+        "READ",
+        "STEP",
+        "INTERRUPTED",
+    ]
     for name in names:
         assert getattr(kernels, name) == getattr(protocol, name)
     assert protocol.INTERRUPTED > 500  # no status of an FMU in process
@@ -525,6 +540,51 @@ def test_a_fork_that_uses_it_is_refused_and_does_not_end_it(engine, nothing_left
         os.close(read)
         assert "belongs to the process that this one was forked from; begin a new run here" in said
         assert session.advance(0.1)["car.v"].shape == (5,)
+
+
+def _in_a_fork(engine, session, tell):
+    """Use a run of the parent's in a forked process, whose new connections take the numbers that the fork has freed."""
+    pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(20)]
+    files = [os.memfd_create("mine") for _ in range(20)]
+    said = []
+    for attempt in (lambda: session.advance(0.5), session.save_state, lambda: session.advance(0.5)):
+        try:
+            attempt()
+            said.append("nothing")
+        except cosim.BayesFTCError as error:
+            said.append(str(error))
+    for pair in pairs:
+        for end in pair:
+            end.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                said.append(f"a stranger was sent {end.recv(100)!r}")
+    said += [f"a stranger's file was written to: {os.fstat(file).st_size}" for file in files if os.fstat(file).st_size]
+    session.reset()
+    tell((said, session.advance(2.0)["car.v"], cruise(car()).simulate(2.0, engine=engine)["car.v"]))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_parent_and_fork_go_on_at_once_and_know_nothing_of_each_other(engine, nothing_left, same_bits):
+    """As a pool of `multiprocessing` that forks does it, while the parent's run goes on."""
+    fork = multiprocessing.get_context("fork")
+    with cruise(car()).start(engine=engine) as session:
+        whole = session.advance(4.0)["car.v"]
+        session.reset()
+        pieces = [session.advance(1.0)["car.v"]]
+        ours, theirs = fork.Pipe(duplex=False)
+        process = fork.Process(target=_in_a_fork, args=(engine, session, theirs.send), daemon=True)
+        process.start()
+        pieces += [session.advance(0.02)["car.v"] for _ in range(150)]
+        theirs.close()
+        assert ours.poll(60.0)
+        said, again, anew = ours.recv()
+        process.join()
+        same_bits(np.concatenate(pieces), whole, "the parent's run")
+    assert len(said) == 3
+    assert "belongs to the process that this one was forked from; begin a new run here" in said[0]
+    assert all("forked from" in sentence or "reset" in sentence for sentence in said)
+    same_bits(again, whole[:101], "the fork's run")
+    same_bits(anew, whole[:101], "the fork's own")
 
 
 def test_one_that_nobody_closes_ends_with_what_held_it(nothing_left):

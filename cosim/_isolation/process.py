@@ -143,13 +143,21 @@ class WorkerProcess:
         _alive.discard(self)
 
     def let_go(self) -> None:
-        """Close this process's copies after a fork: the FMU belongs to the process that started it."""
+        """Take away this process's copies after a fork: the FMU belongs to the process that started it.
+
+        Compiled code knows the socket by its number and the memory by its address. Both stay taken, by a socket that nobody
+        hears and by memory of this process alone, so that what it does with them reaches neither that process nor a stranger.
+        """
         self.is_anothers = True
         self._end.detach()
         with contextlib.suppress(OSError):
             os.close(self._held)
         self.talk.close()
-        self.steps.close()
+        self.shared.part()
+        deaf, gone = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        gone.close()
+        os.dup2(deaf.fileno(), self.steps.fileno(), inheritable=False)
+        deaf.close()
 
 
 _alive: weakref.WeakSet[WorkerProcess] = weakref.WeakSet()

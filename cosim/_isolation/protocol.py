@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,10 @@ ATTENTION = 0.05
 """Seconds that the host waits for an answer before it looks whether all is well."""
 
 
+_FIXED = 0x10
+"""MAP_FIXED of Linux: the new memory takes the place of what is there."""
+
+
 class Shared:
     """The shared memory of one isolated FMU, seen as arrays.
 
@@ -69,10 +74,27 @@ class Shared:
         if self._keep is not None:
             self._map.madvise(self._keep)
 
+    def part(self) -> None:
+        """Put memory of this process alone in its place, at the same address and all zero."""
+        import mmap
+
+        place, length = self.words.ctypes.data, len(self._map)
+        protection, flags = mmap.PROT_READ | mmap.PROT_WRITE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _FIXED
+        if _map_function()(place, length, protection, flags, -1, 0) != place:
+            raise OSError("no memory to part from another process with")
+
 
 def size(inputs: int, outputs: int) -> int:
     """Return the size of the shared memory in bytes."""
     return 8 * (WORDS + inputs + outputs)
+
+
+@cache
+def _map_function() -> Any:
+    function = ctypes.CDLL(None).mmap
+    function.restype = ctypes.c_size_t
+    function.argtypes = [ctypes.c_size_t, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+    return function
 
 
 @cache
