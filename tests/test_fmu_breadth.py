@@ -507,6 +507,8 @@ def test_discarded_steps_go_on_in_parts(breadth, run_both, reach):
     np.testing.assert_allclose(run["b.x"], run.time, rtol=1e-12)
     assert run["b.steps"][-1] >= 8 * 3
     assert run_both(ramp(breadth("2", VARIABLE), most=1 / 8), 1)["b.steps"][-1] == 8
+    held = alone(FMU(breadth("2"), parameters={"u": 3.0}, inputs=[], outputs=["x"]), "1/8")  # an input that is no port
+    np.testing.assert_allclose(held.simulate(1, engine="interpreted")["b.x"][-1], 3.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize("engine", ENGINES)

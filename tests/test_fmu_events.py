@@ -170,6 +170,11 @@ def test_a_next_event_that_is_past_does_not_stop_the_run(clocked, run_both):
     np.testing.assert_allclose(run["b.x"], run.time, rtol=1e-12)
 
 
+def test_inputs_that_are_no_ports_keep_what_they_were_given(clocked, run_both):
+    run = run_both(alone(FMU(clocked(), parameters={"u": 2.0}, inputs=["mode"]), 0.1), 1)
+    np.testing.assert_allclose(run["b.x"], 2.0 * run.time, rtol=1e-12)
+
+
 def test_discrete_inputs_are_compared_before_any_input_is_set(clocked, run_both):
     block = FMU(clocked(), parameters={"first": 0.3, "every": 0.55})
     run = run_both(alone(block, "1/8", u=cosim.Constant(1.0), mode=cosim.Step(time=0.5, before=0.0, after=3.0)), 1)

@@ -24,6 +24,7 @@ from bayesftc.cosim._fmi.steps import (
     GET,
     NEXT_DEFINED,
     NEXT_TIME,
+    PENDING,
     REACHED,
     SET,
     STEP,
@@ -177,8 +178,8 @@ class Instance(StepFunctions):
         """See `bayesftc.cosim.block.External.restore`."""
         if self._fatal:
             raise FMUError(
-                f"The FMU {self._library.description.name!r} ({self._name!r}) has returned Fatal, after which FMI allows no call "
-                "of it any more; begin anew with reset()."
+                f"The FMU {self._library.description.name!r} ({self._name!r}) has returned Fatal, or Pending, after which FMI "
+                "allows no call of it any more; begin anew with reset()."
             )
         self._states.restore(saved)
         self._put_beside(cast("SavedState", saved).beside)
@@ -225,8 +226,10 @@ class Instance(StepFunctions):
         }
         function = names.get(where, "An FMI function")
         word = STATUS[code] if code < len(STATUS) else str(code)
-        self._fatal = code == FATAL
+        self._fatal = code in {FATAL, PENDING}
         more = ""
+        if code == PENDING:
+            more = "Steps that go on by themselves are not waited for: export the FMU so that it makes them at once."
         if code == DISCARD:
             more = self._library.last_words(self._component) if where == STEP else "It does not take such a value."
         return " ".join(s for s in (f"{function} returned {word}.", more, said) if s)

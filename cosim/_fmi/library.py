@@ -99,12 +99,13 @@ class Library(ABC):
         start: dict[FMUVariable, Value],
         inputs: dict[FMUVariable, Value],
         tolerance: float = 0.0,
+        time: float = 0.0,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Set the start values, go through initialization mode, and leave it ready for the first step.
 
         A `tolerance` above 0 is that of the integrator, so that the FMU solves its own equations as well as that needs.
-        `meanwhile` is called in initialization mode, when all is set.
+        `time` is when it begins. `meanwhile` is called in initialization mode, when all is set.
         """
 
     @abstractmethod
@@ -192,13 +193,15 @@ class Library2(Library):
         start: dict[FMUVariable, Value],
         inputs: dict[FMUVariable, Value],
         tolerance: float = 0.0,
+        time: float = 0.0,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """See `Library.initialize`."""
-        self.call("fmi2SetupExperiment", component, int(tolerance > 0.0), tolerance, 0.0, 0, 0.0)
-        self.set_values(component, start)
+        self.call("fmi2SetupExperiment", component, int(tolerance > 0.0), tolerance, time, 0, 0.0)
+        before, during = _in_their_modes(start, inputs)
+        self.set_values(component, before)
         self.call("fmi2EnterInitializationMode", component)
-        self.set_values(component, inputs)
+        self.set_values(component, during)
         meanwhile()
         self.call("fmi2ExitInitializationMode", component)
 
@@ -266,17 +269,19 @@ class Library3(Library):
         start: dict[FMUVariable, Value],
         inputs: dict[FMUVariable, Value],
         tolerance: float = 0.0,
+        time: float = 0.0,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """See `Library.initialize`."""
-        structure = {v: value for v, value in start.items() if v.causality == "structuralParameter"}
+        before, during = _in_their_modes(start, inputs)
+        structure = {v: value for v, value in before.items() if v.causality == "structuralParameter"}
         if structure:
             self.call("fmi3EnterConfigurationMode", component)
             self.set_values(component, structure)
             self.call("fmi3ExitConfigurationMode", component)
-        self.set_values(component, {v: value for v, value in start.items() if v not in structure})
-        self.call("fmi3EnterInitializationMode", component, tolerance > 0.0, tolerance, 0.0, False, 0.0)
-        self.set_values(component, inputs)
+        self.set_values(component, {v: value for v, value in before.items() if v not in structure})
+        self.call("fmi3EnterInitializationMode", component, tolerance > 0.0, tolerance, time, False, 0.0)
+        self.set_values(component, during)
         meanwhile()
         self.call("fmi3ExitInitializationMode", component)
 
@@ -314,6 +319,14 @@ class Library3(Library):
 
     def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
         self.call(function, component, reference, 1, array, len(array))
+
+
+def _in_their_modes(
+    start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]
+) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value]]:
+    """Return what is set before initialization mode, and in it: inputs, also those that are no ports."""
+    before = {v: value for v, value in start.items() if v.causality != "input"}
+    return before, {**{v: value for v, value in start.items() if v not in before}, **inputs}
 
 
 _lock = threading.RLock()

@@ -12,7 +12,7 @@ enum { U, K, X, MOST, REACH, STEPS, COUNT_IN, COUNT_OUT, FLAG_IN, FLAG_OUT, MODE
 
 typedef struct {
     double r[20], last;
-    int i[20];
+    int i[20], initializing;
 } Plant;
 
 const char *fmi2GetVersion(void) { return "2.0"; }
@@ -30,7 +30,7 @@ void *fmi2Instantiate(const char *name, int type, const char *token, const char 
 
 void fmi2FreeInstance(void *c) { free(c); }
 int fmi2SetupExperiment(void *c, int d, double tolerance, double t, int s, double stop) { return OK; }
-int fmi2EnterInitializationMode(void *c) { return OK; }
+int fmi2EnterInitializationMode(void *c) { ((Plant *)c)->initializing = 1; return OK; }
 int fmi2ExitInitializationMode(void *c) { return OK; }
 int fmi2Terminate(void *c) { return OK; }
 int fmi2Reset(void *c) { return OK; }
@@ -38,7 +38,10 @@ int fmi2Reset(void *c) { return OK; }
 #define VALUES(Name, type, member) \
     int fmi2Set##Name(void *c, const unsigned *r, size_t n, const type *v) \
     { \
-        for (size_t i = 0; i < n; i++) { ((Plant *)c)->member[r[i]] = v[i]; } \
+        for (size_t i = 0; i < n; i++) { \
+            if (r[i] == U && !((Plant *)c)->initializing) { return ERROR; } /* an input, too early */ \
+            ((Plant *)c)->member[r[i]] = v[i]; \
+        } \
         return OK; \
     } \
     int fmi2Get##Name(void *c, const unsigned *r, size_t n, type *v) \

@@ -147,7 +147,8 @@ static int may_read(Plant *p, unsigned r)
 
 static int may_set(Plant *p, unsigned r)
 {
-    NEED(p->state < EVENT || r == U || r == V || r == MODE, "setting what is no input");
+    const bool input = r == U || r == V || r == MODE;
+    NEED(input ? p->state != INSTANTIATED : p->state < EVENT, "setting an input too early, or anything else too late");
     NEED(p->state < EVENT || r != V || p->tick, "setting a clocked input while its clock is not active");
     NEED(p->basic || p->state != STEP || r != MODE, "setting a discrete input outside of event mode");
     p->touched = p->state == STEP;
