@@ -35,8 +35,6 @@ class Arithmetic(Context):
         name = node.id
         if name in self.constants:
             return self.constants[name]
-        if name in self.arguments:
-            self.used.add(name)
         kind = self.kinds.get(name, self.arguments.get(name))
         if kind is not None:
             if isinstance(kind, Constant):

@@ -47,7 +47,6 @@ class Context:
         self.constants: dict[str, Value] = {}  # variables that are known now
         self.roots: dict[str, str | None] = {}
         self.stored: set[str] = set()  # arguments whose elements are assigned
-        self.used: set[str] = set()  # arguments that are read or assigned at all
         self.called: set[str] = set()  # names of the file that no variable may hide
         self.renamed: set[str] = set()
         self.lines: list[str] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -60,8 +61,6 @@ class Written:
         Those that the C function has, too, and the arrays among them into which it stores.
     returns : Kind or None
         What it returns.
-    text : str
-        All of it.
     """
 
     name: str
@@ -69,7 +68,6 @@ class Written:
     passed: frozenset[str]
     stored: frozenset[str]
     returns: Kind | None
-    text: str
 
 
 class Functions:
@@ -86,6 +84,8 @@ class Functions:
         self._tables: dict[Constant, tuple[str, str]] = {}
         self._names = set(taken)
         self._checked: set[FunctionType] = set()
+        self._named: dict[tuple[str, ...], str] = {}
+        self._texts: list[str] = []
 
     def require(self, function: FunctionType, kinds: Sequence[Kind]) -> Written:
         """Return the C function for arguments of these kinds; it stands before the one that asks for it."""
@@ -126,7 +126,7 @@ class Functions:
 
     def text(self) -> str:
         """Return all functions, callees first, below what they need."""
-        body = "\n\n".join(written.text for written in self._written.values())
+        body = "\n\n".join(self._texts)
         needed = [name for name in OPERATIONS if f"{name}(" in body]
         if {"op_minimum", "op_maximum"} & set(needed) and "op_select" not in needed:
             needed.insert(0, "op_select")
@@ -139,8 +139,12 @@ class Functions:
         return "\n\n".join([*parts, *(OPERATIONS[name] for name in needed), body])
 
     def _finished(self, t: Translator) -> Written:
-        name = self.name(t.function.__name__.strip("<>"))
-        passed = [a for a, kind in t.arguments.items() if not isinstance(kind, Constant) and a in t.used]
+        while unread := [v for v in t.declared if v not in t.arguments and not _is_read(t.local(v), t.lines)]:
+            for variable in unread:
+                del t.declared[variable]
+                t.lines = [line for line in t.lines if not line.lstrip().startswith(f"{t.local(variable)} = ")]
+        read = words("\n".join(t.lines))
+        passed = [a for a, kind in t.arguments.items() if not isinstance(kind, Constant) and t.local(a) in read]
         arguments = [
             ("const " if isinstance(t.arguments[a], Array) and a not in t.stored else "")
             + declared(t.arguments[a], t.local(a))
@@ -156,17 +160,20 @@ class Functions:
         lines = [f"    {c_type} {', '.join(names)};" for c_type, names in variables.items()]
         result = t.returns.c if isinstance(t.returns, Number | Record) else "void"
         summary = (getdoc(t.function) or "").strip().split("\n")[0].replace("``", "").replace("*/", "* /")
-        text = [f"/* {summary} */"] if summary else []
-        text += [
-            f"static {result} {name}({', '.join(arguments) or 'void'})",
-            "{",
-            *lines,
-            *([""] if lines else []),
-            *t.lines,
-            "}",
-        ]
-        broken = "\n".join(piece for line in text for piece in wrapped(line))
-        return Written(name, tuple(t.arguments), frozenset(passed), frozenset(t.stored), t.returns, broken)
+        head, arguments_text = f"static {result} ", f"({', '.join(arguments) or 'void'})"
+        body = [*lines, *([""] if lines else []), *t.lines]
+        wanted = t.function.__name__.strip("<>")
+        alike = wanted, result, arguments_text, "\n".join(body)
+        if alike not in self._named:  # for other shapes it often comes out the same
+            name = self._named[alike] = self.name(wanted)
+            text = [f"/* {summary} */"] if summary else []
+            text += [f"{head}{name}{arguments_text}", "{", *body, "}"]
+            self._texts.append("\n".join(piece for line in text for piece in wrapped(line)))
+        return Written(self._named[alike], tuple(t.arguments), frozenset(passed), frozenset(t.stored), t.returns)
+
+
+def _is_read(variable: str, lines: Sequence[str]) -> bool:
+    return any(variable in words(line.lstrip().removeprefix(f"{variable} = ")) for line in lines)
 
 
 def declared(kind: Kind, name: str) -> str:
@@ -181,11 +188,16 @@ def table_text(name: str, values: Sequence[Any], c_type: str = "double") -> str:
     return "\n".join(wrapped(text))
 
 
+def words(text: str) -> set[str]:
+    """Return the names that stand in some C."""
+    return set(re.findall(r"[A-Za-z_]\w*", text))
+
+
 def wrapped(line: str) -> list[str]:
-    """Return a line of C in pieces that are not too long."""
+    """Return a line of C in pieces that are not too long, broken behind commas where it has any."""
     if len(line) <= WIDTH:
         return [line]
-    indent = " " * (len(line) - len(line.lstrip()) + 4)
-    return textwrap.wrap(
-        line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
-    )
+    margin = len(line) - len(line.lstrip())
+    held = line[margin:].replace(" ", "\0").replace(",\0", ", ") if ", " in line else line[margin:]
+    pieces = textwrap.wrap(held, WIDTH - margin - 4, break_long_words=False, break_on_hyphens=False)
+    return [" " * (margin + 4 * (i > 0)) + piece.replace("\0", " ") for i, piece in enumerate(pieces)]

@@ -177,7 +177,6 @@ class Translator(Expressions):
     def _declare(self, node: ast.AST, name: str, kind: Kind) -> None:
         """Take a variable to hold this kind, too."""
         if name in self.arguments:
-            self.used.add(name)
             self.declared.setdefault(name, self.arguments[name])
         both = joined(self.declared.get(name, kind), kind)
         if both is None or (name in self.arguments and both != self.arguments[name]):

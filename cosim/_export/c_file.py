@@ -1,0 +1,145 @@
+"""The C of a program: a file and its header, which need the mathematics of the C library and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import prod
+from types import FunctionType
+
+from bayesftc.cosim._export.functions import Functions, table_text, words, wrapped
+from bayesftc.cosim._export.kinds import FLOAT, NATURAL, Array
+from bayesftc.cosim._export.layout import Layout, member
+from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim._export.values import literal
+from bayesftc.cosim._opening import OUTSIDE
+from bayesftc.cosim.block import argument_names
+from bayesftc.cosim.schedule import Call
+
+_PARTS = ("inputs", "outputs", "parameters", "init", "evaluate", "advance")
+
+
+@dataclass(frozen=True)
+class CFile:
+    """The C of a program.
+
+    Parameters
+    ----------
+    name : str
+        What types and functions begin with, and both files are called.
+    header, source : str
+        Their texts.
+    memory, constants : int
+        How many doubles are kept from a step to the next, scratch included, and how many stand in tables.
+    """
+
+    name: str
+    header: str
+    source: str
+    memory: int
+    constants: int
+
+
+def write_c(program: Program) -> CFile:
+    """Return the C of a program."""
+    name = Functions.allowed(program.name)
+    functions = Functions([name, *(f"{name}_{part}" for part in _PARTS)])
+    layout = Layout(program, functions)
+    schedule, step = program.schedule, program.step
+    evaluate = _phase(program, layout, functions, schedule.evaluate)
+    evaluate += [
+        f"y->{member(s)}[{e}] = {layout.element(at)};" for s in program.outputs for e, at in enumerate(s.places)
+    ]
+    if "u" not in words("\n".join(evaluate)):
+        evaluate.append("(void)u;")
+    advance = [*_phase(program, layout, functions, schedule.advance), "c->step += 1.0;"]
+    init = [f"for (int i = 0; i < {len(layout.initial)}; ++i) {{", "    c->memory[i] = initial[i];", "}"]
+    init += [f"c->parameters.{member(t)}[{e}] = {literal(v)};" for t in program.tunables for e, v in enumerate(t.start)]
+    read = words("\n".join([*evaluate, *advance]))
+    tables = [table for name, table in layout.tables.items() if name in read]
+    known = {
+        "m": "double *const m = c->memory;",
+        "k": "const int64_t k = (int64_t)c->step;",
+        # The quotient of two whole numbers: the double nearest to the time, as in the engines.
+        "t": f"const double t = c->start + c->step * {step.numerator}.0 / {step.denominator}.0;",
+    }
+    source = [
+        f"/* {name}: {name}.h says how to use it. */",
+        "#include <math.h>",
+        "#include <stdint.h>",
+        "",
+        f'#include "{name}.h"',
+        "",
+        "\n\n".join([*(text for text, _ in tables), table_text("initial", layout.initial.tolist()), functions.text()]),
+        "",
+        *_function(f"void {name}_init({name} *c)", {}, [*init, "c->start = 0.0;", "c->step = 0.0;"]),
+        *_function(f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y)", known, evaluate),
+        *_function(f"void {name}_advance({name} *c)", known, advance),
+    ]
+    size = len(layout.initial)
+    return CFile(name, _header(program, name, size), "\n".join(source), size, size + sum(count for _, count in tables))
+
+
+def _phase(program: Program, layout: Layout, functions: Functions, calls: Iterable[Call]) -> list[str]:
+    """Return the lines that make calls, and bring what they need before each."""
+    lines: list[str] = []
+    for call in calls:
+        if program.schedule.nodes[call.node].name == OUTSIDE:
+            continue
+        own = [f"{layout.element(to)} = {layout.element(origin)};" for to, origin in call.gathers]
+        kernel, every = program.schedule.kernel(call), program.schedule.every(call)
+        if kernel is not None:
+            assert isinstance(kernel, FunctionType)
+            sections, names = program.schedule.slots[call.node].sections, argument_names(kernel)
+            kinds = [FLOAT if n == "t" else NATURAL if n == "k" else Array(sections[n][2]) for n in names]
+            written = functions.require(kernel, kinds)
+            known = {"t": "t", "k": "k" if every == 1 else f"k / {every}"}
+            given = [known.get(n) or layout.pointer(call.node, n) for n in names if n in written.passed]
+            own.append(f"{written.name}({', '.join(given)});")
+        lines += own if every == 1 else [f"if (k % {every} == 0) {{", *(f"    {line}" for line in own), "}"]
+    return lines
+
+
+def _function(head: str, known: dict[str, str], lines: Sequence[str]) -> list[str]:
+    """Return a function that begins with what it needs of what is known."""
+    first = [line for name, line in known.items() if name in words("\n".join(lines))]
+    body = [*first, *([""] if first else []), *lines]
+    return [head, "{", *(piece for line in body for piece in wrapped(f"    {line}" if line else "")), "}", ""]
+
+
+def _header(program: Program, name: str, memory: int) -> str:
+    guard = f"{name.upper()}_H"
+    lines = [
+        f"/* {name}: a step every {program.step} s. Call {name}_init once; then at each step {name}_evaluate with the",
+        f" * inputs at this time, which gives the outputs at this time, and {name}_advance. */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *_structure(f"{name}_inputs", program.inputs),
+        *_structure(f"{name}_outputs", program.outputs),
+        *(_structure(f"{name}_parameters", program.tunables) if program.tunables else []),
+        "typedef struct {",
+        f"    double memory[{memory}];",
+        *([f"    {name}_parameters parameters; /* may be changed between steps */"] if program.tunables else []),
+        "    double start; /* time of the first step in seconds */",
+        "    double step;  /* how many have been made */",
+        f"}} {name};",
+        "",
+        f"void {name}_init({name} *c);",
+        f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y);",
+        f"void {name}_advance({name} *c);",
+        "",
+        "#endif",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _structure(title: str, members: Sequence[Signal | Tunable]) -> list[str]:
+    lines = [f"    double {member(s)}[{max(int(prod(s.shape)), 1)}];{_remark(s)}" for s in members]
+    return ["typedef struct {", *(lines or ["    double none; /* C has no empty structures */"]), f"}} {title};", ""]
+
+
+def _remark(signal: Signal | Tunable) -> str:
+    parts = [f"{signal.shape[0]} rows"] if len(signal.shape) > 1 else []
+    parts += [signal.unit] if isinstance(signal, Signal) and signal.unit else []
+    return f" /* {', '.join(parts)} */" if parts else ""

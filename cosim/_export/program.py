@@ -1,0 +1,263 @@
+"""What is exported: a block or some blocks of a diagram, with their signals, and all that their C is written from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from fractions import Fraction
+from math import gcd
+
+import numpy as np
+
+from bayesftc.cosim._opening import OUTSIDE, Names, opened
+from bayesftc.cosim.block import Block, Floats
+from bayesftc.cosim.diagram import Diagram, Node, is_external
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port, labels
+from bayesftc.cosim.schedule import Schedule
+from bayesftc.cosim.timebase import rational_step
+
+Places = tuple[tuple[Node, Port, int], ...]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """An input or output that the outside sees.
+
+    Parameters
+    ----------
+    name : str
+        What the outside calls it.
+    shape : tuple of int
+        ``()`` for a number.
+    unit : str or None
+        As its port says.
+    start : tuple of float
+        Of an input, what it is until it is set.
+    places : tuple of int
+        Where its elements lie in the memory of the schedule.
+    draw : str or None
+        Of an input that takes random numbers, their distribution.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str | None
+    start: tuple[float, ...]
+    places: tuple[int, ...]
+    draw: str | None = None
+
+
+@dataclass(frozen=True)
+class Tunable:
+    """A parameter of a step function that the outside may change while it runs.
+
+    Parameters
+    ----------
+    name : str
+        What the outside calls it.
+    shape : tuple of int
+        ``()`` for a number.
+    start : tuple of float
+        What it is until it is changed.
+    node : int
+        The number of its block in the schedule.
+    parameter : str
+        What its step functions call it.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    start: tuple[float, ...]
+    node: int
+    parameter: str
+
+
+@dataclass(frozen=True)
+class Program:
+    """Blocks that become one step function.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    schedule : Schedule
+        The order of calls and the layout of memory; the inputs come out of a block called ``<outside>``, element by element.
+    inputs, outputs : tuple of Signal
+        What goes in and what comes out at each step.
+    tunables : tuple of Tunable
+        What can be changed between steps.
+    """
+
+    name: str
+    schedule: Schedule
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    tunables: tuple[Tunable, ...]
+
+    @property
+    def step(self) -> Fraction:
+        """The sample time in seconds."""
+        return self.schedule.step
+
+
+def program_of(
+    exported: Block | Diagram,
+    *,
+    name: str | None = None,
+    blocks: Sequence[str] | str | None = None,
+    inputs: Names | None = None,
+    outputs: Names | None = None,
+    dt: float | str | Fraction | None = None,
+) -> Program:
+    """Return the program of a block, or of some blocks of a diagram.
+
+    Parameters
+    ----------
+    exported : Block or Diagram
+        What to export.
+    name : str, optional
+        Its name; by default the block's.
+    blocks : sequence of str, optional
+        Those of a diagram; by default all.
+    inputs, outputs : names, optional
+        Which of the signals the outside sees, a mapping gives new names; by default all inputs that nothing within feeds, random
+        ones too, and all outputs. Called as their ports, with the block's name before it where there are several blocks.
+    dt : float, str or Fraction, optional
+        The sample time of a block that has none of its own.
+
+    Raises
+    ------
+    ModelError
+        If there is something in it that cannot be exported.
+    UnknownNameError
+        If there is no block or signal of that name.
+    """
+    part = _part(_as_diagram(exported, dt), blocks)
+    nodes = part.nodes
+    alone = len(nodes) == 1
+    found: dict[str, Places] = {}
+    for node in nodes:
+        for port in node.block.inputs:
+            found |= _unfed(part, node, port, port.name if alone else f"{node.name}.{port.name}")
+    given = _named(found, inputs, "input")
+    for signal, ((node, port, i), *_) in found.items():
+        if (
+            port.default is None
+            and port.draw is None
+            and (node, port, i) not in {p for ps in given.values() for p in ps}
+        ):
+            raise ModelError(f"The input {signal} has neither a source nor a start value; leave it among the inputs.")
+    whole, _ = opened(part, [place for places in given.values() for place in places], "the exported blocks")
+    schedule = whole.schedule
+    for node, definition in zip(schedule.nodes, schedule.definitions, strict=True):
+        if definition is not None and not definition.compiled:
+            raise ModelError(
+                f"The block {node.name!r} ({type(node.block).__name__}) calls back into Python, which the exported C has not; "
+                "write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False."
+            )
+    seen = {
+        port.name if alone else f"{node.name}.{port.name}": tuple((node, port, i) for i in range(port.size))
+        for node in nodes
+        for port in node.block.outputs
+    }
+    shown = _named(seen, outputs, "output")
+    return Program(
+        name or (nodes[0].name if alone else "diagram"),
+        schedule,
+        tuple(_signal(schedule, label, places) for label, places in given.items()),
+        tuple(_signal(schedule, label, places) for label, places in shown.items()),
+        tuple(_tunables(schedule, alone)),
+    )
+
+
+def _as_diagram(exported: Block | Diagram, dt: float | str | Fraction | None) -> Diagram:
+    if isinstance(exported, Diagram):
+        return exported
+    if not isinstance(exported, Block):
+        raise ModelError(f"Only a block or a diagram can be exported, not {exported!r}.")
+    step = exported.sample_time if dt is None else rational_step(dt)
+    if step is None:
+        raise ModelError(f"{type(exported).__name__} does not know its sample time; give dt=... in seconds.")
+    diagram = Diagram(step)
+    diagram.add(exported)
+    return diagram
+
+
+def _part(diagram: Diagram, blocks: Sequence[str] | str | None) -> Diagram:
+    """Return a diagram of some blocks of another one, at the slowest step at which all of them run."""
+    wanted = [blocks] if isinstance(blocks, str) else list(diagram._nodes if blocks is None else blocks)
+    nodes = [diagram[name] for name in diagram._nodes if name in {diagram[each].name for each in wanted}]
+    if not nodes:
+        raise ModelError("There is no block to export; name at least one.")
+    for node in nodes:
+        if is_external(node):
+            raise ModelError(
+                f"The block {node.name!r} is an FMU ({type(node.block).__name__}), which has C of its own; export the blocks "
+                "around it, and connect both in the tool that runs them."
+            )
+    every = gcd(*(node.every for node in nodes))
+    part = Diagram(diagram.step * every)
+    new = {node.name: part.add(node.block, node.name, node.every // every) for node in nodes}
+    for (name, port, element), (source, taken) in diagram._sources.items():
+        if name in new and source.node.name in new:
+            part._sources[name, port, element] = new[source.node.name][source.port.name], taken
+    return part
+
+
+def _unfed(part: Diagram, node: Node, port: Port, label: str) -> dict[str, Places]:
+    """Return what of an input nothing feeds: all of it as one signal, or its elements one by one."""
+    unfed = [i for i in range(port.size) if part.source_of(node, port, i) is None]
+    if len(unfed) == port.size:
+        return {label: tuple((node, port, i) for i in unfed)}
+    names = labels(label, port.shape)
+    return {names[i]: ((node, port, i),) for i in unfed}
+
+
+def _named(found: Mapping[str, Places], names: Names | None, what: str) -> dict[str, Places]:
+    if names is None:
+        return dict(found)
+    listed = [names] if isinstance(names, str) else names
+    renamed = names if isinstance(names, Mapping) else {name: name for name in listed}
+    for name in renamed:
+        if name not in found:
+            raise UnknownNameError(f"What is exported has no {what} {name!r}; {did_you_mean(name, found)}")
+    if len(set(renamed.values())) < len(listed):
+        raise ModelError(f"Two {what}s of what is exported would have one name ({', '.join(renamed.values())}).")
+    return {label: found[name] for name, label in renamed.items()}
+
+
+def _signal(schedule: Schedule, label: str, places: Places) -> Signal:
+    node, port, _ = places[0]
+    whole = len(places) == port.size
+    begin = schedule.signal(node, port).start
+    at = tuple(begin + i for _, _, i in places)
+    outside = {"uniform": 0.5, "normal": 0.0}.get(port.draw or "")
+    start = tuple(float(schedule.initial[i]) if outside is None else outside for i in at)
+    of_output = any(port is output for output in node.block.outputs)
+    return Signal(
+        label, port.shape if whole else (), port.unit, (0.0,) * len(at) if of_output else start, at, port.draw
+    )
+
+
+def _tunables(schedule: Schedule, alone: bool) -> Iterator[Tunable]:
+    """Find the parameters that are settings of their blocks, under the same name and with the same value.
+
+    Others are computed from several settings at once, such as the matrices of a controller: none of them can be changed alone.
+    """
+    for i, (node, definition) in enumerate(zip(schedule.nodes, schedule.definitions, strict=True)):
+        if definition is None or not is_dataclass(node.block) or node.name == OUTSIDE:
+            continue
+        settings = {f.name for f in fields(node.block)}
+        for name, value in definition.parameters.items():
+            array = np.asarray(value, dtype=np.float64)
+            if name in settings and np.isfinite(array).all() and _alike(getattr(node.block, name), array):
+                label = name if alone else f"{node.name}.{name}"
+                yield Tunable(label, array.shape, tuple(array.ravel().tolist()), i, name)
+
+
+def _alike(setting: object, parameter: Floats) -> bool:
+    try:
+        return np.array_equal(np.asarray(setting, dtype=np.float64), parameter)
+    except (TypeError, ValueError):
+        return False

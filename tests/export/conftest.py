@@ -1,0 +1,190 @@
+"""Blocks of every kind, for all that is exported, and their C, compiled."""
+
+import ctypes
+import subprocess
+
+import control
+import numpy as np
+import pytest
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim._export.c_file import write_c
+from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim.ops import sin
+
+DT = "1/10"
+MODEL = controllers.LinearModel(
+    A=[[0.95, 0.1], [0.0, 0.9]],
+    B=[[0.0], [0.1]],
+    C=[[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
+    process_covariance=np.diag([1e-4, 1e-3]),
+    sensor_covariance=[0.04, 0.09, 0.01],
+    dt=DT,
+)
+
+
+def brain(precision, **options):
+    return controllers.BayesianController(MODEL, precision=precision, control_covariance=100.0, **options)
+
+
+WINDOW = {"start": 3.0, "stop": 9.0, "channels": 2}
+SIZES = {
+    "Drift": {"slope": 2.0},
+    "Bias": {"magnitude": 1.0},
+    "Injection": {"magnitude": 1.0},
+    "GainFault": {"factor": 2.0},
+    "Stuck": {"at": 1.0},
+    "NoiseGrowth": {"slope": 1.0},
+    "NoiseIncrease": {"std": 1.0},
+    "Spikes": {"magnitude": 3.0},
+}
+"""What the kinds of fault need beside a window."""
+
+
+def pendulum(x, u, x_next):
+    x_next[0] = x[0] + 0.1 * x[1]
+    x_next[1] = x[1] + 0.1 * (u[0] - sin(x[0]) - 0.1 * x[1])
+
+
+def angles(x, y):
+    y[0] = x[0]
+    y[1] = sin(x[0])
+
+
+BLOCKS = {
+    "gain": cosim.Gain([[1.0, -2.0], [0.5, 3.0]]),
+    "sum": cosim.Sum("+-+"),
+    "delay": cosim.UnitDelay(size=2, initial=3.0),
+    "saturation": cosim.Saturation(-1.0, 1.5, size=2),
+    "sensors": cosim.Sensors(count=3, signals=2, std=0.3, bias=0.1, resolution=0.05, matrix=[[1, 0], [0, 1], [1, 1]]),
+    "sine": cosim.Sine(amplitude=1.0, period=0.7),
+    "step": cosim.Step(time=1.0, before=2.0, after=3.0),
+    "table": cosim.Table([0.0, 1.0, 2.5], [1.0, -1.0, 4.0]),
+    "noise": cosim.Gaussian(std=2.0, mean=1.0),
+    "system": cosim.StateSpace(
+        control.ss([[0.5, 0.2], [0.0, 0.9]], np.eye(2), [[1.0, 1.0]], 0, 0.1), process_noise=np.eye(2)
+    ),
+    "feedthrough": cosim.StateSpace(control.ss([[-1.0]], [[1.0, 0.5]], [[1.0], [2.0]], [[0, 0], [0, 3.0]])),
+    **{kind.__name__: kind(sensor=1, **SIZES.get(kind.__name__, {}), **WINDOW) for kind in cosim.FAULTS[:-1]},
+    "RandomFaults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
+    **{learner.__name__: brain(learner()) for learner in controllers.LEARNERS},
+    "joint belief": brain(controllers.GammaPrecision(), belief="joint"),
+    "switching alone": brain(controllers.SwitchingPrecision(joint=False)),
+    "lqg": controllers.LQGController(
+        MODEL,
+        goal_on=[[1.0, 0.0]],
+        precision=controllers.GammaPrecision(window=7, calibration=controllers.Calibration(2.0, -1.0)),
+    ),
+    "nonlinear": controllers.NonlinearBayesianController(
+        controllers.NonlinearModel(
+            pendulum,
+            angles,
+            states=2,
+            controls=1,
+            sensors=2,
+            process_covariance=[1e-6, 1e-4],
+            sensor_covariance=[0.01, 0.01],
+            dt=DT,
+        ),
+        precision=controllers.GammaPrecision(),
+        control_covariance=1.0,
+        iterations=10,
+    ),
+    "active inference": controllers.UnbiasedActiveInference(
+        [
+            controllers.Modality(
+                "arm", 6, cosim.arm_with_camera((1.0, 0.8), (-0.05, 0.01, 0.001)), std=0.1, precision=0.5
+            )
+        ],
+        controllers.ProportionalDerivative(2.0 * np.eye(2), derivative_gain=0.5 * np.eye(2)),
+        DT,
+        2.0,
+        0.5,
+        inner_steps=2,
+    ),
+    "PID": controllers.PID(1.0, states=2, derivative_gain=0.1, integral_gain=0.5, u_max=3.0),
+    "estimator": controllers.StateEstimator(MODEL, precision=controllers.GammaPrecision()),
+}
+"""Every kind of block, learner, fault and law."""
+
+
+@pytest.fixture(params=BLOCKS.values(), ids=BLOCKS)
+def block(request):
+    """Return a block of each kind."""
+    return request.param
+
+
+FLAGS = (
+    "-O2",
+    "-std=c99",
+    "-ffp-contract=off",
+    "-fPIC",
+    "-shared",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-Wno-unused-function",
+)
+
+
+class Compiled:
+    """The C of a program, compiled: makes a step at each call, as `Block.online` does."""
+
+    def __init__(self, folder, compiler, exported, **settings):
+        self.program = program_of(exported, **settings)
+        self.file = write_c(self.program)
+        name = self.file.name
+        (folder / f"{name}.h").write_text(self.file.header)
+        (folder / f"{name}.c").write_text(self.file.source)
+        made = subprocess.run(
+            [compiler, *FLAGS, f"{name}.c", "-o", f"{name}.so", "-lm"], cwd=folder, capture_output=True, text=True
+        )
+        assert made.returncode == 0, made.stderr
+        library = ctypes.CDLL(str(folder / f"{name}.so"))
+        self._functions = [getattr(library, f"{name}_{part}") for part in ("init", "evaluate", "advance")]
+        tuned = sum(len(t.start) for t in self.program.tunables)
+        self.state = np.full(self.file.memory + tuned + 2, np.nan)
+        self._in = np.zeros(max(sum(len(s.places) for s in self.program.inputs), 1))
+        self._out = np.zeros(max(sum(len(s.places) for s in self.program.outputs), 1))
+        self._call(0)
+
+    def _call(self, which, *arrays):
+        self._functions[which](*(ctypes.c_void_p(array.ctypes.data) for array in (self.state, *arrays)))
+
+    def __call__(self, **inputs):
+        values = [np.ravel(inputs.get(s.name, s.start)) for s in self.program.inputs]
+        self._in[: sum(map(len, values))] = np.concatenate([np.zeros(0), *values])
+        self._call(1, self._in, self._out)
+        found, at = {}, 0
+        for signal in self.program.outputs:
+            found[signal.name] = self._out[at : at + len(signal.places)].copy()
+            at += len(signal.places)
+        self._call(2)
+        return found
+
+
+@pytest.fixture
+def compiled(tmp_path, c_compiler):
+    return lambda exported, **settings: Compiled(tmp_path, c_compiler, exported, **settings)
+
+
+@pytest.fixture
+def sample_time():
+    """Return the sample time to name for a block: none where it has its own."""
+    return lambda block: None if block.sample_time else DT
+
+
+@pytest.fixture
+def random_inputs():
+    """Return what makes a step's inputs: noise as it is drawn, other inputs with missing samples."""
+
+    def inputs(block, rng):
+        values = {}
+        for port in block.inputs:
+            shape = port.shape or (1,)
+            values[port.name] = rng.uniform(size=shape) if port.draw == "uniform" else rng.normal(size=shape)
+            if port.draw is None and port.feedthrough:
+                values[port.name][rng.uniform(size=shape) < 0.05] = np.nan
+        return values
+
+    return inputs
