@@ -35,7 +35,9 @@ def draw(found: Identification) -> Figure:
     shown = slice(0, MOST)
     for i, name in enumerate(found.outputs):
         axis = figure.add_subplot(grid[i, :2])
-        axis.plot(*thin(found.time[shown], found.measured[shown, i]), color=BLACK, lw=0.8, label="measured")
+        gaps = np.isnan(found.measured[shown, i]).any()
+        mark = {"ls": "", "marker": ".", "ms": 4} if gaps else {"lw": 0.8}
+        axis.plot(*thin(found.time[shown], found.measured[shown, i]), color=BLACK, label="measured", **mark)
         axis.plot(*thin(found.time[shown], found.predicted[shown, i]), color=BLUE, lw=1.2, label="one sample ahead")
         low, high = np.nanmin(found.measured[shown, i]), np.nanmax(found.measured[shown, i])
         axis.plot(
@@ -58,8 +60,9 @@ def draw(found: Identification) -> Figure:
         if i == count - 1:
             axis.set_xlabel("time (s)")
         side = figure.add_subplot(grid[i, 2])
-        side.bar(np.arange(1, LAGS + 1), autocorrelation(found.residuals[:, i]), color=BLUE, width=0.6)
-        band = 1.96 / np.sqrt(len(found.residuals))
+        heights, pairs = autocorrelation(found.residuals[:, i])
+        side.bar(np.arange(1, LAGS + 1)[pairs > 0], heights[pairs > 0], color=BLUE, width=0.6)
+        band = 1.96 / np.sqrt(max(pairs.max(), 1))
         side.axhspan(-band, band, color="0.88", zorder=0)
         side.set_ylim(-0.5, 0.5)
         side.set_title("Autocorrelation of errors", fontsize=10, loc="left")

@@ -43,7 +43,9 @@ class Innovations:
     yardstick: Floats
 
 
-def identify_innovations(u: Floats, y: Floats, order: int | None, past: int | None) -> Innovations:
+def identify_innovations(
+    u: Floats, y: Floats, order: int | None, past: int | None, longest: int = PASTS[-1]
+) -> Innovations:
     """Return the innovations model of samples (N x p, N x m); rows with NaN are left out with all that needs them.
 
     Parameters
@@ -54,6 +56,8 @@ def identify_innovations(u: Floats, y: Floats, order: int | None, past: int | No
         Number of states; None for that of the singular value criterion (Bauer, Automatica 37, 2001).
     past : int or None
         Length of the autoregression; None for Akaike's choice.
+    longest : int
+        The longest one that may be chosen.
 
     Raises
     ------
@@ -61,9 +65,9 @@ def identify_innovations(u: Floats, y: Floats, order: int | None, past: int | No
         If there are too few samples, or the inputs move too little to tell anything.
     """
     m = y.shape[1]
-    past = _choose_past(u, y) if past is None else past
+    past = choose_past(u, y, longest) if past is None else past
     if order is not None:
-        past = max(past, -(-order // m) + 1)
+        past = max(past, least_past(order, m))
     gain, yardstick = _autoregress(u, y, past)
     rows = np.arange(past, len(y) - past)
     before = _stacked(np.hstack([u, y]), rows, past)
@@ -143,15 +147,25 @@ def _without_future(
     return np.asarray(y[rows] - _stacked(np.hstack([u, y]), rows, steps) @ gain[:, : steps * width].T)
 
 
-def _choose_past(u: Floats, y: Floats) -> int:
+def least_past(order: int, outputs: int) -> int:
+    """Return the shortest autoregression of which a model of an order can be made."""
+    return max(-(-order // outputs) + 1, 1)
+
+
+def samples_needed(inputs: int, outputs: int, order: int | None, past: int | None) -> tuple[int, int]:
+    """Return how many samples are needed to learn from, and how long an autoregression they then have at least."""
+    width = inputs + outputs
+    least = 1 if order is None else least_past(order, outputs)
+    if past is None and least <= PASTS[0]:
+        return 8 * (PASTS[0] * width + 1), PASTS[0]
+    length = max(least, PASTS[0] if past is None else past)
+    return max(4 * (length * width + 1) + length, 8 * (PASTS[0] * width + 1) if past is None else 0), length
+
+
+def choose_past(u: Floats, y: Floats, longest: int) -> int:
     """Return the length of the autoregression by Akaike's criterion, on the same samples for all."""
     width, m = u.shape[1] + y.shape[1], y.shape[1]
-    lengths = [past for past in PASTS if 8 * (past * width + 1) <= len(y)]
-    if not lengths:
-        raise ModelError(
-            f"The recording has {len(y)} samples of {m} outputs and {u.shape[1]} inputs, from which nothing can be learned; "
-            f"record at least {8 * (PASTS[0] * width + 1)}."
-        )
+    lengths = [past for past in PASTS if past <= longest and 8 * (past * width + 1) <= len(y)] or [PASTS[0]]
     rows = np.arange(lengths[-1], len(y))
     table = np.hstack([np.ones((len(rows), 1)), _stacked(np.hstack([u, y]), rows, lengths[-1]), y[rows]])
     table = table[np.isfinite(table).all(axis=1)]

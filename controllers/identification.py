@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.controllers._checks import as_number
+from bayesftc.controllers._excitation import moved_by_outputs, order_of_excitation
+from bayesftc.controllers._gaps import identify_with_gaps
 from bayesftc.controllers._independent_noise import independent_noise
 from bayesftc.controllers._pulse_responses import PoorFitWarning
-from bayesftc.controllers._subspace import Innovations, identify_innovations
+from bayesftc.controllers._subspace import PASTS, identify_innovations, samples_needed
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
@@ -30,6 +32,12 @@ LAGS = 20
 
 WORSE = 1.2
 """Errors on held-out data that are larger than those of a long autoregression by this are said."""
+
+FEW = 2 * LAGS
+"""Samples of each output that are needed at least to judge the model by."""
+
+GAPS = 0.5
+"""Where less than this share of the stretches that tell of a prediction are whole, gaps are bridged and not left out."""
 
 CORRELATED = 0.2
 """So are autocorrelations of the residuals beyond this (or beyond four standard deviations of white ones')."""
@@ -55,7 +63,8 @@ class Identification:
     whiteness : ndarray
         Of each output: probability that white residuals would be as correlated in time as these (Ljung and Box, 20 lags).
     correlations : ndarray
-        Canonical correlations between past and future: those of the states, and what is left.
+        Canonical correlations between past and future: those of the states, and what is left. Where gaps were bridged: of the
+        recording with straight lines in them, and the order is that of the best information criterion.
     poor : tuple of str
         What is not as it should be, in sentences; empty where nothing is.
     time, measured, predicted, simulated, residuals : ndarray
@@ -121,41 +130,131 @@ def identify(
     split = round(len(y) * (1 - share))
     centre = [_centre(rows[:split], names) for rows, names in ((u, names_in), (y, names_out))]
     (u_mean, u_size), (y_mean, y_size) = centre
-    _refuse_alike((u[:split] - u_mean) / u_size, names_in)
-    _refuse_alike((y[:split] - y_mean) / y_size, names_out)
-    found = identify_innovations((u[:split] - u_mean) / u_size, (y[:split] - y_mean) / y_size, order, past)
-    C, K = y_size[:, None] * found.C, found.K / y_size
-    S = found.S * np.outer(y_size, y_size)
-    Q, R = independent_noise(found.A, C, K, S)
-    moving = LinearModel(found.A, found.B / u_size, C, (Q + Q.T) / 2, R, step)
-    offset = y_mean + y_size * found.offset
-    model = moving.about(np.zeros(moving.states), u_mean, offset, following=found.drift)
-    return _validated(model, found, tuple(names_in), tuple(names_out), u[split:], y[split:], split, y_size)
+    longest = _enough(y, len(names_in), split, share, order, past, names_out)
+    v, z = (u[:split] - u_mean) / u_size, (y[:split] - y_mean) / y_size
+    _refuse_alike(v, names_in)
+    _refuse_alike(z, names_out)
+    if _whole(v, z, past) >= GAPS:
+        found = identify_innovations(v, z, order, past, longest)
+        C, K, S = y_size[:, None] * found.C, found.K / y_size, found.S * np.outer(y_size, y_size)
+        Q, R = independent_noise(found.A, C, K, S)
+        A, B, drift, offset, past, correlations = (
+            found.A,
+            found.B,
+            found.drift,
+            found.offset,
+            found.past,
+            found.correlations,
+        )
+        yardstick = np.sqrt(np.diag(found.yardstick)) * y_size
+    else:
+        _refuse_gaps(u[:split], names_in)
+        noisy, correlations, past = identify_with_gaps(v, z, order, past, longest)
+        A, B, drift, offset, C = noisy.A, noisy.B, noisy.drift, noisy.offset, y_size[:, None] * noisy.C
+        Q, R = noisy.Q, np.diag(noisy.R * y_size**2)
+        yardstick = np.full(len(names_out), np.inf)
+    moving = LinearModel(A, B / u_size, C, (Q + Q.T) / 2, R, step)
+    model = moving.about(np.zeros(moving.states), u_mean, y_mean + y_size * offset, following=drift)
+    doubts = _doubts(v, z, (u[split:] - u_mean) / u_size, len(A), past, names_in)
+    return _validated(
+        model, u[split:], y[split:], split, 2 * past, yardstick,
+        inputs=tuple(names_in), outputs=tuple(names_out), correlations=correlations, doubts=doubts,
+    )  # fmt: skip
+
+
+def _enough(
+    y: Floats, inputs: int, split: int, share: float, order: int | None, past: int | None, names: Sequence[str]
+) -> int:
+    """Return the longest autoregression that the recording's length admits; refuse one that is too short.
+
+    Raises
+    ------
+    ModelError
+        That tells the length which is needed, and for what.
+    """
+    learn, least = samples_needed(inputs, len(names), order, past)
+    held = 2 * least + 5 * LAGS
+    asked = f"{len(names)} output{'s' * (len(names) > 1)} and {inputs} input{'s' * (inputs > 1)}"
+    asked += "" if order is None else f", with order={order}"
+    asked += "" if past is None else f", with past={past}"
+    if split < learn or len(y) - split < held:
+        needed = max(int((learn - 1) / (1 - share)), int((held - 1) / share))
+        while round(needed * (1 - share)) < learn or needed - round(needed * (1 - share)) < held:
+            needed += 1
+        other = "" if order is None and past is None else ", or ask for less"
+        raise ModelError(
+            f"The recording has {len(y)} samples; of {asked}, at least {needed} are needed: {learn} to learn from, and in the "
+            f"last {100 * share:.3g} % of them {held} to judge the model by. Record more{other}."
+        )
+    for name, first, last in zip(
+        names, np.isfinite(y[:split]).sum(axis=0), np.isfinite(y[split:]).sum(axis=0), strict=True
+    ):
+        if first < FEW or last < FEW:
+            raise ModelError(
+                f"The column {name!r} has {first} samples in the part of the recording that is learned from and {last} samples "
+                f"in what is held out to judge the model by; of each {FEW} are needed: record more, or leave it out."
+            )
+    return (len(y) - split - 5 * LAGS) // 2
+
+
+def _whole(u: Floats, y: Floats, past: int | None) -> float:
+    """Return which share of the stretches of the shortest autoregression has no gap."""
+    whole = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
+    length = 1 + (past or PASTS[0])
+    return float(np.mean(np.convolve(whole, np.ones(length), "valid") > length - 0.5))
+
+
+def _refuse_gaps(u: Floats, names: Sequence[str]) -> None:
+    for name, column in zip(names, u.T, strict=True):
+        if not np.isfinite(column).all():
+            raise ModelError(
+                f"The outputs have gaps nearly everywhere, which can be bridged; the input {name!r} has gaps as well, which "
+                "cannot. An input that stays what it is until the next sample is filled with its last value (ffill() of pandas)."
+            )
+
+
+def _doubts(u: Floats, y: Floats, held: Floats, order: int, past: int, names: Sequence[str]) -> list[str]:
+    """Return in sentences why the inputs may not have moved as they should."""
+    said = []
+    needed = 2 * order
+    known, weak = order_of_excitation(u, needed)
+    how = "Move the inputs all the time, at random: by a random binary signal, or a noise."
+    if weak:
+        said.append(
+            f"{_listed(names, weak)}: exciting of order {known}, where {needed} is wanted for a model of {order} "
+            f"state{'s' * (order > 1)} (a step has the order 1, each sine 2), so that others explain the recording as well. {how}"
+        )
+    still = [i for i in range(len(names)) if np.nanstd(held[:, i]) < 1e-2]
+    if still:
+        text = f"{_listed(names, still)}: nearly still in the held-out data, which so say little of what it does."
+        said.append(text if weak else f"{text} {how}")
+    led = moved_by_outputs(u, y, past)
+    if led:
+        said.append(
+            f"{_listed(names, led)}: follows from the outputs, so that nothing tells what it does from what the controller does; "
+            "while recording let something else move it too: a changing goal, or a small random signal added to it."
+        )
+    return said
+
+
+def _listed(names: Sequence[str], places: Sequence[int]) -> str:
+    return ", ".join(names[i] for i in places)
 
 
 def _validated(
     model: LinearModel,
-    found: Innovations,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
     u: Floats,
     y: Floats,
     split: int,
-    size: Floats,
+    begin: int,
+    yardstick: Floats,
+    *,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    correlations: Floats,
+    doubts: list[str],
 ) -> Identification:
     """Return the model with what held-out samples say of it; warn where that is not good."""
-    begin = 2 * found.past
-    if len(y) < begin + 5 * LAGS:
-        raise ModelError(
-            f"{len(y)} samples are held out, of which the first {begin} tell where the plant is; {begin + 5 * LAGS} are needed: "
-            "record more, or hold out a larger share."
-        )
-    for name, seen in zip(outputs, np.isfinite(y[begin:]).sum(axis=0), strict=True):
-        if seen < 5 * LAGS:
-            raise ModelError(
-                f"The column {name!r} has {seen} samples in what is held out to judge the model by; {5 * LAGS} are needed: hold "
-                "out a larger share, or record more."
-            )
     predicted, simulated = _run(model, u, y, begin)
     measured, residuals = y[begin:], (y - predicted)[begin:]
     spread = np.nanstd(measured, axis=0)
@@ -167,8 +266,7 @@ def _validated(
         warnings.simplefilter("ignore")  # of means of nothing
         simulated_fit = 100 * (1 - np.sqrt(np.nanmean((measured - simulated[begin:]) ** 2, axis=0)) / spread)
     tests = [_whiteness(residuals[:, i]) for i in range(len(outputs))]
-    yardstick = np.sqrt(np.diag(found.yardstick)) * size
-    poor = []
+    poor = list(doubts)
     for i, name in enumerate(outputs):
         floor = 1e-9 * spread[i]
         if errors[i] > WORSE * yardstick[i] + floor:
@@ -176,7 +274,7 @@ def _validated(
                 f"{name}: on held-out data the errors are {errors[i] / max(yardstick[i], floor):.2g} times those of a long "
                 "autoregression; a higher order may do, or the plant is not linear, or has changed."
             )
-        limit = max(CORRELATED, 4 / np.sqrt(len(residuals)))
+        limit = max(CORRELATED, 4 / np.sqrt(np.isfinite(residuals[:, i]).sum()))
         if errors[i] > floor and tests[i][1] > limit:
             poor.append(f"{name}: residuals have an autocorrelation of {tests[i][1]:.2g}; a higher order may do.")
         if errors[i] > 0.9 * spread[i]:
@@ -184,7 +282,7 @@ def _validated(
                 f"{name}: the model explains {100 * (1 - errors[i] / spread[i]):.0f} % of it; do the inputs move it at all?"
             )
     if poor:
-        warnings.warn("The identified model fits poorly. " + " ".join(poor), PoorFitWarning, stacklevel=4)
+        warnings.warn("The identified model is in doubt. " + " ".join(poor), PoorFitWarning, stacklevel=4)
     return Identification(
         model=model,
         inputs=inputs,
@@ -192,7 +290,7 @@ def _validated(
         fit=100 * (1 - errors / spread),
         simulated_fit=simulated_fit,
         whiteness=np.array([p for p, _ in tests]),
-        correlations=found.correlations,
+        correlations=correlations,
         poor=tuple(poor),
         time=np.asarray((split + begin + np.arange(len(measured))) * float(model.step), dtype=np.float64),
         measured=measured,
@@ -211,9 +309,8 @@ def _run(model: LinearModel, u: Floats, y: Floats, begin: int) -> tuple[Floats, 
     n = moving.states
     Q, R = moving.matrix("process_covariance"), moving.matrix("sensor_covariance")
     P = solve_discrete_are(A[:n, :n].T, C[:, :n].T, Q + 1e-12 * (np.trace(Q) + 1e-12) * np.eye(n), R)
-    gain = np.vstack(
-        [A[:n, :n] @ np.linalg.solve(C[:, :n] @ P @ C[:, :n].T + R, C[:, :n] @ P).T, np.zeros((1, len(R)))]
-    )
+    steady = _gain(C[:, :n], P, R)
+    seen = np.isfinite(y)
     # The first state: what explains the first samples best, the inputs being what they were.
     x = _first_state(A, B, C, u[:begin], y[:begin])
     free = x
@@ -223,10 +320,24 @@ def _run(model: LinearModel, u: Floats, y: Floats, begin: int) -> tuple[Floats, 
             if k == begin:
                 free = x
             predicted[k], simulated[k] = C @ x, C @ free
-            e = np.where(np.isfinite(y[k]), y[k] - predicted[k], 0.0)
+            if seen.all():
+                gain = steady
+            else:
+                rows = seen[k]
+                gain = np.zeros((n, len(R)))
+                gain[:, rows] = _gain(C[rows, :n], P, R[np.ix_(rows, rows)])
+                P = A[:n, :n] @ (P - gain @ C[:, :n] @ P) @ A[:n, :n].T + Q
+                P = (P + P.T) / 2
+            x = x.copy()
+            x[:n] += gain @ np.where(seen[k], y[k] - predicted[k], 0.0)
             push = B @ np.where(np.isfinite(u[k]), u[k], 0.0)
-            x, free = A @ x + push + gain @ e, A @ free + push
+            x, free = A @ x + push, A @ free + push
     return predicted, simulated
+
+
+def _gain(C: Floats, P: Floats, R: Floats) -> Floats:
+    """Return what a Kalman filter makes of a reading."""
+    return np.asarray(np.linalg.solve(C @ P @ C.T + R, C @ P).T)
 
 
 def _first_state(A: Floats, B: Floats, C: Floats, u: Floats, y: Floats) -> Floats:
@@ -245,17 +356,20 @@ def _whiteness(residual: Floats) -> tuple[float, float]:
     """Return the probability of a residual that is as correlated in time if it is white, and its largest autocorrelation."""
     from scipy.stats import chi2
 
-    correlations = autocorrelation(residual)
-    n = len(residual)
-    statistic = n * (n + 2) * float(np.sum(correlations**2 / (n - np.arange(1, LAGS + 1))))
-    return float(chi2.sf(statistic, LAGS)), float(np.abs(correlations).max())
+    correlations, pairs = autocorrelation(residual)
+    n, there = int(np.isfinite(residual).sum()), pairs > 0
+    statistic = (n + 2) / n * float(np.sum(pairs[there] * correlations[there] ** 2))
+    return float(chi2.sf(statistic, there.sum())), float(np.abs(correlations[pairs >= FEW]).max(initial=0.0))
 
 
-def autocorrelation(residual: Floats) -> Floats:
-    """Return the autocorrelations at the lags 1 to `LAGS`; missing samples count as zero."""
-    e = np.where(np.isfinite(residual), residual - np.nanmean(residual), 0.0)
-    power = float(e @ e)
-    return np.array([float(e[lag:] @ e[:-lag]) / power if power > 0 else 0.0 for lag in range(1, LAGS + 1)])
+def autocorrelation(residual: Floats) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    """Return the autocorrelations at the lags 1 to `LAGS`, and from how many pairs of samples each is; 0 where there are none."""
+    there = np.isfinite(residual)
+    e = np.where(there, residual - np.nanmean(residual), 0.0)
+    power = float(e @ e) / max(there.sum(), 1)
+    products = np.array([float(e[lag:] @ e[:-lag]) for lag in range(1, LAGS + 1)])
+    pairs = np.array([int((there[lag:] & there[:-lag]).sum()) for lag in range(1, LAGS + 1)])
+    return products / np.maximum(pairs, 1) / (power if power > 0 else 1.0), pairs
 
 
 # --- the recording ---------------------------------------------------------------------------------------------------
@@ -276,9 +390,8 @@ def _table(data: Any) -> pd.DataFrame:
     try:
         return pd.read_csv(data)
     except (OSError, ValueError) as error:
-        raise ModelError(
-            f"The recording {data} cannot be read: {str(error).strip().rstrip('.')}; give a CSV file with a header."
-        ) from None
+        said = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
+        raise ModelError(f"The recording {data} cannot be read: {said}; give a CSV file with a header.") from None
 
 
 def _columns(table: pd.DataFrame, given: str | Sequence[str], what: str) -> list[str]:

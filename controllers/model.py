@@ -299,13 +299,19 @@ class LinearModel:
         states undetermined, one of several equally good ones is taken. States are canonical variables of unit variance and mean
         nothing by themselves.
 
+        Samples that are missing here and there are left out with all that needs them. Where less than half of the stretches are
+        whole, as with a sensor that delivers at every fifth sample, a Kalman filter bridges the gaps: the likelihood of what is
+        there is maximised by expectation and maximisation (Gibson and Ninness, Automatica 41, 2005), process and sensor noise
+        included, and the order is that of the best Bayesian information criterion.
+
         The last part of the recording is held out. On it are judged: the share of each output that is explained one sample ahead
         and by simulation, whether residuals are white, and whether a long autoregression does better.
 
         Parameters
         ----------
         data : Result, path of a CSV file, or pandas.DataFrame
-            The recording: evenly spaced rows, an input being that from its row to the next; empty cells are missing samples.
+            The recording: evenly spaced rows, an input being that from its row to the next; empty cells are missing samples. A
+            slower sensor has a value in every fifth row, say.
         inputs, outputs : str or sequence of str
             Columns of the controls and of the sensors. The name of a signal of several elements stands for all of them.
         order : int, optional
@@ -327,14 +333,16 @@ class LinearModel:
         Raises
         ------
         ModelError
-            If there are too few samples, or an input or output does not move.
+            If there are too few samples (it tells how many are needed), or an input or output does not move.
         StepSizeError
             If the times are not evenly spaced.
 
         Warns
         -----
         PoorFitWarning
-            If a long autoregression predicts held-out data better, residuals are correlated, or nothing is explained.
+            If the inputs are not persistently exciting of twice the model's order (a single step, a sine), hardly move in
+            what is held out or follow from the outputs; if a long autoregression predicts held-out data better, residuals are
+            correlated, or nothing is explained.
         """
         from bayesftc.controllers.identification import identify
 

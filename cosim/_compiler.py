@@ -14,6 +14,7 @@ import os
 import sys
 import tempfile
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from types import CellType, FunctionType, ModuleType
 from typing import Any
@@ -123,7 +124,7 @@ def _twins(functions: list[FunctionType]) -> list[FunctionType]:
     return list(twins.values())
 
 
-def compile_function(function: FunctionType, signature: str) -> Any:
+def compile_function(function: Any, signature: str, calls: Sequence[Any] = ()) -> Any:
     """Compile a service function of the engine for one numba signature, or load it from the disk.
 
     Parameters
@@ -132,6 +133,8 @@ def compile_function(function: FunctionType, signature: str) -> Any:
         What to compile; numba sees it as it stands.
     signature : str
         The only signature it is called with, in numba's notation.
+    calls : sequence of functions
+        Plain functions that it calls, and that these call, such as those of `controllers._linalg`.
     """
     arguments = ", ".join(_arguments(function))
     # Without numba's reference counts (_nrt): such functions borrow their arrays and allocate none, and counting atomically
@@ -140,7 +143,7 @@ def compile_function(function: FunctionType, signature: str) -> Any:
         f'from numba import njit\n\n@njit({signature!r}, error_model="numpy", nogil=True, cache=True, _nrt=False)\n'
         f"def entry({arguments}):\n    return kernel({arguments})\n"
     )
-    return _load_service(function, text).entry
+    return _load_service(function, text, calls).entry
 
 
 def compile_raw(function: FunctionType) -> CFunc:
@@ -189,10 +192,9 @@ def compile_callback(function: FunctionType, signature: str) -> CFunc:
     return compiled
 
 
-def _load_service(function: FunctionType, text: str) -> ModuleType:
-    return _load(
-        f"engine_{function.__name__}_{service_fingerprint(function, text)}", text, {"kernel": function}, [function]
-    )
+def _load_service(function: FunctionType, text: str, calls: Sequence[FunctionType] = ()) -> ModuleType:
+    name = f"engine_{function.__name__}_{service_fingerprint(function, text)}"
+    return _load(name, text, {"kernel": function}, [*calls, function])
 
 
 def _arguments(function: FunctionType) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Models from recordings: systems of known matrices and noise come back, in open and closed loop, and poor fits are said."""
 
+import re
 import warnings
 
 import numpy as np
@@ -9,6 +10,9 @@ from scipy.linalg import solve_discrete_are
 
 from bayesftc import cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
+from bayesftc.controllers._excitation import order_of_excitation
+from bayesftc.controllers._gaps import identify_with_gaps
+from bayesftc.controllers._gaps_kernels import smooth
 from bayesftc.controllers._independent_noise import independent_noise
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
 
@@ -110,6 +114,139 @@ def test_missing_samples_do_little_harm():
     assert np.isfinite(holed.fit).all()
 
 
+def dense(y, drive, A, C, Q, R, x0, P0):
+    """Means and covariances of all states given all samples, and the samples' density, from one large Gaussian."""
+    steps, n = len(y), len(A)
+    ahead = np.eye(steps * n)
+    for k in range(1, steps):
+        ahead[k * n : (k + 1) * n, (k - 1) * n : k * n] = -A
+    whole = np.linalg.inv(ahead)
+    pushes = np.concatenate([x0, *drive[:-1]])
+    noise = np.kron(np.eye(steps), Q)
+    noise[:n, :n] = P0
+    mean, cov = whole @ pushes, whole @ noise @ whole.T
+    there = np.isfinite(y.ravel())
+    read = np.kron(np.eye(steps), C)[there]
+    S = read @ cov @ read.T + np.diag(np.tile(R, steps)[there])
+    gain = cov @ read.T @ np.linalg.inv(S)
+    e = y.ravel()[there] - read @ mean
+    density = -0.5 * (np.linalg.slogdet(2 * np.pi * S)[1] + e @ np.linalg.solve(S, e))
+    return (mean + gain @ e).reshape(steps, n), cov - gain @ S @ gain.T, density
+
+
+def test_the_smoother_is_one_large_gaussian():
+    rng = np.random.default_rng(0)
+    steps, n = 12, 2
+    y, drive = rng.normal(size=(steps, 3)), rng.normal(size=(steps, n))
+    y[rng.uniform(size=y.shape) < 0.5] = np.nan
+    x0, P0 = rng.normal(size=n), np.array([[2.0, 0.3], [0.3, 1.0]])
+    expected, cov, density = dense(y, drive, A, C, Q, np.diag(R), x0, P0)
+    ahead, P_ahead = np.zeros((steps + 1, n)), np.zeros((steps + 1, n, n))
+    x, P, between, total = np.zeros((steps, n)), np.zeros((steps, n, n)), np.zeros((n, n)), np.zeros(1)
+    ahead[0], P_ahead[0] = x0, P0
+    smooth(y, drive, A, C, Q, np.diag(R), ahead, P_ahead, x, P, between, *np.zeros((4, n, n)), np.zeros(n), total)
+    np.testing.assert_allclose(x, expected, atol=1e-12)
+    blocks = cov.reshape(steps, n, steps, n)
+    np.testing.assert_allclose(P, [blocks[k, :, k] for k in range(steps)], atol=1e-12)
+    np.testing.assert_allclose(between, sum(blocks[k + 1, :, k] for k in range(steps - 1)), atol=1e-12)
+    assert total[0] == pytest.approx(density)
+
+
+@pytest.mark.parametrize("slow", [["y2"], ["y0", "y1", "y2"]])
+def test_sensors_that_are_slower_than_the_rest(slow):
+    """They deliver at every fifth sample: no two rows that follow each other are whole."""
+    table, names = record(5000)
+    holes = table.copy()
+    holes.loc[np.arange(5000) % 5 != 0, slow] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = LinearModel.identify(holes, **names)
+    assert found.model.moving.states == 2
+    assert not found.poor
+    a, b, q, r = of_known_states(found.model)
+    np.testing.assert_allclose(a, A, atol=0.05)
+    np.testing.assert_allclose(b, B, atol=0.03)
+    np.testing.assert_allclose(q, Q, atol=0.01)
+    # Of 700 samples of a sensor; that of the process is taken for noise of the sensor and the other way round.
+    np.testing.assert_allclose(np.diag(r), np.diag(R), rtol=0.25)
+    assert found.whiteness.min() > 1e-3
+    found.plot()
+
+
+def test_without_gaps_both_ways_find_the_same():
+    table, names = record(1500)
+    u, y = table[names["inputs"]].to_numpy() - 3.0, table[names["outputs"]].to_numpy() - 5.0
+    noisy, _, _ = identify_with_gaps(u, y, None, None, 48)
+    model = LinearModel(noisy.A, noisy.B, noisy.C, noisy.Q, noisy.R, dt=0.1)
+    one, other = of_known_states(model), of_known_states(LinearModel.identify(table, **names, held_out=0.1).model)
+    for ours, theirs in zip(one, other, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "order"),
+    [
+        (np.arange(3000) > 400, 1),
+        (np.sin(0.3 * np.arange(3000)), 2),
+        (np.arange(3000) / 3000, 1),
+        (np.repeat(np.random.default_rng(0).choice([-1, 1], 60), 50), None),
+    ],
+)
+def test_inputs_that_hardly_move_are_said(inputs, order):
+    rng, x, rows = np.random.default_rng(1), np.zeros(2), []
+    for k, u in enumerate(inputs):
+        rows.append([0.1 * k, u, *(C @ x + 0.02 * rng.normal(size=3))])
+        x = A @ x + B[:, 0] * u + 0.02 * rng.normal(size=2)
+    table = pd.DataFrame(rows, columns=["time", "u0", "y0", "y1", "y2"])
+    settings = {"inputs": "u0", "outputs": ["y0", "y1", "y2"], "order": 2}
+    if order is None:
+        assert not any("exciting" in said for said in LinearModel.identify(table, **settings).poor)
+        return
+    with pytest.warns(
+        PoorFitWarning, match=rf"u0: exciting of order {order}, where 4 is wanted.*Move the inputs all the"
+    ):
+        found = LinearModel.identify(table, **settings)
+    still = any("nearly still in the held-out data" in said for said in found.poor)
+    assert still == (inputs[-900:].std() < 0.01)
+
+
+def test_order_of_excitation_of_several_inputs():
+    white, step = np.random.default_rng(0).normal(size=2000), (np.arange(2000) > 1000) * 2.0 - 1.0
+    assert order_of_excitation(np.column_stack([white, white[::-1]]), 8) == (8, [])
+    assert order_of_excitation(np.column_stack([white, step]), 8) == (1, [1])
+    sines = np.sqrt(2) * np.sin(np.outer(np.arange(2000), [0.4, 1.7]))
+    assert order_of_excitation(sines[:, :1], 8) == (2, [0])
+    assert order_of_excitation(sines.sum(axis=1, keepdims=True), 8) == (4, [0])
+    # The second is the first, one sample later.
+    assert order_of_excitation(np.column_stack([white, np.roll(white, 1)]), 8) == (1, [0, 1])
+
+
+def test_a_recording_under_feedback_alone_is_said():
+    table, names = record(3000, feedback=np.array([[0.2, 0.2, 0.3]]))
+    assert not LinearModel.identify(table, **names).poor  # its input has a dither
+    rng, x, before, rows = np.random.default_rng(1), np.zeros(2), 0.0, []
+    for k in range(3000):
+        y = C @ x + rng.normal(size=3) * np.sqrt(np.diag(R))
+        before = 0.5 * before - 0.2 * y.sum()  # a controller with a state, and nothing else
+        rows.append([0.1 * k, before, *y])
+        x = A @ x + B[:, 0] * before + rng.normal(size=2) * np.sqrt(np.diag(Q))
+    with pytest.warns(PoorFitWarning, match="u0: follows from the outputs"):
+        LinearModel.identify(pd.DataFrame(rows, columns=table.columns), **names)
+
+
+@pytest.mark.parametrize("settings", [{}, {"held_out": 0.1}, {"past": 20}, {"order": 3}, {"order": 16}])
+def test_how_long_a_recording_must_be_is_said_once(settings):
+    table, names = record(4000)
+    with pytest.raises(ModelError, match=r"at least \d+ are needed") as told:
+        LinearModel.identify(table[:10], **names, **settings)
+    needed = int(re.search(r"at least (\d+)", str(told.value))[1])
+    with pytest.raises(ModelError, match=f"at least {needed}"):
+        LinearModel.identify(table[: needed - 1], **names, **settings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of so short a recording
+        LinearModel.identify(table[:needed], **names, **settings)
+
+
 def test_a_csv_file_a_figure_and_a_controller(tmp_path):
     table, names = record(3000)
     table.to_csv(tmp_path / "plant.csv", index=False)
@@ -177,13 +314,14 @@ def test_a_poor_fit_is_said():
         ({"u0": np.nan}, {}, ModelError, "'u0' has no numbers"),
         ({"y0": "high"}, {}, ModelError, "'y0' holds text"),
         ({"y0": np.inf}, {}, ModelError, "'y0' holds infinite values"),
-        ({"y1": [*np.sin(np.arange(300.0)), *[np.nan] * 100]}, {}, ModelError, r"'y1' has \d+ samples in what is held out"),
+        ({"y1": [*np.sin(np.arange(300.0)), *[np.nan] * 100]}, {}, ModelError, "'y1' has .* and 20 samples in what is held"),
         ({"time": 0.0}, {}, StepSizeError, "do not rise"),
         ({"time": np.arange(400.0) ** 2}, {}, StepSizeError, "not evenly spaced"),
         ({"time": "noon"}, {}, StepSizeError, "'time' is not one of numbers"),
         ({"time": pd.date_range("2024-01-01", periods=400, freq="s")}, {}, StepSizeError, "times in seconds"),
         ({}, {"time": "t"}, StepSizeError, "no column 't'"),
-        (None, {}, ModelError, "record at least"),
+        (None, {}, ModelError, r"has 20 samples; of 3 outputs and 1 input, at least \d+ are needed"),
+        ({"y0": [1.0, np.nan, 2.0, np.nan] * 100, "u0": [np.nan, *np.sin(np.arange(399.0))]}, {}, ModelError, "'u0' has gaps as"),
     ],
 )  # fmt: skip
 def test_wrong_recordings_are_said_in_a_sentence(change, settings, error, words):
@@ -200,7 +338,7 @@ def test_what_is_no_recording(tmp_path):
     twice = pd.DataFrame(np.ones((3, 3)), columns=["time", "u", "u"])
     with pytest.raises(ModelError, match="several columns 'u'"):
         LinearModel.identify(twice, inputs="u", outputs="u")
-    with pytest.raises(ModelError, match="cannot be read"):
+    with pytest.raises(ModelError, match=r"cannot be read: No such file or directory; give"):
         LinearModel.identify(tmp_path / "none.csv", inputs="u", outputs="y")
     with pytest.raises(ModelError, match="not int"):
         LinearModel.identify(3, inputs="u", outputs="y")
