@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesftc.controllers._linalg import multiply
+from bayesftc.controllers._linalg import add_product, multiply
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, maximum, select, sqrt
@@ -41,12 +41,7 @@ MOST_SQUARINGS = 10
 def curvature_of_belief(G, P, prior_curvature, PG, H):
     """Write the part of H that sensors and state prior make."""
     multiply(P, G, PG)
-    for j in range(G.shape[1]):
-        for k in range(G.shape[1]):
-            total = prior_curvature[j, k]
-            for i in range(G.shape[0]):
-                total = total + G[i, j] * PG[i, k]
-            H[j, k] = total
+    add_product(prior_curvature, G, PG, H)
 
 
 def curvature_of_control(D, Pu, PD, H):

@@ -1,6 +1,7 @@
 """Step functions of the Bayesian controller's three stages: measurement update, control, prediction."""
 
 from bayesftc.controllers._linalg import (
+    add_product,
     apply,
     cholesky,
     cholesky_determined,
@@ -84,16 +85,6 @@ def measure(e, used, R, C, mean, covariance, L, D, whitened, v, gain, J, JP, x_h
                 P[i, j] = P[i, j] + gain[i] * gain[j]
 
 
-def control_information(prior_precision, GB, W, Lambda):
-    """``Lambda = prior_precision + GB' W``: what prior and goal together know of the control."""
-    for i in range(GB.shape[1]):
-        for j in range(GB.shape[1]):
-            total = prior_precision[i, j]
-            for s in range(GB.shape[0]):
-                total = total + GB[s, i] * W[s, j]
-            Lambda[i, j] = total
-
-
 def doubt(wanted):
     """Return how small a pivot, relative to its diagonal, leaves a control undetermined: rounding alone, with a goal missing."""
     missing = 0.0 * wanted[0]
@@ -128,7 +119,7 @@ def decide(goal, x_hat, P, A, G, GQ, GB, prior_precision, prior_pull, wanted, GA
         pull[i] = select(wanted[i] > 0.5, goal[i] - expected, 0.0)
     cholesky(SG, SG)
     solve_columns(SG, W)
-    control_information(prior_precision, GB, W, Lambda)
+    add_product(prior_precision, GB, W, Lambda)  # what prior and goal together know of the control
     for i in range(p):
         total = prior_pull[i]
         for s in range(g):
@@ -203,7 +194,7 @@ def fold_goal(pull, wanted, GA, GQ, GB, prior_precision, N, V, W, Wt, Lambda, L,
     cholesky(N, N)
     solve_columns(N, V)
     solve_columns(N, W)
-    control_information(prior_precision, GB, W, Lambda)
+    add_product(prior_precision, GB, W, Lambda)  # what prior and goal together know of the control
     for i in range(p):
         for j in range(g):
             Wt[i, j] = W[j, i]

@@ -25,6 +25,16 @@ def multiply_transposed(a, b, out):
             out[i, j] = total
 
 
+def add_product(c, a, b, out):
+    """``out = c + a.T @ b``."""
+    for i in range(a.shape[1]):
+        for j in range(b.shape[1]):
+            total = c[i, j]
+            for k in range(a.shape[0]):
+                total = total + a[k, i] * b[k, j]
+            out[i, j] = total
+
+
 def congruence(a, p, work, out):
     """``out = a @ p @ a.T`` for symmetric `p`: exactly symmetric. `work` has the shape of `a`; `out` may be `p`."""
     multiply(a, p, work)
