@@ -17,6 +17,7 @@ from bayesftc.cosim.block import argument_names
 from bayesftc.cosim.schedule import Call
 
 _PARTS = ("inputs", "outputs", "parameters", "init", "evaluate", "advance")
+_VARIABLES = ("c", "u", "y", "m", "k", "t", "i", "initial")
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class CFile:
 def write_c(program: Program) -> CFile:
     """Return the C of a program."""
     name = Functions.allowed(program.name)
-    functions = Functions([name, *(f"{name}_{part}" for part in _PARTS)])
+    functions = Functions([name, *(f"{name}_{part}" for part in _PARTS), *_VARIABLES])
     layout = Layout(program, functions)
     schedule, step = program.schedule, program.step
     evaluate = _phase(program, layout, functions, schedule.evaluate)

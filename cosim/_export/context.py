@@ -105,7 +105,7 @@ class Context:
     def whole(self, node: ast.AST, value: Value) -> Value:
         """Return a value that is a whole number."""
         if self.number(node, value).type == "float":
-            self.refuse(node, f"counts with {value.text}, which is no whole number")
+            self.refuse(node, f"counts with what is no whole number ({ast.unparse(node)})")
         return value
 
     def calls(self, node: ast.expr) -> bool:

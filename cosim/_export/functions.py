@@ -25,9 +25,9 @@ _RESERVED = (
     "sin sinh sqrt tan tanh acosh asinh atanh cbrt copysign erf erfc exp2 expm1 fdim fma fmax fmin hypot ilogb lgamma "
     "llrint llround log1p log2 logb lrint lround nan nearbyint nextafter nexttoward remainder remquo rint round "
     "scalbln scalbn tgamma trunc j0 j1 jn y0 y1 yn gamma signgam NAN INFINITY HUGE_VAL main isnan isinf isfinite "
-    "signbit fpclassify asm typeof linux unix c u y m initial int64_t bool true false inline "
+    "signbit fpclassify asm typeof linux unix int64_t bool true false inline "
 )
-"""Words that mean something to C, to its library of mathematics, or to the code around the functions."""
+"""Words that mean something to C or to its library of mathematics."""
 
 _TAKEN = frozenset(_RESERVED.split())
 

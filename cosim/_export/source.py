@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import dis
 import inspect
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from types import CodeType, FunctionType
+from typing import Any
 
 from bayesftc.cosim._fingerprint import where
 from bayesftc.cosim.errors import KernelError
@@ -54,12 +56,17 @@ def _alike(tree: ast.FunctionDef, code: CodeType) -> bool:
         bare = outer
     compiled = compile(ast.fix_missing_locations(bare), code.co_filename, "exec")
     made = _find(compiled, code.co_name)
-    return made is not None and (made.co_code, made.co_names, made.co_varnames, made.co_consts[1:]) == (
-        code.co_code,
-        code.co_names,
-        code.co_varnames,
-        code.co_consts[1:],
-    )
+    return made is not None and made.co_varnames == code.co_varnames and _gist(made) == _gist(code)
+
+
+def _gist(code: CodeType) -> list[tuple[str, Any]]:
+    """Return what a function does, without what depends on the module around it: how an attribute is called, and places."""
+    return [
+        (instruction.opname.replace("METHOD", "ATTR"), None if "JUMP" in instruction.opname else instruction.argval)
+        for instruction in dis.get_instructions(code)
+        if instruction.opname not in {"PUSH_NULL", "PRECALL", "NOP", "EXTENDED_ARG"}
+        and "ITER" not in instruction.opname
+    ]
 
 
 def _without_decorators(tree: ast.FunctionDef) -> ast.FunctionDef:
