@@ -78,7 +78,6 @@ class ExchangeInstance(ABC):
 
     def explain(self, status: int) -> str:
         """Return why it stopped, with the last messages of the instance."""
-        self._model.healthy = False
         return f"{self._why()}. {self._model.messages.quoted()}"
 
     @abstractmethod
@@ -96,10 +95,18 @@ class ExchangeInstance(ABC):
     def restore(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.restore`."""
         self._model.restore(saved)
-        self._set_tolerances()
+        self._retune("could not be restored")
 
     @abstractmethod
     def _set_tolerances(self) -> None: ...
+
+    def _retune(self, what: str) -> None:
+        """Set the tolerances as the nominal values are now; raise FMUError where it does not give them."""
+        try:
+            self._set_tolerances()
+        except (CallError, StopError) as error:
+            why = error.sentence() if isinstance(error, CallError) else str(error)
+            raise FMUError(f"{self._model.name!r} {what}: {why}. {self._model.messages.quoted()}") from None
 
     def forget(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.forget`."""
@@ -132,7 +139,7 @@ class ExchangeInstance(ABC):
         except (CallError, StopError) as error:
             what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(f"{model.name!r} refuses these states: {what}. {model.messages.quoted()}") from None
-        self._set_tolerances()
+        self._retune("refuses these states")
 
     def close(self) -> None:
         """Free the instance; the binary stays loaded."""

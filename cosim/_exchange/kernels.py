@@ -11,7 +11,7 @@ Nothing here returns to Python, so that a right-hand side costs what the FMU's o
 from numba.extending import register_jitable
 
 from bayesftc.cosim._exchange.calls import at_time, integrate, plain, restart, update2, update3, vector
-from bayesftc.cosim._exchange.right import failed, indicators, place, slope, step_is_completed
+from bayesftc.cosim._exchange.right import failed, indicators, not_finite, place, slope, step_is_completed
 from bayesftc.cosim._exchange.runge_kutta import runge_kutta
 from bayesftc.cosim._exchange.words import (
     ATOL,
@@ -44,6 +44,7 @@ from bayesftc.cosim._exchange.words import (
     MEMORY,
     MOST_EVENTS,
     NAN_INDICATOR,
+    NAN_STATE,
     NEAR,
     NEXT_EVENT,
     NO_TIME,
@@ -258,6 +259,8 @@ def _settle(table):
         status = vector(word(table, GET_STATES), component, word(table, X), count)
         if _called(table, GET_STATES, status) != 0:
             return STOPPED
+        if not_finite(word(table, X), count):
+            return _called(table, NAN_STATE, 3)
     if nominals and word(table, INTEGRATOR) != NONE:
         return _set_tolerances(table)
     return 0

@@ -23,7 +23,7 @@ from bayesftc.cosim._fmi.states import SavedState, States
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError
 
-_FATAL = 4
+_DISCARD, _FATAL = 2, 4
 _UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
 """The bits of a NaN that no computation makes."""
 
@@ -101,12 +101,13 @@ class ExchangeModel:
         self.reals = self.table.view(np.float64)
         self.time, self.next_event = 0.0, math.inf
         self._event_info = library.event_info()
+        self._begin = start, inputs, tolerance
         self._elements = element_names(list(inputs)), element_names(outputs)
         self.jumps = not all(v.variability == "continuous" and v.is_float for v in inputs)
         values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
         self.inputs = np.concatenate([np.zeros(0), *values])
         try:
-            self._start(start, inputs, tolerance)
+            self._start()
             major, find = library.description.fmi_major, library.function_address
             self._groups = groups(list(inputs), major, "Set", find), groups(outputs, major, "Get", find)
             self._rows = [np.array([g.words() for g in side], dtype=np.int64) for side in self._groups]
@@ -117,7 +118,7 @@ class ExchangeModel:
             self.close()
             raise
 
-    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value], tolerance: float) -> None:
+    def _start(self) -> None:
         library, model = self.library, self.library.description.name
         if library.alive and self.info.once:
             raise FMUError(
@@ -134,7 +135,7 @@ class ExchangeModel:
         self.states = States(library, self.component, self.name)
         self._bound = library.bound
         try:
-            library.initialize(self.component, start, inputs, tolerance)
+            library.initialize(self.component, *self._begin)
             self.nx = library.size(self.component, "states", self._declared)
             if self.nx != self._declared and not any(v.dimensions for v in self.info.states):
                 raise StopError(f"Its binary has {self.nx} continuous states, its model description {self._declared}")
@@ -182,6 +183,8 @@ class ExchangeModel:
             bad = np.flatnonzero(values == _UNWRITTEN)
             if len(bad):
                 missing.append(names[min(int(bad[0]), len(names) - 1)])
+        unwritten = (g.unwritten(self.component) for g in self._groups[1] if g.kind.code)
+        missing += [f"the output {outputs[place]!r}" for place in unwritten if place >= 0]
         if missing:
             raise FMUError(
                 f"The FMU {self.library.description.name!r} says that it has given {missing[0]}, but has not written all of it "
@@ -238,8 +241,13 @@ class ExchangeModel:
     def check(self, role: str, status: int) -> None:
         """Raise CallError if the function of a role has returned neither OK nor Warning."""
         if status > 1 or status < 0:
-            self.fatal = self.fatal or status == _FATAL
+            self.note(status)
             raise CallError(self.library.names[role], status)
+
+    def note(self, status: int) -> None:
+        """Remember what an instance may still be called for after a status that is neither OK nor Warning."""
+        self.healthy = self.healthy and status == _DISCARD  # after an error it may not be asked to terminate
+        self.fatal = self.fatal or status == _FATAL
 
     def set_time(self, t: float) -> None:
         """Tell the FMU what time it is."""
@@ -280,7 +288,7 @@ class ExchangeModel:
 
     def _check_values(self, side: int, begin: int, status: int) -> None:
         if status > 1 or status < 0:
-            self.fatal = self.fatal or status == _FATAL
+            self.note(status)
             raise CallError(self.function_of(begin, is_input=side == 0), status)
 
     def function_of(self, begin: int, *, is_input: bool) -> str:
@@ -336,7 +344,15 @@ class ExchangeModel:
             raise StopError("The FMU says that its next event is at t = NaN")
         self.call("enter_continuous_mode")
         self.read_states()
+        unwritten = self.x.view(np.int64) == _UNWRITTEN
+        if not (np.isfinite(self.x) | unwritten).all():
+            raise StopError(self.nan_state())
         return nominals
+
+    def nan_state(self) -> str:
+        """Return which state is NaN or infinite, and when."""
+        bad = int(np.argmin(np.isfinite(self.x)))
+        return f"The state {self.state_names[bad]!r} came out NaN or infinite at t = {self.time:g} s"
 
     # --- states and end --------------------------------------------------------------------------------------------
 
@@ -366,18 +382,32 @@ class ExchangeModel:
                 self.states.restore(saved.state)
                 self.time, self.inputs[:], self.x[:] = saved.time, saved.inputs, saved.x
             else:
-                self.set_time(saved.time)
-                if self.jumps:
-                    self.event(saved.inputs)
-                else:
-                    self.write_inputs(saved.inputs)
-                self.x[:] = saved.x
-                self.write_states()
+                self._go_back(saved)
         except (CallError, StopError) as error:
             what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(f"{self.name!r} could not be restored: {what}. {self.messages.quoted()}") from None
         self.next_event = saved.next_event
         self.healthy = not self.fatal
+
+    def _go_back(self, saved: SavedModel) -> None:
+        """Bring an FMU that remembers nothing to a time, inputs and states."""
+        try:
+            self.set_time(saved.time)
+            if self.jumps:
+                self.event(saved.inputs)
+            else:
+                self.write_inputs(saved.inputs)
+        except CallError:
+            if self.fatal:
+                raise
+            # By the letter of FMI, time does not go back before the last event: such an FMU begins anew.
+            self.library.call(f"fmi{self.library.description.fmi_major}Reset", self.component)
+            self.library.initialize(self.component, *self._begin, saved.time)
+            self.time = saved.time
+            self._iterate()
+            self.event(saved.inputs)
+        self.x[:] = saved.x
+        self.write_states()
 
     def forget(self, saved: object) -> None:
         """Free a saved state; see `bayesftc.cosim.block.External.forget`."""

@@ -68,7 +68,9 @@ def _call(model: ExchangeModel, role: int, status: int, when: float) -> str:
         return f"An event indicator came out NaN or infinite at t = {when:g} s, and smaller steps of the integrator do not help"
     if role == words.NAN_DERIVATIVE:
         return f"{nan_derivative(model)} at t = {when:g} s, and smaller steps of the integrator do not help"
-    model.fatal = model.fatal or status == 4
+    if role == words.NAN_STATE:
+        return model.nan_state()
+    model.note(status)
     word = STATUS[status] if 0 <= status < len(STATUS) else str(status)
     if role in {words.SET_VALUES, words.GET_VALUES}:
         called = model.function_of(int(model.table[words.UNFIT]), is_input=role == words.SET_VALUES)

@@ -52,7 +52,8 @@ def place(table, t, x):
 
 
 @register_jitable(error_model="numpy", forceinline=True)
-def _not_finite(values, count):
+def not_finite(values, count):
+    """Return whether some of these numbers are NaN or infinite."""
     for i in range(count):
         value = number(values, i)
         if value - value != 0.0:
@@ -72,7 +73,7 @@ def slope(table, t, x, values):
         return 0
     returned = vector(word(table, GET_DERIVATIVES), word(table, COMPONENT), values, count)
     status = failed(table, t, GET_DERIVATIVES, returned)
-    if status == 0 and _not_finite(values, count):
+    if status == 0 and not_finite(values, count):
         return failed(table, t, NAN_DERIVATIVE, 2)
     return status
 
@@ -86,7 +87,7 @@ def indicators(table, t, x, values):
     count = word(table, INDICATORS)
     returned = vector(word(table, GET_INDICATORS), word(table, COMPONENT), values, count)
     status = failed(table, t, GET_INDICATORS, returned)
-    if status == 0 and _not_finite(values, count):
+    if status == 0 and not_finite(values, count):
         return failed(table, t, NAN_INDICATOR, 2)
     return status
 

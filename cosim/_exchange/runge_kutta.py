@@ -140,7 +140,7 @@ def runge_kutta(table, t, end):
         rest = end - t
         last = h >= rest * (1.0 - 1e-12)
         h = rest if last else h
-        if h <= 10.0 * EPS * abs(t) and not last:
+        if h <= 10.0 * EPS * max(abs(t), abs(end)) and not last:
             return _stop(table, TOO_SMALL, -1)
         code = 0
         for s in range(1, len(STAGES)):

@@ -52,7 +52,7 @@ SAME = 1e-9
 NONE, CVODE, RUNGE_KUTTA = range(3)
 """Integrators."""
 
-NAN_DERIVATIVE, NAN_INDICATOR, SET_VALUES, GET_VALUES = 101, 102, 103, 104
+NAN_DERIVATIVE, NAN_INDICATOR, SET_VALUES, GET_VALUES, NAN_STATE = 101, 102, 103, 104, 105
 """Roles of what did not fail but came out NaN or infinite, and of the functions that set inputs and read outputs."""
 
 (

@@ -190,6 +190,18 @@ class Group:
             outputs[self.mine] = values
         return status, -1
 
+    def unwritten(self, component: int) -> int:
+        """Return the place of the first output that the FMU says it has given and has not written, or -1."""
+        values = self.buffer[: self.size]
+        kept = np.ones(self.size, dtype=bool)
+        for filling in (0x5A, 0x25):
+            values.view(np.uint8)[:] = filling
+            before = values.copy()
+            if self._call(component) not in {0, 1}:
+                return -1
+            kept &= values == before
+        return self.begin + int(np.argmax(kept)) if kept.any() else -1
+
     def changed(self, component: int, inputs: Floats) -> tuple[int, bool]:
         """Return FMI's status, and whether discrete inputs are others than the instance has."""
         status = self._look(component)

@@ -36,18 +36,25 @@ MODELS = {
     "fine": ([*STATE, ("w", 10, P, 1e-7)], SLOPE, 2, {"x": []}, False),
     "wild": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("how", 10, P, 0.0)], SLOPE, 1, {"x": []}, False),
     "stack": ([*STATE, ("n", 6, N, None), ("at", 10, P, 0.5)], SLOPE, 0, {"x": [], "n": []}, False),
-    "blank": ([*STATE, ("what", 10, P, 0.0)], SLOPE, 1, {"x": []}, False),
     "count": (STATE, SLOPE, 0, {"x": []}, False),
     "slide": ([("x", 0, Y, None), ("v", 1, Y, None), ("der(x)", 2, X, None), ("der(v)", 3, X, None)],
               {"der(x)": "x", "der(v)": "v"}, 2, {"x": [], "v": []}, False),
     "scale": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("quiet", 10, P, 0.0)], SLOPE, 0, {"x": []}, False),
     "quits": ([*STATE, ("now", 10, P, 0.0)], SLOPE, 0, {"x": []}, True),
+    "tuned": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("k", 25, T, 1.0)], SLOPE, 0, {"x": []}, False),
     "pol": ([("x", 0, Y, None), ("v", 1, X, None), ("der(x)", 2, X, None), ("der(v)", 3, X, None), ("mu", 10, P, 1000.0)],
             {"der(x)": "x", "der(v)": "v"}, 0, {"x": []}, False),
 } | {
     name: ([("x", 0, Y, None), ("der(x)", 2, X, None)], {"der(x)": "x"}, 0, {"x": []}, False)
     for name in ("endless", "ends", "nan", "fails", "past")
 }  # fmt: skip
+
+
+def blank(fmi):
+    """Return the model that does not write, as the others are given: one of its outputs is a whole number."""
+    n = ("n", 39, N, None, "Integer" if fmi == "2.0" else "Int32")
+    return [*STATE, n, ("what", 10, P, 0.0)], SLOPE, 1, {"x": [], "n": []}, False
+
 
 TYPES = {"2.0": {"i32": ("Integer", 19), "b": ("Boolean", 23), "e": ("Enumeration", 24)},
          "3.0": {"s": ("Float32", 14), "i8": ("Int8", 15), "u8": ("UInt8", 16), "i16": ("Int16", 17), "u16": ("UInt16", 18),
@@ -77,6 +84,11 @@ def typed(fmi):
     )
 
 
+def given(model, fmi):
+    """Return what is said of a model."""
+    return {"typed": typed, "blank": blank}[model](fmi) if model in {"typed", "blank"} else MODELS[model]
+
+
 LEVELS = '<Item name="off" value="1"/><Item name="on" value="2"/>'
 ITEMS = {
     "2.0": f'<SimpleType name="Mode"><Enumeration>{LEVELS}</Enumeration></SimpleType>',
@@ -85,7 +97,7 @@ ITEMS = {
 
 
 def description2(model, save):
-    variables, derivatives, indicators, through, steps = typed("2.0") if model == "typed" else MODELS[model]
+    variables, derivatives, indicators, through, steps = given(model, "2.0")
     index = {name: i for i, (name, *_) in enumerate(variables, 1)}
     rows = []
     for name, reference, (causality, variability, initial), start, *kind in variables:
@@ -120,7 +132,7 @@ def description2(model, save):
 
 
 def description3(model, save):
-    variables, derivatives, indicators, through, steps = typed("3.0") if model == "typed" else MODELS[model]
+    variables, derivatives, indicators, through, steps = given(model, "3.0")
     reference = {name: number for name, number, *_ in variables}
     rows = ['<Float64 name="time" valueReference="99" causality="independent" variability="continuous"/>']
     for name, number, (causality, variability, initial), start, *kind in variables:

@@ -17,12 +17,15 @@
  *   fine     x' = -s, s changes its sign where |x| = w: an event each 2 w seconds
  *   wild     x' = -1 until x <= 0.1; where x < 0.05, by `how`: 0 indicators are discarded, 1 derivatives, 2 indicators are NaN
  *   stack    x' = 1; three time events at `at`, one after the other, counted by n
- *   blank    says OK and does not write, by `what`: 1 outputs, 2 derivatives, 3 states, 4 event indicators
+ *   blank    says OK and does not write, by `what`: 1 outputs, 2 derivatives, 3 states, 4 event indicators; 5: its state is NaN,
+ *            6: so is the time of its next event, 7: it is minus infinity,
+ *            8: its state jumps to infinity at 0.5, 9: the output n, a whole number, is not written
  *   count    has two states where its description has one (FMI 3)
  *   slide    a mass on a belt, held by a spring: it sticks until x = Fs and slips until its speed v is that of the belt
  *   scale    x' = -x; at 0.5 x becomes 1e-6 and, unless `quiet`, says that its nominal value is that, too
  *   quits    x' = 1; ends the simulation: after a step with x >= 0.35, or (`now` = 1) at once
  *   pol      the oscillator of van der Pol
+ *   tuned    x' = -k x, k a tunable parameter, in FMUs that remember nothing else
  *   typed    x' = u + m, y = k x + s; inputs, parameters and outputs (which show the inputs) of all types
  */
 #include <math.h>
@@ -34,10 +37,10 @@
 #include "fmi3Functions.h"
 
 enum { BALL, HEATER, PULSE, RELAY, COUNTER, GATE, ENDLESS, ENDS, NOT_A_NUMBER, FAILS, PAST, CLOCK, LAG, EDGE, FINE, WILD, STACK,
-       BLANK, COUNT, SLIDE, SCALE, QUITS, POL, TYPED, MODELS };
+       BLANK, COUNT, SLIDE, SCALE, QUITS, POL, TUNED, TYPED, MODELS };
 static const char *TOKENS[MODELS] = {"ball", "heater", "pulse", "relay", "counter", "gate", "endless", "ends", "nan", "fails",
                                      "past", "clock", "lag", "edge", "fine", "wild", "stack", "blank", "count", "slide", "scale",
-                                     "quits", "pol", "typed"};
+                                     "quits", "pol", "tuned", "typed"};
 enum { START, INIT, EVENT, CONTINUOUS };
 /* Value references: 0, 1 states; 2, 3 derivatives; 4, 5 inputs; 6 n or on; 7 y; 10.. parameters. Of `typed`: 14 to 28 inputs and
  * tunable parameters, 34 to 48 the outputs that show them, 20 further on. */
@@ -102,6 +105,7 @@ static Instance *make(const char *token) {
             if (i == SLIDE) v[10] = 0.2, v[11] = 0.6, v[12] = 0.4;
             if (i == SCALE) v[0] = 1, m->s.event = 0.5;
             if (i == POL) v[0] = 2, v[10] = 1000;
+            if (i == TUNED) v[0] = v[25] = 1;
             if (i == TYPED) v[24] = v[25] = 1;
             return m;
         }
@@ -125,6 +129,7 @@ static int derivatives(Instance *m, double *dx) {
     case BLANK: if (v[10] != 2) dx[0] = 1; break;
     case SLIDE: dx[0] = v[1]; dx[1] = s->flag ? 0 : v[12] - v[0]; break;
     case SCALE: dx[0] = -v[0]; break;
+    case TUNED: dx[0] = -v[25] * v[0]; break;
     case POL: dx[0] = v[1]; dx[1] = v[10] * (1 - v[0] * v[0]) * v[1] - v[0]; break;
     case TYPED: dx[0] = v[4] + v[26]; break;
     default: if (states(s->model)) dx[0] = 1;
@@ -168,9 +173,9 @@ static int set(Instance *m, unsigned reference, double value) {
     int mode = m->s.mode;
     if (reference >= NV) return say(m, 3, "no such variable");
     if (reference == 5 && mode == CONTINUOUS) return say(m, 3, "a discrete input changes in event mode only");
-    if (m->s.model == TYPED && reference != 4 && reference != 14 && mode == CONTINUOUS)
+    if ((m->s.model == TYPED || m->s.model == TUNED) && reference != 4 && reference != 14 && mode == CONTINUOUS)
         return say(m, 3, "discrete inputs and tunable parameters change in event mode only");
-    if (m->s.model != TYPED && reference >= 10 && mode > INIT) return say(m, 3, "parameters are fixed");
+    if (m->s.model != TYPED && m->s.model != TUNED && reference >= 10 && mode > INIT) return say(m, 3, "parameters are fixed");
     m->s.v[reference] = value;
     return 0;
 }
@@ -212,7 +217,8 @@ static int update(Instance *m, int *needed, int *terminate, int *changed, int *d
     case QUITS: *terminate = v[10] == 1; break;
     case CLOCK: if (s->t >= s->event) v[6] += 1, s->event += 1; break;
     }
-    *defined = s->event < INFINITY;
+    if (s->model == BLANK && v[10] >= 6) s->event = v[10] == 6 ? NAN : v[10] == 7 ? -INFINITY : s->t < 0.5 ? 0.5 : INFINITY;
+    *defined = !(s->event == INFINITY);
     *next = s->event;
     return 0;
 }
@@ -246,17 +252,25 @@ static int completed(Instance *m, int *enter, int *terminate) {
 
 static int read_states(Instance *m, double *x, size_t n) {
     if (m->s.model != BLANK || m->s.v[10] != 3) memcpy(x, m->s.v, n * sizeof(double));
+    if (m->s.model == BLANK && m->s.v[10] == 5) x[0] = NAN;
+    if (m->s.model == BLANK && m->s.v[10] == 8 && m->s.t >= 0.5) x[0] = INFINITY;
     return 0;
 }
 
 static int nominals(Instance *m, double *x, size_t n) {
+    if (m->s.model == SCALE && m->s.flag && m->s.v[10] == 2) return say(m, 3, "no nominal values");
     for (size_t i = 0; i < n; i++) x[i] = m->s.model == SCALE && m->s.flag && !m->s.v[10] ? 1e-6 : 1;
     return 0;
+}
+
+static int silent(Instance *m, unsigned reference) {
+    return m->s.model == BLANK && (m->s.v[10] == 1 || (m->s.v[10] == 9 && reference == 39));
 }
 
 /* How many places a variable has, if it is of this type; else 0. */
 static int places(Instance *m, unsigned reference, char kind) {
     unsigned i = reference - (reference >= 34 ? 34 : 14);
+    if (m->s.model == BLANK && reference == 39) return kind == 'i';
     if (m->s.model != TYPED || i >= sizeof KINDS - 1) return kind == 'D';
     return KINDS[i] != kind ? 0 : reference == 27 || reference == 47 ? 2 : 1;
 }
@@ -272,7 +286,7 @@ static int places(Instance *m, unsigned reference, char kind) {
             double value = NAN; \
             int status = get(M, r[i] + e, &value); \
             if (status) return status; \
-            if (j < given && !(M->s.model == BLANK && M->s.v[10] == 1)) x[j] = (type)value; \
+            if (j < given && !silent(M, r[i])) x[j] = (type)value; \
             j++; \
         } \
     } \
@@ -308,10 +322,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String token, 
 }
 void fmi2FreeInstance(fmi2Component c) { free(c); }
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[]) { return fmi2OK; }
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real t, fmi2Real start, fmi2Boolean sd, fmi2Real stop) { return fmi2OK; }
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real t, fmi2Real start, fmi2Boolean sd, fmi2Real stop) { M->s.t = start; return fmi2OK; }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return into(M, START, INIT); }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return into(M, INIT, EVENT); }
-fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
+fmi2Status fmi2Terminate(fmi2Component c) { return say(M, 0, "terminated"); }
 fmi2Status fmi2Reset(fmi2Component c) {
     Instance *m = make(TOKENS[M->s.model]);
     M->s = m->s;
@@ -364,9 +378,9 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
 }
 void fmi3FreeInstance(fmi3Instance c) { free(c); }
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String names[]) { return fmi3OK; }
-fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean td, fmi3Float64 t, fmi3Float64 start, fmi3Boolean sd, fmi3Float64 stop) { return into(M, START, INIT); }
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean td, fmi3Float64 t, fmi3Float64 start, fmi3Boolean sd, fmi3Float64 stop) { M->s.t = start; return into(M, START, INIT); }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return into(M, INIT, EVENT); }
-fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3Terminate(fmi3Instance c) { return fmi2Terminate(c); }
 fmi3Status fmi3Reset(fmi3Instance c) { return fmi2Reset(c); }
 static GET3(get_numbers, fmi3Float64, "D")
 static SET3(set_numbers, fmi3Float64, "D")

@@ -1,6 +1,8 @@
 """Events and lies of model exchange FMUs: what each solver sees, against closed forms, scipy and fmpy, and how runs end."""
 
+import logging
 import math
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -166,6 +168,7 @@ def test_an_fmu_may_end_the_simulation_after_a_step_or_at_once(built, fmi, solve
         (2, "the derivatives of its states"),
         (3, "its continuous states"),
         (4, "its event indicators"),
+        (9, "the output 'n'"),
     ],
 )
 def test_what_is_not_written_is_no_zero(built, fmi, what, missing):
@@ -176,3 +179,30 @@ def test_what_is_not_written_is_no_zero(built, fmi, what, missing):
 def test_a_binary_with_another_number_of_states(built):
     with pytest.raises(FMUError, match="Its binary has 2 continuous states, its model description 1"):
         alone(built("count", "3.0"), 0.1).simulate(1, engine="interpreted")
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(
+    ("what", "error", "sentence"),
+    [
+        (5, FMUError, "state 'x' came out NaN or infinite at t = 0 s"),
+        (6, FMUError, "next event is at t = NaN"),
+        (7, SimulationError, "not later, again"),
+        (8, SimulationError, r"state 'x' came out NaN or infinite at t = 0\.5 s"),
+    ],
+)
+def test_states_and_event_times_that_are_no_numbers(built, what, error, sentence, solver):
+    for fmi in FMI:
+        with pytest.raises(error, match=sentence):
+            alone(built("blank", fmi), 0.1, solver=solver, parameters={"what": what}).simulate(1, engine="interpreted")
+
+
+@pytest.mark.parametrize("solver", ["rk45", "scipy:RK45"])
+@pytest.mark.parametrize(("model", "is_told"), [("ends", True), ("endless", True), ("fails", False), ("pulse", True)])
+def test_an_fmu_is_told_that_the_run_is_over_unless_it_has_failed(built, model, is_told, solver, caplog):
+    caplog.set_level(logging.DEBUG, "bayesftc.fmu")
+    for fmi in FMI:
+        caplog.clear()
+        with suppress(SimulationError):
+            alone(built(model, fmi), 0.1, solver=solver).simulate(1, engine="interpreted")
+        assert ("terminated" in caplog.text) == is_told

@@ -138,3 +138,39 @@ def test_equations_with_whole_numbers(built):
         pytest.raises(ModelError, match=r"no derivative with respect to 'i32', a whole number.*leave it out of inputs"),
     ):
         model.jacobians([0.0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize("solver", ["rk45", "scipy:RK45"])
+def test_an_fmu_that_remembers_nothing_goes_back_beyond_an_event(built, fmi, solver, same_bits):
+    # Its binary refuses, as FMI says, a time before the last event: a changed parameter is one.
+    instance = FMU(built("tuned", fmi, "false"), tunable=["k"], solver=solver).instantiate(Fraction(1, 4), "p")
+
+    def steps(begin, end):
+        rows = []
+        for k in range(begin, end):
+            u, y = np.array([1.0 + k]), np.zeros(1)
+            assert instance.output(u, y, k / 4) == instance.update(u, y, k / 4) == 0
+            rows.append(y)
+        return np.array(rows)
+
+    assert instance.can_save
+    steps(0, 2)
+    saved = instance.save()
+    first = steps(2, 5)
+    np.testing.assert_allclose(first[:, 0], np.exp([-0.75, -1.5, -2.5]), rtol=1e-5)
+    for _ in range(2):
+        instance.restore(pickle.loads(pickle.dumps(saved)))
+        same_bits(steps(2, 5), first)
+    instance.close()
+
+
+@pytest.mark.parametrize("solver", ["cvode", "scipy:RK45"])
+def test_nominal_values_that_cannot_be_had_are_said_when_restoring(built, solver):
+    instance = FMU(built("scale"), parameters={"quiet": 2.0}, solver=solver).instantiate(Fraction(1, 1), "p")
+    nothing, x = np.zeros(0), np.zeros(1)
+    assert instance.update(nothing, x, 0.0) == 0
+    saved = instance.save()
+    with pytest.raises(FMUError, match=r"'p' could not be restored: fmi2GetNominalsOfContinuousStates returned Error"):
+        instance.restore(saved)
+    instance.close()
