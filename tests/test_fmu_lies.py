@@ -216,6 +216,40 @@ def test_value_references_that_the_binary_does_not_know(tmp_path, fmi, isolate):
     assert f"could not be initialized as 'car': {set_} of 'disturbance' returned Error." in str(error)
 
 
+@pytest.mark.parametrize("validate", [True, False])
+def test_numbers_that_stand_for_no_variable(tmp_path, validate):
+    for number in (0, 99):
+        path = rewritten("2.0", tmp_path / f"{number}.fmu", ('<Unknown index="3"', f'<Unknown index="{number}"'))
+        with pytest.raises(
+            FMUError, match=rf"refers to the variable number {number}, but they are counted from 1 to \d+"
+        ):
+            describe(path, validate=validate)
+    path = rewritten("2.0", tmp_path / "input.fmu", ('<Unknown index="3" dep', '<Unknown index="1" dep'))
+    listed = rewritten("3.0", tmp_path / "output.fmu", ('<Output valueReference="2"', '<Output valueReference="0"'))
+    for target in (path, listed):
+        if validate:
+            with pytest.raises(FMUError, match="lists 'force' among the outputs, which is of causality input"):
+                describe(target)
+        else:
+            assert describe(target, validate=False).variables
+    wide = rewritten("2.0", tmp_path / "wide.fmu", ('valueReference="2"', 'valueReference="4294967296"'))
+    with pytest.raises(FMUError, match="4294967296"):
+        describe(wide, validate=validate)
+    with zipfile.ZipFile(fmus.path("CruiseControl", fmi="3.0")) as old:
+        text = old.read("modelDescription.xml").decode()
+    start = text.index('<Float64 name="v"')
+    element = text[start : text.index("/>", start)]
+    many = element + ">" + '<Dimension start="1"/>' * 70 + "</Float64>"
+    deep = rewritten("3.0", tmp_path / "deep.fmu", (element + "/>", many))
+    with pytest.raises(FMUError, match="'v' has 70 dimensions, more than the 32 that an array can have"):
+        describe(deep, validate=validate)
+
+
+def test_a_size_of_steps_that_is_none(tmp_path):
+    path = rewritten("3.0", tmp_path / "step.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="1e-320" '))
+    assert len(run(path, 5.0, False, steps=2).time) == 3
+
+
 def test_value_references_that_two_variables_share(tmp_path):
     two = ('valueReference="1"', 'valueReference="0"')
     with pytest.raises(

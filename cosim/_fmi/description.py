@@ -16,6 +16,7 @@ from bayesftc.cosim._exchange.info import ExchangeInfo, read_exchange
 from bayesftc.cosim._fmi.aliases import check_aliases
 from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._fmi.clocks import Clock, read_clocks
+from bayesftc.cosim._fmi.structure import check_shape, check_structure
 from bayesftc.cosim.errors import FMUError, FMUVersionError
 from bayesftc.cosim.units import BASE, Unit, UnitDefinition
 
@@ -221,6 +222,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
             f"{archive.path} is an FMU of FMI {version or 'without a version'}; only FMI 2.0 and 3.0 can be used: export the "
             "model in one of these."
         )
+    check_structure(archive, root, validate=validate)
     model = _parse(archive, validate)
     kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
     for kind in kinds:
@@ -302,6 +304,7 @@ def _checked_xml(archive: Archive) -> io.BytesIO:
 
 
 def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Clock]) -> FMUVariable:
+    check_shape(variable.name, variable.valueReference, variable.dimensions)
     settable = variable.variability != "constant" and (
         variable.causality == "input" or variable.initial in {"exact", "approx"}
     )

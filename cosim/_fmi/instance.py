@@ -263,7 +263,7 @@ def _fixed_size(library: Library) -> float:
         size = float(library.description.capabilities.get("fixedInternalStepSize") or 0.0)
     except ValueError:  # of a description that nobody has validated
         return 0.0
-    return size if isfinite(size) and size > 0.0 else 0.0
+    return size if isfinite(size) and size > 1e-300 else 0.0  # of which a step may be a multiple
 
 
 def _check_step(library: Library, name: str, step: Fraction) -> None:
