@@ -38,6 +38,7 @@ class SavedModel:
 
     state: SavedState | None
     token: str
+    names: tuple[str, ...]
     time: float
     next_event: float
     inputs: Floats
@@ -362,13 +363,18 @@ class ExchangeModel:
         return self.states.can_save or self._is_smooth
 
     @property
+    def _input_names(self) -> tuple[str, ...]:
+        return tuple(name for name, _ in self._elements[0])
+
+    @property
     def _is_smooth(self) -> bool:
         return self.info.smooth and self.next_event == math.inf
 
     def save(self) -> SavedModel:
         """Return its state; see `bayesftc.cosim.block.External.save`."""
         own = None if self._is_smooth and not self.states.can_save else self.states.save()
-        return SavedModel(own, self.states.token, self.time, self.next_event, self.inputs.copy(), self.x.copy())
+        held = self.inputs.copy(), self.x.copy()
+        return SavedModel(own, self.states.token, self._input_names, self.time, self.next_event, *held)
 
     def restore(self, saved: object) -> None:
         """Go back to a state; see `bayesftc.cosim.block.External.restore`."""
@@ -376,6 +382,11 @@ class ExchangeModel:
             raise FMUError(
                 f"What {self.name!r} was to be restored to is no saved state of the FMU {self.library.description.name!r} as a "
                 "model exchange FMU; save it in a run of the same FMU."
+            )
+        if saved.names != self._input_names or saved.x.shape != self.x.shape:
+            raise FMUError(
+                f"What {self.name!r} was to be restored to is of a block of the FMU {self.library.description.name!r} with other "
+                f"inputs or sizes ({', '.join(saved.names) or 'no inputs'}); save it in a run of the same block."
             )
         try:
             if saved.state is not None:

@@ -41,6 +41,7 @@ MODELS = {
               {"der(x)": "x", "der(v)": "v"}, 2, {"x": [], "v": []}, False),
     "scale": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("quiet", 10, P, 0.0)], SLOPE, 0, {"x": []}, False),
     "quits": ([*STATE, ("now", 10, P, 0.0)], SLOPE, 0, {"x": []}, True),
+    "alarm": ([("n", 6, N, None), ("when", 8, N, None)], {}, 1, {"n": [], "when": []}, False),
     "tuned": ([("x", 0, Y, None), ("der(x)", 2, X, None), ("k", 25, T, 1.0)], SLOPE, 0, {"x": []}, False),
     "pol": ([("x", 0, Y, None), ("v", 1, X, None), ("der(x)", 2, X, None), ("der(v)", 3, X, None), ("mu", 10, P, 1000.0)],
             {"der(x)": "x", "der(v)": "v"}, 0, {"x": []}, False),

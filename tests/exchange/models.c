@@ -25,6 +25,7 @@
  *   scale    x' = -x; at 0.5 x becomes 1e-6 and, unless `quiet`, says that its nominal value is that, too
  *   quits    x' = 1; ends the simulation: after a step with x >= 0.35, or (`now` = 1) at once
  *   pol      the oscillator of van der Pol
+ *   alarm    no states; n counts the zeros of sin t, `when` is that of the last one
  *   tuned    x' = -k x, k a tunable parameter, in FMUs that remember nothing else
  *   typed    x' = u + m, y = k x + s; inputs, parameters and outputs (which show the inputs) of all types
  */
@@ -37,10 +38,10 @@
 #include "fmi3Functions.h"
 
 enum { BALL, HEATER, PULSE, RELAY, COUNTER, GATE, ENDLESS, ENDS, NOT_A_NUMBER, FAILS, PAST, CLOCK, LAG, EDGE, FINE, WILD, STACK,
-       BLANK, COUNT, SLIDE, SCALE, QUITS, POL, TUNED, TYPED, MODELS };
+       BLANK, COUNT, SLIDE, SCALE, QUITS, POL, ALARM, TUNED, TYPED, MODELS };
 static const char *TOKENS[MODELS] = {"ball", "heater", "pulse", "relay", "counter", "gate", "endless", "ends", "nan", "fails",
                                      "past", "clock", "lag", "edge", "fine", "wild", "stack", "blank", "count", "slide", "scale",
-                                     "quits", "pol", "tuned", "typed"};
+                                     "quits", "pol", "alarm", "tuned", "typed"};
 enum { START, INIT, EVENT, CONTINUOUS };
 /* Value references: 0, 1 states; 2, 3 derivatives; 4, 5 inputs; 6 n or on; 7 y; 10.. parameters. Of `typed`: 14 to 28 inputs and
  * tunable parameters, 34 to 48 the outputs that show them, 20 further on. */
@@ -64,13 +65,13 @@ static int states(int model) {
     switch (model) {
     case LAG: return 3;
     case BALL: case SLIDE: case POL: return 2;
-    case GATE: case CLOCK: return 0;
+    case GATE: case CLOCK: case ALARM: return 0;
     default: return 1;
     }
 }
 static int indicators(int model) {
     switch (model) {
-    case BALL: case RELAY: case EDGE: case WILD: case BLANK: return 1;
+    case BALL: case RELAY: case EDGE: case WILD: case BLANK: case ALARM: return 1;
     case HEATER: case FINE: case SLIDE: return 2;
     default: return 0;
     }
@@ -143,6 +144,7 @@ static int reached(Instance *m, double *z) {
     case BALL: z[0] = m->s.flag ? 1 : v[0]; break;
     case HEATER: z[0] = v[0] - v[10]; z[1] = v[0] - v[11]; break;
     case RELAY: case EDGE: z[0] = v[0]; break;
+    case ALARM: z[0] = sin(m->s.t); break;
     case FINE: z[0] = v[0] - v[10]; z[1] = v[0] + v[10]; break;
     case WILD:
         if (v[10] == 0 && v[0] < 0.05) return say(m, 2, "too far");
@@ -214,6 +216,9 @@ static int update(Instance *m, int *needed, int *terminate, int *changed, int *d
         else if (!s->flag && v[1] >= v[10] && v[0] < v[11]) s->flag = 1, v[1] = v[10], *changed = 1;
         break;
     case SCALE: if (s->t >= s->event) v[0] = 1e-6, *changed = 1, s->flag = 1, s->event = INFINITY; break;
+    case ALARM:
+        if ((sin(s->t) > 0) != s->flag) s->flag = !s->flag, v[6] += 1, v[8] = s->t;
+        break;
     case QUITS: *terminate = v[10] == 1; break;
     case CLOCK: if (s->t >= s->event) v[6] += 1, s->event += 1; break;
     }

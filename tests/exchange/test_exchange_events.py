@@ -109,6 +109,14 @@ def test_a_switch_that_is_too_fine_ends_in_a_sentence(built, solver):
         diagram.simulate(1, engine="compiled")
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_indicators_of_time_alone_without_states(built, solver, run_both):
+    result = run_both(alone(built("alarm", "3.0"), 0.5, solver=solver), 20)
+    zeros = np.floor(result.time[1:] / np.pi)
+    np.testing.assert_array_equal(result["p.n"][1:], 1 + zeros)
+    np.testing.assert_allclose(result["p.when"][1:], np.pi * zeros, atol=1e-12)
+
+
 # --- time events --------------------------------------------------------------------------------------------------------------
 
 

@@ -113,8 +113,12 @@ def test_saved_with_whole_numbers_and_tunables_it_goes_on_with_the_same_bits(bui
     first = steps(instance, 4, 9)
     instance.restore(saved)
     same_bits(steps(instance, 4, 9), first)
+    other = FMU(built("typed", "3.0"), inputs=["u"], solver=solver).instantiate(Fraction(1, 10), "other")
+    with pytest.raises(FMUError, match=r"of a block of the FMU 'typed' with other inputs or sizes \(u, s, i8"):
+        other.restore(saved)
     instance.forget(saved)
-    instance.close()
+    for one in (instance, other):
+        one.close()
 
 
 def test_the_same_bits_in_a_process_of_its_own(built, same_bits):
