@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from bayesftc import fmus
-from bayesftc.cosim import Block, Definition
+from bayesftc.cosim import Block, Definition, Diagram, Table
 
 # A shell starts what runs in the background deaf to Ctrl-C, and so would be the tests of it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -70,6 +70,22 @@ def make_block():
         return type(name.capitalize(), (Block,), parts)()
 
     return make
+
+
+@pytest.fixture(scope="session")
+def fed():
+    """Return the diagram of a block that is fed from tables, of a value for each step of 0.02 s."""
+
+    def build(block, values, name="block"):
+        diagram = Diagram(0.02)
+        node = diagram.add(block, name)
+        for port, rows in values.items():
+            times = np.arange(rows.shape[1]) / 50
+            tables = [diagram.add(Table(times, row, interpolate=False), f"{port}{i}") for i, row in enumerate(rows)]
+            diagram.connect([table["y"] for table in tables], node[port])
+        return diagram
+
+    return build
 
 
 @pytest.fixture(scope="session")
