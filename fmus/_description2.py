@@ -20,7 +20,7 @@ def _add_variable(parent: ET.Element, variable: Variable, reference: int) -> Non
         attributes["initial"] = "calculated"
     real = {"unit": variable.unit.name} if variable.unit is not None else {}
     if not calculated:
-        real["start"] = repr(float(variable.start))
+        real["start"] = repr(float(variable.starts[0]))
     ET.SubElement(ET.SubElement(parent, "ScalarVariable", attributes), "Real", real)
 
 
@@ -30,7 +30,7 @@ def model_description(model: Model, token: str, sources: Sequence[str]) -> bytes
     Parameters
     ----------
     model : Model
-        The model.
+        The model, all of whose variables are numbers.
     token : str
         The GUID.
     sources : sequence of str

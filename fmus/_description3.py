@@ -19,8 +19,10 @@ def _add_variable(parent: ET.Element, variable: Variable, reference: int) -> Non
     if variable.causality in {"output", "local"}:
         attributes["initial"] = "calculated"
     else:
-        attributes["start"] = repr(float(variable.start))
-    ET.SubElement(parent, "Float64", attributes)
+        attributes["start"] = " ".join(repr(float(start)) for start in variable.starts)
+    element = ET.SubElement(parent, "Float64", attributes)
+    for length in variable.shape:
+        ET.SubElement(element, "Dimension", {"start": str(length)})
 
 
 def model_description(model: Model, token: str) -> bytes:

@@ -14,9 +14,20 @@ _KINDS = {
 }
 
 
-def _row(variable: Variable) -> str:
-    # repr gives the shortest decimal that reads back as the same double, in C as in Python.
-    return f'VARIABLE("{variable.name}", {_KINDS[variable.causality, variable.variability]}, {variable.start!r})'
+def _row(variable: Variable, offset: int) -> str:
+    kind = _KINDS[variable.causality, variable.variability]
+    return f'VARIABLE("{variable.name}", {kind}, {offset}, {variable.size})'
+
+
+def _folded(macro: str, items: list[str]) -> list[str]:
+    """Return the lines of a macro that is a list, some items a line."""
+    lines, line = [], "   "
+    for item in items:
+        if len(line) + len(item) > 110:
+            lines.append(line)
+            line = "   "
+        line += f" {item},"
+    return [f"#define {macro} \\", *(f"{each} \\" for each in lines), line.rstrip(",")]
 
 
 def config_header(model: Model, token: str, *, time_variable: bool) -> str:
@@ -36,11 +47,13 @@ def config_header(model: Model, token: str, *, time_variable: bool) -> str:
     str
         The header's text.
     """
-    count = len(model.variables)
-    rows = [_row(variable) for variable in model.variables]
+    rows = [_row(variable, model.offset(variable.name)) for variable in model.variables]
     if time_variable:
-        rows.append('VARIABLE("time", INDEPENDENT, 0.0)')
-    indices = [*(variable.symbol for variable in model.variables), "X_TIME", "X_HIDDEN"]
+        rows.append(f'VARIABLE("time", INDEPENDENT, {model.size}, 1)')
+    indices = [f"{variable.symbol} = {model.offset(variable.name)}" for variable in model.variables]
+    indices += [f"X_TIME = {model.size}", "X_HIDDEN"]
+    # repr gives the shortest decimal that reads back as the same double, in C as in Python.
+    starts = [repr(float(start)) for variable in model.variables for start in variable.starts]
     lines = [
         f"/* Written by bayesftc.fmus from the description of {model.name}: change that, not this. */",
         "#ifndef BAYESFTC_MODEL_CONFIG_H",
@@ -50,7 +63,7 @@ def config_header(model: Model, token: str, *, time_variable: bool) -> str:
         f'#define MODEL_TOKEN "{token}"',
         f"#define MODEL_VARIABLES {len(rows)}",
         f"#define MODEL_HIDDEN {model.hidden}",
-        f"#define MODEL_SIZE {count + 1 + model.hidden}",
+        f"#define MODEL_SIZE {model.size + 1 + model.hidden}",
         *([f"#define MODEL_FIXED_STEP {model.step!r}"] if model.fixed_step else []),
         "",
         "enum { " + ", ".join(indices) + " };",
@@ -58,6 +71,8 @@ def config_header(model: Model, token: str, *, time_variable: bool) -> str:
         "#define MODEL_TABLE \\",
         *(f"    {row} \\" for row in rows[:-1]),
         f"    {rows[-1]}",
+        "",
+        *_folded("MODEL_STARTS", starts or ["0.0"]),
         "",
         "#endif",
     ]

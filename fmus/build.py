@@ -39,19 +39,34 @@ def _fmi_headers(fmi: str) -> dict[str, bytes]:
 
 
 def _with_token(model: Model, fmi: str, token: str) -> dict[str, bytes]:
-    wrapper, own, source = f"fmi{fmi[0]}.c", f"{model.name}.c", model.source.read_bytes()
-    needed = [wrapper, "instance.h", "model.h"] + ["runge_kutta.h"] * (b'"runge_kutta.h"' in source)
+    if fmi == "2.0":
+        model = model.flat()
+    own, compiled = _own_sources(model), _compiled_sources(model, fmi)
+    needed = [compiled[0], "instance.h", "model.h"]
+    needed += ["runge_kutta.h"] * any(b'"runge_kutta.h"' in text for text in own.values())
     files = {
-        f"sources/{own}": source,
+        **{f"sources/{name}": text for name, text in own.items()},
         **{f"sources/{name}": (_C_FOLDER / name).read_bytes() for name in needed},
         "sources/model_config.h": config_header(model, token, time_variable=fmi == "3.0").encode(),
     }
     if fmi == "2.0":
-        files["modelDescription.xml"] = _description2.model_description(model, token, (wrapper, own))
+        files["modelDescription.xml"] = _description2.model_description(model, token, compiled)
     else:
         files["modelDescription.xml"] = _description3.model_description(model, token)
-        files["sources/buildDescription.xml"] = _xml.build_description(model, (wrapper, own))
+        files["sources/buildDescription.xml"] = _xml.build_description(model, compiled)
     return files
+
+
+def _own_sources(model: Model) -> dict[str, bytes]:
+    """Return the model's own C files and headers by name."""
+    if isinstance(model.source, Path):
+        return {f"{model.name}.c": model.source.read_bytes()}
+    return {name: text.encode() for name, text in model.source.items()}
+
+
+def _compiled_sources(model: Model, fmi: str) -> tuple[str, ...]:
+    """Return the names of the files to compile, the wrapper's first."""
+    return f"fmi{fmi[0]}.c", *(name for name in _own_sources(model) if name.endswith(".c"))
 
 
 def own_files(model: Model, *, fmi: str) -> dict[str, bytes]:
@@ -85,7 +100,7 @@ def _compiled(model: Model, files: Mapping[str, bytes], fmi: str, target: Platfo
         for name, content in files.items():
             (folder / Path(name).name).write_bytes(content)
         library = folder / f"{model.name}{target.suffix}"
-        compile_library(folder, (f"fmi{fmi[0]}.c", f"{model.name}.c"), library, target, model.libraries)
+        compile_library(folder, _compiled_sources(model, fmi), library, target, model.libraries)
         return {f"binaries/{folder_name}/{library.name}": library.read_bytes()}
 
 

@@ -2,7 +2,9 @@
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
@@ -44,7 +46,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Variable:
-    """One scalar variable of a model.
+    """One variable of a model, a number or an array of numbers.
 
     Parameters
     ----------
@@ -56,8 +58,9 @@ class Variable:
         One sentence for the user of the FMU.
     unit : Unit, optional
         None for a number without a unit.
-    start : float
-        Value before initialization; of an output or a local variable, what it holds until the model computes it.
+    start : float or tuple of float
+        Value before initialization; of an output or a local variable, what it holds until the model computes it. Of an array
+        one value for all elements, or one for each, row by row.
     variability : {"continuous", "discrete", "fixed", "tunable"}, optional
         Inputs, outputs and locals are continuous unless said otherwise, parameters fixed.
     dependencies : tuple of str
@@ -65,21 +68,26 @@ class Variable:
         no direct feedthrough, and says so to importers, which else find algebraic loops that are not there.
     initial_dependencies : tuple of str
         Of an output: the inputs and parameters that its initial value is computed from.
+    shape : tuple of int
+        ``()`` for a number. An array is one variable in FMI 3, and one for each element in FMI 2, ``y[0]`` the first.
     """
 
     name: str
     causality: Literal["input", "output", "parameter", "local"]
     description: str
     unit: Unit | None = None
-    start: float = 0.0
+    start: float | tuple[float, ...] = 0.0
     variability: Literal["", "continuous", "discrete", "fixed", "tunable"] = ""
     dependencies: tuple[str, ...] = ()
     initial_dependencies: tuple[str, ...] = ()
+    shape: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"The variable name {self.name!r} is not legal in FMI; use letters, digits, '.', '[1]'.")
-        if not math.isfinite(self.start):
+        if len(self.starts) != self.size:
+            raise ValueError(f"'{self.name}' has {self.size} elements and {len(self.starts)} start values.")
+        if not all(map(math.isfinite, self.starts)):
             raise ValueError(
                 f"The start value {self.start} of '{self.name}' is not finite; FMI has no spelling for it."
             )
@@ -92,6 +100,22 @@ class Variable:
             )
         if self.causality != "output" and (self.dependencies or self.initial_dependencies):
             raise ValueError(f"'{self.name}' is {self.causality}; only an output has dependencies.")
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return math.prod(self.shape)
+
+    @property
+    def starts(self) -> tuple[float, ...]:
+        """The start value of each element."""
+        return self.start if isinstance(self.start, tuple) else (self.start,) * self.size
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """The name of each element; of a number its own."""
+        indices = product(*map(range, self.shape))
+        return tuple(self.name + (f"[{','.join(map(str, index))}]" if index else "") for index in indices)
 
     @property
     def symbol(self) -> str:
@@ -109,10 +133,10 @@ class Model:
         Model name, model identifier, and stem of the FMU's file.
     description : str
         One or two sentences for the user of the FMU.
-    source : pathlib.Path
-        C file that defines ``model_initialize`` and ``model_step``.
+    source : pathlib.Path or mapping of str to str
+        C file that defines ``model_initialize`` and ``model_step``; or the texts of several C files and headers by name.
     variables : tuple of Variable
-        In the order of their value references, which are their indices in the vector of values.
+        In the order in which their elements lie in the vector of values.
     step : float
         Preferred communication step size [s].
     fixed_step : bool
@@ -130,7 +154,7 @@ class Model:
 
     name: str
     description: str
-    source: Path
+    source: Path | Mapping[str, str]
     variables: tuple[Variable, ...]
     step: float
     fixed_step: bool = False
@@ -172,5 +196,37 @@ class Model:
         return tuple(dict.fromkeys(used))
 
     def index(self, name: str) -> int:
-        """Position of a variable in the vector of values, which is its value reference."""
+        """Place of a variable among the others, which is its value reference."""
         return [variable.name for variable in self.variables].index(name)
+
+    def offset(self, name: str) -> int:
+        """Place of a variable's first element in the vector of values."""
+        return sum(variable.size for variable in self.variables[: self.index(name)])
+
+    @property
+    def size(self) -> int:
+        """Number of elements of all variables."""
+        return sum(variable.size for variable in self.variables)
+
+    def flat(self) -> "Model":
+        """Return the model with each element of an array as a variable of its own, as FMI 2 has it."""
+        elements = {variable.name: variable.elements for variable in self.variables}
+
+        def each(names: tuple[str, ...]) -> tuple[str, ...]:
+            return tuple(element for name in names for element in elements[name])
+
+        return replace(
+            self,
+            variables=tuple(
+                replace(
+                    variable,
+                    name=name,
+                    start=start,
+                    shape=(),
+                    dependencies=each(variable.dependencies),
+                    initial_dependencies=each(variable.initial_dependencies),
+                )
+                for variable in self.variables
+                for name, start in zip(variable.elements, variable.starts, strict=True)
+            ),
+        )

@@ -353,7 +353,7 @@ def test_what_only_one_version_can_get_wrong(make):
     else:
         references, values = (ctypes.c_uint32 * 2)(0, 1), (ctypes.c_double * 2)()
         message = car.refused(car.fmu.fmi3SetFloat64, car.fmu.component, references, 2, values, 1)
-        assert "1 values for 2 scalar variables" in message
+        assert "1 values for variables with 2 elements" in message
 
 
 def test_an_unknown_value_reference_is_named(make):

@@ -112,12 +112,12 @@ fmi2Status fmi2Reset(fmi2Component c)
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
 {
-    return (fmi2Status)get_values((Instance *)c, "fmi2GetReal", vr, nvr, value);
+    return (fmi2Status)get_values((Instance *)c, "fmi2GetReal", vr, nvr, value, nvr);
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
 {
-    return (fmi2Status)set_values((Instance *)c, "fmi2SetReal", vr, nvr, value);
+    return (fmi2Status)set_values((Instance *)c, "fmi2SetReal", vr, nvr, value, nvr);
 }
 
 #define OTHER_TYPE(function, value_type) \

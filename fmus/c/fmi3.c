@@ -115,40 +115,18 @@ fmi3Status fmi3Reset(fmi3Instance instance)
     return (fmi3Status)reset((Instance *)instance);
 }
 
-/* Variables: all are scalars, so there is one value for each reference. */
-
-static int same_count(Instance *instance, const char *function, size_t nValueReferences, size_t nValues)
-{
-    if (instance == NULL) {
-        return ERROR;
-    }
-    if (nValueReferences != nValues) {
-        return fail(instance, "%s: %lu values for %lu scalar variables.", function, (unsigned long)nValues,
-                    (unsigned long)nValueReferences);
-    }
-    return OK;
-}
+/* Variables */
 
 fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
                           fmi3Float64 values[], size_t nValues)
 {
-    const int status = same_count((Instance *)instance, "fmi3GetFloat64", nValueReferences, nValues);
-
-    if (status != OK) {
-        return (fmi3Status)status;
-    }
-    return (fmi3Status)get_values((Instance *)instance, "fmi3GetFloat64", valueReferences, nValueReferences, values);
+    return (fmi3Status)get_values((Instance *)instance, "fmi3GetFloat64", valueReferences, nValueReferences, values, nValues);
 }
 
 fmi3Status fmi3SetFloat64(fmi3Instance instance, const fmi3ValueReference valueReferences[], size_t nValueReferences,
                           const fmi3Float64 values[], size_t nValues)
 {
-    const int status = same_count((Instance *)instance, "fmi3SetFloat64", nValueReferences, nValues);
-
-    if (status != OK) {
-        return (fmi3Status)status;
-    }
-    return (fmi3Status)set_values((Instance *)instance, "fmi3SetFloat64", valueReferences, nValueReferences, values);
+    return (fmi3Status)set_values((Instance *)instance, "fmi3SetFloat64", valueReferences, nValueReferences, values, nValues);
 }
 
 #if defined __GNUC__

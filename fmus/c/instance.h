@@ -23,15 +23,19 @@ enum { SETTING = INSTANTIATED + INITIALIZATION + STEP, GETTING = INITIALIZATION 
 
 typedef enum { INPUT, OUTPUT, LOCAL, FIXED, TUNABLE, INDEPENDENT } Kind;
 
+/* A value reference is a variable's place in this table; its elements lie one after the other from x[offset] on. */
 typedef struct {
     const char *name;
     Kind kind;
-    double start;
+    size_t offset;
+    size_t size;
 } Variable;
 
-#define VARIABLE(name, kind, start) { name, kind, start },
+#define VARIABLE(name, kind, offset, size) { name, kind, offset, size },
 static const Variable VARIABLES[MODEL_VARIABLES] = { MODEL_TABLE };
 #undef VARIABLE
+
+static const double STARTS[] = { MODEL_STARTS };
 
 /* All that saving, restoring and serialising copies. */
 typedef struct {
@@ -142,8 +146,8 @@ static void reset_state(State *state)
 
     memset(state, 0, sizeof *state); /* also the padding, so that equal states serialise to equal bytes */
     state->phase = INSTANTIATED;
-    for (i = 0; i < MODEL_VARIABLES; ++i) {
-        state->x[i] = VARIABLES[i].start;
+    for (i = 0; i < X_TIME; ++i) {
+        state->x[i] = STARTS[i];
     }
 }
 
@@ -225,20 +229,44 @@ static int exit_initialization(Instance *instance, const char *function)
     return OK;
 }
 
-static int get_values(Instance *instance, const char *function, const unsigned int *references, size_t count, double *values)
+/* OK where all references are known and the variables have as many elements as there are values. */
+static int check_references(Instance *instance, const char *function, const unsigned int *references, size_t count,
+                            size_t values)
 {
-    const int status = check_phase(instance, function, GETTING, "from initialization mode on");
+    size_t elements = 0;
     size_t i;
 
+    for (i = 0; i < count; ++i) {
+        if (references[i] >= MODEL_VARIABLES) {
+            return fail(instance, "%s: %s has no variable with the value reference %u.", function, MODEL_NAME, references[i]);
+        }
+        elements += VARIABLES[references[i]].size;
+    }
+    if (elements != values) {
+        return fail(instance, "%s: %lu values for variables with %lu elements.", function, (unsigned long)values,
+                    (unsigned long)elements);
+    }
+    return OK;
+}
+
+static int get_values(Instance *instance, const char *function, const unsigned int *references, size_t count, double *values,
+                      size_t size)
+{
+    int status = check_phase(instance, function, GETTING, "from initialization mode on");
+    size_t i;
+
+    if (status == OK) {
+        status = check_references(instance, function, references, count, size);
+    }
     if (status != OK) {
         return status;
     }
     refresh(instance);
     for (i = 0; i < count; ++i) {
-        if (references[i] >= MODEL_VARIABLES) {
-            return fail(instance, "%s: %s has no variable with the value reference %u.", function, MODEL_NAME, references[i]);
-        }
-        values[i] = instance->state.x[references[i]];
+        const Variable *variable = &VARIABLES[references[i]];
+
+        memcpy(values, instance->state.x + variable->offset, variable->size * sizeof *values);
+        values += variable->size;
     }
     return OK;
 }
@@ -255,30 +283,33 @@ static int settable(Kind kind)
 }
 
 static int set_values(Instance *instance, const char *function, const unsigned int *references, size_t count,
-                      const double *values)
+                      const double *values, size_t size)
 {
-    const int status = check_phase(instance, function, SETTING, "before or in step mode");
+    int status = check_phase(instance, function, SETTING, "before or in step mode");
     size_t i;
 
+    /* All are checked before the first is written: a refused call has changed no value. */
+    if (status == OK) {
+        status = check_references(instance, function, references, count, size);
+    }
     if (status != OK) {
         return status;
     }
-    /* All are checked before the first is written: a refused call has changed no value. */
     for (i = 0; i < count; ++i) {
-        const unsigned int reference = references[i];
+        const Variable *variable = &VARIABLES[references[i]];
 
-        if (reference >= MODEL_VARIABLES) {
-            return fail(instance, "%s: %s has no variable with the value reference %u.", function, MODEL_NAME, reference);
-        }
-        if (!(settable(VARIABLES[reference].kind) & instance->state.phase)) {
-            return fail(instance, VARIABLES[reference].kind == FIXED
+        if (!(settable(variable->kind) & instance->state.phase)) {
+            return fail(instance, variable->kind == FIXED
                         ? "%s: '%s' (value reference %u) is a fixed parameter; set it before initialization ends."
                         : "%s: '%s' (value reference %u) is computed by the model and cannot be set.",
-                        function, VARIABLES[reference].name, reference);
+                        function, variable->name, references[i]);
         }
     }
     for (i = 0; i < count; ++i) {
-        instance->state.x[references[i]] = values[i];
+        const Variable *variable = &VARIABLES[references[i]];
+
+        memcpy(instance->state.x + variable->offset, values, variable->size * sizeof *values);
+        values += variable->size;
     }
     instance->state.stale = 1;
     return OK;

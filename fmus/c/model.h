@@ -2,8 +2,8 @@
  *
  * An instance of a model is one flat vector x of MODEL_SIZE doubles, and nothing else:
  *
- *   x[0] ... x[n - 1]   the variables that importers see, in the order of the model's description; the value
- *                       reference of a variable is its index. X_<name> is that index (brackets and dots become _).
+ *   x[0] ... x[n - 1]   the variables that importers see, element by element, in the order of the model's description.
+ *                       X_<name> is the index of a variable's first element (brackets and dots become _).
  *   x[X_TIME]           the instance's own time in seconds; the wrapper writes it, the model may read it.
  *   x[X_HIDDEN] ...     MODEL_HIDDEN doubles of state or scratch space that no importer sees; zero at the start.
  *

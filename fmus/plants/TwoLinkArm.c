@@ -3,16 +3,14 @@
  *     M(q) ddq + C(q, dq) dq + D dq + G(q) = torque
  *
  * q1 is the angle of the first link from the horizontal, q2 that of the second from the first; q = (-pi/2, 0) hangs down.
- * Torques are held during a communication step, which is cut into equal substeps of at most max_substep, each one step of
- * the classical fourth-order Runge-Kutta method: the work is known beforehand, and the same inputs give the same numbers.
- * A step fails with code 1 where max_substep is not a positive number, with code 2 where it would take more than
- * MOST_SUBSTEPS substeps.
+ * Torques are held during a communication step, which runge_kutta.h integrates. A step fails with code 1 where max_substep is
+ * not a positive number, with code 2 where it would take more than MOST_SUBSTEPS substeps.
  */
 #include <math.h>
 
 #include "model.h"
 
-static const double MOST_SUBSTEPS = 1e6;
+#define STATES 4
 
 /* ds = d/dt s, where s = (q1, q2, dq1, dq2). */
 static void derivative(const double *x, const double *s, double *ds)
@@ -37,32 +35,7 @@ static void derivative(const double *x, const double *s, double *ds)
     ds[3] = (M11 * torque2 - M12 * torque1) / determinant;
 }
 
-/* to = s + h ds */
-static void ahead(const double *s, double h, const double *ds, double *to)
-{
-    int i;
-
-    for (i = 0; i < 4; ++i) {
-        to[i] = s[i] + h * ds[i];
-    }
-}
-
-static void runge_kutta(const double *x, double h, double *s)
-{
-    double k1[4], k2[4], k3[4], k4[4], inside[4];
-    int i;
-
-    derivative(x, s, k1);
-    ahead(s, 0.5 * h, k1, inside);
-    derivative(x, inside, k2);
-    ahead(s, 0.5 * h, k2, inside);
-    derivative(x, inside, k3);
-    ahead(s, h, k3, inside);
-    derivative(x, inside, k4);
-    for (i = 0; i < 4; ++i) {
-        s[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
-    }
-}
+#include "runge_kutta.h"
 
 static void write_outputs(double *x, const double *s)
 {
@@ -76,29 +49,18 @@ static void write_outputs(double *x, const double *s)
 
 void model_initialize(double *x)
 {
-    const double s[4] = { x[X_q1_0], x[X_q2_0], x[X_dq1_0], x[X_dq2_0] };
+    const double s[STATES] = { x[X_q1_0], x[X_q2_0], x[X_dq1_0], x[X_dq2_0] };
 
     write_outputs(x, s);
 }
 
 int model_step(double *x, double h)
 {
-    double s[4] = { x[X_q1], x[X_q2], x[X_dq1], x[X_dq2] };
-    double substeps;
-    long i, count;
+    double s[STATES] = { x[X_q1], x[X_q2], x[X_dq1], x[X_dq2] };
+    const int status = integrate(x, h, s);
 
-    if (!(x[X_max_substep] > 0.0)) {
-        return 1;
+    if (status == 0) {
+        write_outputs(x, s);
     }
-    /* Less a little, so that a step size that was rounded up takes no substep more. */
-    substeps = ceil(h / x[X_max_substep] * (1.0 - 1e-9));
-    if (substeps > MOST_SUBSTEPS) {
-        return 2;
-    }
-    count = substeps < 1.0 ? 1 : (long)substeps;
-    for (i = 0; i < count; ++i) {
-        runge_kutta(x, h / (double)count, s);
-    }
-    write_outputs(x, s);
-    return 0;
+    return status;
 }
