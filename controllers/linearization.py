@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_number, as_vector
+from bayesftc.controllers._differences import derivative
+from bayesftc.controllers._integrators import without_integrators
 from bayesftc.controllers._pulse_responses import realise
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.block import Floats
@@ -38,13 +40,15 @@ class Linearization:
     A, B, C : ndarray
         Transition in one step, effect of the inputs, and what the outputs are of the state.
     x, u, y : ndarray
-        The operating point: a steady state.
+        The operating point: a steady state, or one of steady motion.
     start : ndarray
         The state in which the plant starts.
     inputs, outputs : tuple of str
         Names of the columns of B and the rows of C; elements of vectors and matrices as ``"y[1]"``, ``"T[0,1]"``.
     step : Fraction
         Sample time in seconds.
+    following : ndarray or None
+        The state one step after x, where integrators (a position) go on all the while; None where it is x.
     """
 
     A: Floats
@@ -57,6 +61,20 @@ class Linearization:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     step: Fraction
+    following: Floats | None = None
+
+    def seen(self) -> Linearization:
+        """Return the same without integrators that none of the outputs see (a position where only the speed is of interest)."""
+        rest = without_integrators(self.A, self.C)
+        if rest is None:
+            return self
+        x, start = rest.rows @ self.x, rest.rows @ self.start
+        following = None if self.following is None else rest.rows @ self.following
+        if following is not None and np.allclose(following, x, rtol=1e-9, atol=1e-12):
+            following = None
+        return replace(
+            self, A=rest.of(self.A), B=rest.rows @ self.B, C=self.C @ rest.back, x=x, start=start, following=following
+        )
 
     def rows(self, names: Sequence[str]) -> list[int]:
         """Return the places of outputs; a vector's name stands for all its elements."""
@@ -97,7 +115,7 @@ class Linearization:
         if not (self.x.any() or self.u.any() or self.y.any()):
             return model
         # Inputs that are not actuated stay as they are at the operating point, and so are part of what is steady.
-        return model.about(self.x, self.u[columns], self.y[order])
+        return model.about(self.x, self.u[columns], self.y[order], following=self.following)
 
     def _noise(self, actuated: Sequence[int], noise: Mapping[str, float | Sequence[float]] | None) -> Floats:
         std = {j: INPUT_NOISE * max(1.0, abs(self.u[j])) for j in actuated}
@@ -132,13 +150,13 @@ def linearize(
     if isinstance(plant, str | PathLike):
         plant = FMU(plant)
     if isinstance(plant, FMU):
-        return _of_fmu(plant, inputs, outputs, dt, at or {}, order)
+        return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
     if order is not None:
         raise ModelError("order= is for an FMU whose states are not seen; leave it out.")
     if not isinstance(block.system, LinearSystem):
-        return _of_nonlinear(block, inputs, outputs, dt, at or {})
-    return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {})
+        return _of_nonlinear(block, inputs, outputs, dt, at or {}).seen()
+    return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}).seen()
 
 
 def names_of(given: Names, what: str) -> list[str]:
@@ -227,29 +245,34 @@ def _of_nonlinear(
     dt: float | str | Fraction | None,
     at: Mapping[str, float | Sequence[float]],
 ) -> Linearization:
-    import control
-
     system = block.system
     known_inputs = [port.name for port in block.inputs if port.draw is None]
     u = _operating(known_inputs, np.zeros(len(known_inputs)), at)
     columns, into = _chosen(inputs, known_inputs, "input")
     rows, out = _chosen(outputs, [port.name for port in block.outputs], "output")
     x = np.array(block.initial, dtype=np.float64)
-    params = None if block.params is None else dict(block.params)
+    n, params = len(x), {} if block.params is None else dict(block.params)
 
     def residual(x: Floats, u: Floats) -> Floats:
-        change = np.asarray(system.dynamics(0.0, x, u, params or {}), dtype=np.float64)
+        change = np.asarray(system.dynamics(0.0, x, u, params), dtype=np.float64)
         return change if system.dt == 0 else change - x
 
-    x, u = _rest(residual, x, u, columns)
-    linear = control.linearize(system, x, u, params=params)
-    y = np.asarray(system.output(0.0, x, u, params or {}), dtype=np.float64)
+    def both(z: Floats) -> Floats:
+        """Return what follows from states and inputs, and the outputs."""
+        moves, seen = (f(0.0, z[:n], z[n:], params) for f in (system.dynamics, system.output))
+        return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
+
+    x, u, rate = _rest(residual, x, u, _free(columns, known_inputs, at))
+    whole = derivative(both, np.concatenate([x, u]))
+    a, b, c, d = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+    y = both(np.concatenate([x, u]))[n:]
     step = _step(system.dt, dt)
-    a, b, c, d = (np.asarray(matrix, dtype=np.float64) for matrix in (linear.A, linear.B, linear.C, linear.D))
     if system.dt == 0:
         a, b = held(a, b, float(step))
     _refuse_direct(d[np.ix_(rows, columns)])
-    return Linearization(a, b[:, columns], c[rows], x, u[columns], y[rows], np.array(block.initial), into, out, step)
+    following = None if rate is None else x + rate * (float(step) if system.dt == 0 else 1.0)
+    start = np.array(block.initial)
+    return Linearization(a, b[:, columns], c[rows], x, u[columns], y[rows], start, into, out, step, following)
 
 
 def _step(own: float | None, asked: float | str | Fraction | None) -> Fraction:
@@ -287,7 +310,7 @@ def _of_fmu(
     columns, driven = _chosen(inputs, into, "input")
     rows, seen = _chosen(outputs, out, "output")
     if fmu.description.exchange is not None and order is None:
-        return _of_equations(fmu, u, columns, rows, driven, seen, step)
+        return _of_equations(fmu, u, columns, rows, driven, seen, step, _free(columns, into, at))
     found = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     if found.waited and not at:
         warnings.warn(
@@ -314,16 +337,18 @@ def _of_equations(
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
     step: Fraction,
+    free: Sequence[int],
 ) -> Linearization:
     from bayesftc.cosim._exchange.equations import ModelEquations
 
     with ModelEquations(fmu) as model:
-        x, u = _rest(model.derivatives, model.x0, u, columns, model.nominals)
+        x, u, rate = _rest(model.derivatives, model.x0, u, free, model.nominals)
         a, b, c, d = model.jacobians(x, u)
         y, start = model.outputs(x, u), model.x0
     _refuse_direct(d[np.ix_(rows, columns)])
     A, B = held(a, b, float(step))
-    return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step)
+    following = None if rate is None else x + float(step) * rate
+    return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step, following)
 
 
 def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:
@@ -337,15 +362,24 @@ def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:
     return rational_step(dt)
 
 
+def _free(columns: Sequence[int], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:
+    """Return which of the actuated inputs may take other values in a steady state: those of which none is given."""
+    given = _spread("The operating point", at, inputs)
+    return [j for j in columns if j not in given]
+
+
 def _rest(
     residual: Any, x: Floats, u: Floats, free: Sequence[int], scale: Floats | None = None
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats | None]:
     """Return a state and inputs at which nothing changes: where it starts, else near there, with other inputs if it must be.
+
+    If there is none, one of steady motion will do: states on whose values nothing depends (the position of a car) change at a
+    constant rate, which is the third of what is returned; else it is None.
 
     Raises
     ------
     ModelError
-        If there is none.
+        If there is none either.
     """
     from scipy.optimize import least_squares
 
@@ -360,17 +394,22 @@ def _rest(
 
     z = x / size
     if np.abs(change(z)).max(initial=0.0) <= 1e-9:
-        return x, u
-    for start in (z, np.concatenate([z, u[list(free)]])):
-        found = least_squares(change, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        return x, u, None
+    still = np.array([not (change(z + step) - change(z - step)).any() for step in 0.1 * np.eye(n)])
+    ways: list[tuple[Floats, Any]] = [(z, change)]
+    ways += [(np.concatenate([z, u[list(free)]]), change)] if len(free) else []
+    ways += [(z, lambda z: np.where(still, 0.0, change(z)))] if still.any() else []
+    for start, f in ways:
+        found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         if np.abs(found.fun).max() <= 1e-8:
             inputs = u.copy()
             if len(start) > n:
                 inputs[list(free)] = found.x[n:]
-            return found.x[:n] * size, inputs
+            rest = found.x[:n] * size
+            return rest, inputs, None if f is change else np.where(still, residual(rest, inputs), 0.0)
     raise ModelError(
-        "No steady state was found: no state near the start at which nothing changes, whatever the actuated inputs. Give other "
-        "start values, or other inputs (at=...)."
+        "No steady state was found: no state near the start at which nothing changes (integrators on which nothing depends left "
+        f"out){', whatever the actuated inputs' if len(free) else ''}. Give other start values, or other inputs (at=...)."
     )
 
 

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
+from bayesftc.controllers._differences import derivative
 from bayesftc.controllers.linearization import linearize
 from bayesftc.cosim._fmi.instance import Instance
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
@@ -220,9 +221,99 @@ def test_systems_of_python_control():
     found = linearize(hanging, measured="angle", actuated="u", dt=0.05, at={"u": 9.81 / 2})
     np.testing.assert_allclose(found.x, [np.pi / 6, 0.0], atol=1e-8)
     local = [[0, 1], [-9.81 * np.cos(np.pi / 6), -0.5]]
-    np.testing.assert_allclose(found.A, expm(0.05 * np.array(local)), atol=1e-5)
+    np.testing.assert_allclose(found.A, expm(0.05 * np.array(local)), atol=1e-10)
     controller = design(hanging, measured="angle", actuated="u", dt=0.05, at={"u": 9.81 / 2})
     np.testing.assert_array_equal(controller.initial_mean, [0.0, 0.0, 1.0])  # where it starts, and the constant
+
+
+def car(unit=1.0):
+    """A car with drag, 0.4 v |v| + 100 N against 1200 kg; its speed in units of so many m/s."""
+
+    def drives(t, x, u, params):
+        speed = unit * x[1]
+        return [speed, (u[0] - 0.4 * speed * abs(speed) - 100.0) / 1200.0 / unit]
+
+    return control.NonlinearIOSystem(drives, None, inputs=["force"], outputs=["x", "v"], states=2)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
+def test_a_car_is_linearised_in_motion(unit):
+    """Its position goes on all the while; at 260 N it goes 20 m/s."""
+    plant = cosim.StateSpace(car(unit), initial=[0.0, 18.0 / unit], feedthrough=False)
+    found = linearize(plant, measured=["x", "v"], actuated="force", dt=0.1, at={"force": 260.0})
+    np.testing.assert_allclose(found.x, [0.0, 20.0 / unit], rtol=1e-7)
+    np.testing.assert_allclose(found.following, [2.0, 20.0 / unit], rtol=1e-7)
+    assert found.u[0] == 260.0
+    rate = np.array([[0, unit, 0], [0, -0.8 * 20 / 1200, 1 / 1200 / unit], [0, 0, 0]])
+    np.testing.assert_allclose(found.A, expm(0.1 * rate)[:2, :2], rtol=1e-6)
+    np.testing.assert_allclose(found.B, expm(0.1 * rate)[:2, 2:], rtol=1e-6)
+    # Without the position among the outputs there is none in the model.
+    alone = linearize(plant, measured="v", actuated="force", dt=0.1, at={"force": 260.0})
+    assert alone.following is None
+    np.testing.assert_allclose(alone.A, found.A[1:, 1:])
+    np.testing.assert_allclose(alone.start, [18.0 / unit])
+
+
+def test_cruise_control():
+    """A goal on the speed alone, with the position measured too: it goes on, and the law is that of the speed."""
+    plant = cosim.StateSpace(car(), initial=[0.0, 18.0], feedthrough=False)
+    settings = {"actuated": "force", "goal": "v", "dt": 0.1, "at": {"force": 260.0}, "acceptable_control": 300.0}
+    fixed = controllers.FixedPrecision()
+    controller = design(
+        plant, measured=["x", "v"], sensor_std=[1.0, 0.1], disturbance=100.0, precision=fixed, **settings
+    )
+    alone = design(plant, measured="v", **settings)
+    assert "do not ask about 1 of the plant's integrators" in controller.describe()
+    np.testing.assert_allclose(controller.regulator.gain, [[0.0, *alone.regulator.gain[0]]], rtol=1e-9)
+    loop = cosim.closed_loop(
+        plant,
+        controller,
+        control="force",
+        measured=["x", "v"],
+        sensors=cosim.Sensors(2, [1.0, 0.1]),
+        dt=0.1,
+        reference=cosim.Step(time=20.0, before=20.0, after=25.0),
+    )
+    result = loop.simulate(60.0, seed=1, engine="interpreted")
+    assert result["plant.v"][150:200] == pytest.approx(20.0, abs=0.3)
+    assert result["plant.v"][-50:] == pytest.approx(25.0, abs=0.3)
+    assert result["plant.x"][-1] > 1200.0
+
+
+def test_derivatives_in_any_units_and_at_kinks():
+    point, scale = np.array([0.5, 1e-9, 3e7]), np.array([1.0, 1e-9, 1e7])
+
+    def f(z):
+        a, b, c = z / scale
+        return np.array([np.sin(a) * b, np.exp(c) + a, np.sqrt(c - 2.9)])
+
+    a, b, c = point / scale
+    known = [[np.cos(a) * b, np.sin(a), 0], [1, 0, np.exp(c)], [0, 0, 0.5 / np.sqrt(c - 2.9)]]
+    np.testing.assert_allclose(derivative(f, point), known / scale, rtol=1e-8, atol=1e-16)
+    with pytest.warns(PoorFitWarning, match="kink"):
+        derivative(lambda z: np.abs(z - 0.5), np.array([0.5]))
+    with pytest.raises(ModelError, match="cannot be evaluated beside"):
+        derivative(lambda z: np.where(z == 0.5, z, np.nan), np.array([0.5]))
+
+
+def test_a_linear_car_of_which_only_the_speed_is_measured():
+    car = control.ss([[0, 1], [0, -0.1]], [[0], [1]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
+    controller = design(car, measured="v", actuated="force", dt=0.1)
+    assert controller.model.states == 1
+    gain, _, _ = control.dlqr(*(controller.model.matrix(name) for name in "AB"), 100 * np.eye(1), np.eye(1))
+    np.testing.assert_allclose(controller.regulator.gain, gain, rtol=1e-9)
+    with pytest.raises(ModelError, match="zero at 1"):  # standing, at any angle but upright it must go ever faster
+        design(fmus.path("CartPendulum"), measured=["position", "angle"], actuated="force", goal="angle")
+
+
+def test_inputs_that_are_given_are_kept():
+    falls = control.NonlinearIOSystem(
+        lambda t, x, u, p: [x[1], u[0] - 9.81], None, inputs="u", outputs=["z", "v"], states=2
+    )
+    found = linearize(falls, measured="z", actuated="u", dt=0.1)
+    assert found.u[0] == pytest.approx(9.81)
+    with pytest.raises(ModelError, match="No steady state was found"):
+        linearize(falls, measured="z", actuated="u", dt=0.1, at={"u": 5.0})
 
 
 def test_faults_of_a_slow_plant_last_as_many_samples():
