@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+from bayesftc.cosim._isolation.spares import Spares
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
@@ -45,30 +46,31 @@ def repeat(
     selection = select_signals(schedule, record)
     known: tuple[CompiledEngine, Run, list[int]] | None = None
     short = False
-    for seed in seeds:
-        with ExitStack() as stack:
-            run = open_run(schedule, stack, check_seed(seed), selection, steps, 1)
-            # What an FMU's instance calls its own lies in memory; only another binary would have other functions.
-            addresses = [a for i in run.instances.values() for a in (i.output_address, i.update_address)]
-            machine: Engine
-            if known is not None and known[2] == addresses:
-                machine, first, _ = known
-                first.memory[:] = run.memory
-                first.seed, first.recording, first.instances = run.seed, run.recording, run.instances
-                first.state_functions = run.state_functions
-                first.before, first.k, first.sound = run.before, run.k, run.sound
-                run = first
-            else:
-                machine = choose_engine("auto", run)
-                known = (machine, run, addresses) if isinstance(machine, CompiledEngine) else None
-            began = time.perf_counter()
-            if short:  # over before anyone would notice: no pauses, for which threads would wait for each other
-                failure = machine.advance(0, steps, first=True)[1]
-                stopped = explain(failure, run) if failure else None
-            else:
-                stopped = advance(machine, steps, run)
-                short = time.perf_counter() - began < BREATH
-        result = Result(run.recording, selection.columns, schedule.step, units=selection.units, stopped=stopped)
-        if stopped:
-            raise failed(f"With seed {seed}: {stopped}", result, run)
-        yield result
+    with closing(Spares()) as spares:
+        for seed in seeds:
+            with spares.lent(), ExitStack() as stack:
+                run = open_run(schedule, stack, check_seed(seed), selection, steps, 1)
+                # What an FMU's instance calls its own lies in memory; only another binary would have other functions.
+                addresses = [a for i in run.instances.values() for a in (i.output_address, i.update_address)]
+                machine: Engine
+                if known is not None and known[2] == addresses:
+                    machine, first, _ = known
+                    first.memory[:] = run.memory
+                    first.seed, first.recording, first.instances = run.seed, run.recording, run.instances
+                    first.state_functions = run.state_functions
+                    first.before, first.k, first.sound = run.before, run.k, run.sound
+                    run = first
+                else:
+                    machine = choose_engine("auto", run)
+                    known = (machine, run, addresses) if isinstance(machine, CompiledEngine) else None
+                began = time.perf_counter()
+                if short:  # over before anyone would notice: no pauses, for which threads would wait for each other
+                    failure = machine.advance(0, steps, first=True)[1]
+                    stopped = explain(failure, run) if failure else None
+                else:
+                    stopped = advance(machine, steps, run)
+                    short = time.perf_counter() - began < BREATH
+            result = Result(run.recording, selection.columns, schedule.step, units=selection.units, stopped=stopped)
+            if stopped:
+                raise failed(f"With seed {seed}: {stopped}", result, run)
+            yield result

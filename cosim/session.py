@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import prod
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim._isolation.spares import Spares
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import is_external
@@ -305,8 +306,9 @@ class Session:
         """
         before = self._opened().seed
         seed = before if seed is None else check_seed(seed)
-        self._stack.close()
-        self._open(seed)
+        with closing(Spares()) as spares, spares.lent() if self._opened().sound else nullcontext():
+            self._stack.close()
+            self._open(seed)
 
     def close(self) -> None:
         """End the run and free its FMUs; the session cannot be used any more."""

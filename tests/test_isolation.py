@@ -26,6 +26,7 @@ import pytest
 from bayesftc import cosim, fmus
 from bayesftc.cosim._isolation import kernels as _isolated_kernels, protocol as _isolated_protocol
 from bayesftc.cosim._isolation.turns import one_processor
+from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.errors import FMUCrashed, FMUError, ModelError, SimulationError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
@@ -585,6 +586,47 @@ def test_parent_and_fork_go_on_at_once_and_know_nothing_of_each_other(engine, no
     assert all("forked from" in sentence or "reset" in sentence for sentence in said)
     same_bits(again, whole[:101], "the fork's run")
     same_bits(anew, whole[:101], "the fork's own")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_reset_takes_the_process_again_and_gives_the_bits_of_a_new_one(engine, nothing_left, same_bits):
+    block = car(parameters={"v0": 3.0})
+    anew = [cruise(block).simulate(1.0, seed=seed, engine="interpreted")["car.v"] for seed in (1, 2)]
+    before, everywhere = children(), os.sched_getaffinity(0)
+    with cruise(block).start(engine=engine, seed=1) as session:
+        (process,) = children() - before
+        for seed in (1, 2, 1):
+            session.reset(seed=seed)
+            session.advance(0.1)
+            state = session.save_state()
+            session.advance(0.1)
+            session.restore(state)
+            same_bits(np.concatenate([anew[seed - 1][:6], session.advance(0.9)["car.v"]]), anew[seed - 1], str(seed))
+            assert children() - before == {process}
+        os.kill(process, signal.SIGKILL)
+        with pytest.raises(FMUCrashed):
+            session.advance(0.1)
+        session.reset(seed=2)
+        assert process not in children()
+        same_bits(session.advance(1.0)["car.v"], anew[1], "in a new process")
+        (other,) = children() - before
+    assert other not in children()
+    assert os.sched_getaffinity(0) == everywhere
+
+
+def test_repeated_runs_take_one_process(nothing_left, same_bits):
+    before, seen = children(), set()
+    runs = []
+    for result in repeat(cruise(car()), 0.4, range(3), ["car.v"]):
+        runs.append(result["car.v"])
+        seen |= children() - before
+    assert len(seen) == 1
+    for seed, run in enumerate(runs):
+        same_bits(run, cruise(car()).simulate(0.4, seed=seed)["car.v"], str(seed))
+    some = repeat(cruise(car()), 0.4, range(3), ["car.v"])
+    next(some)
+    some.close()
+    assert children() == before
 
 
 def test_one_that_nobody_closes_ends_with_what_held_it(nothing_left):

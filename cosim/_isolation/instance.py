@@ -28,6 +28,7 @@ from bayesftc.cosim._fmi.messages import KEPT, quoted
 from bayesftc.cosim._isolation import protocol
 from bayesftc.cosim._isolation.process import WorkerProcess
 from bayesftc.cosim._isolation.settings import DEFAULT_LIMIT
+from bayesftc.cosim._isolation.spares import give, take
 from bayesftc.cosim.block import ExternalBlock, Floats
 from bayesftc.cosim.errors import FMUCrashed, FMUError
 from bayesftc.cosim.timebase import step_at
@@ -93,8 +94,13 @@ class Isolated:
         self._tokens = 0
         self._is_ready, self._is_compiled, self._updates = False, False, block.timing != "sampled"
         inputs, outputs = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
-        self._process = WorkerProcess(inputs, outputs, min(protocol.ATTENTION, time_limit))
+        plain = copy.copy(block)
+        object.__setattr__(plain, "isolate", False)
+        self._kind, self._is_closed = pickle.dumps((plain, time_limit)), False
+        spare = take(self._kind)
+        self._process = spare or WorkerProcess(inputs, outputs, min(protocol.ATTENTION, time_limit))
         shared = self.shared = self._process.shared
+        shared.words[:] = 0
         # From compiled code, for all that is not a plain answer; by a weak reference, so that no circle keeps the process.
         myself = weakref.ref(self)
         self._attend = _ATTEND(lambda a, b, c, answered, t, k: _attend(myself, answered))
@@ -106,9 +112,8 @@ class Isolated:
             dtype=np.int64,
         )  # fmt: skip
         try:
-            self._reply(STARTING)
-            plain = copy.copy(block)
-            object.__setattr__(plain, "isolate", False)
+            if spare is None:
+                self._reply(STARTING)
             abilities = self._ask(plain, step, name)
             self.can_save, self.can_resize = bool(abilities["can_save"]), bool(abilities["can_resize"])
             self._is_ready = True
@@ -267,26 +272,30 @@ class Isolated:
             self._ask("forget", self._left.pop())
 
     def close(self) -> None:
-        """Free the instance and end its process."""
-        if self._process.is_over:
+        """Free the instance and end its process, or leave it to the next one."""
+        if self._is_closed or self._process.is_over:
             return
+        is_sound = False
         try:
             if self.crash is None and self._is_ready:
                 for state in tuple(self._states):
                     state.detach()
                 self._ask("close")
+                is_sound = self.crash is None
         except FMUCrashed as crash:
             logging.getLogger("bayesftc.fmu").warning("%s: while it was freed: %s", self._name, str(crash))
         except FMUError:
             pass  # it is over either way, and the results stand
         finally:
-            self._process.end()
+            self._is_closed = True
+            if not (is_sound and give(self._kind, self._process)):
+                self._process.end()
 
     def _ask(self, *request: Any, limit: float | None = None) -> Any:
         """Have something done in the other process, and return what it returns."""
         if self.crash is not None:
             self._die()
-        if self._process.is_over:
+        if self._is_closed or self._process.is_over:
             raise FMUError(f"The instance {self._name!r} is closed.")
         try:
             if self._is_ready:  # before, it waits for requests alone

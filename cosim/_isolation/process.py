@@ -93,6 +93,11 @@ class WorkerProcess:
         """Whether it was ended."""
         return not self._end.alive
 
+    @property
+    def is_alive(self) -> bool:
+        """Whether it runs, and is this process's own."""
+        return not self.is_over and not self._is_dead()
+
     def wait(self, end: float) -> Collection[object]:
         """Return which of `talk` and `steps` can be read, as soon as one can; nothing if none can until `end`."""
         if self.is_anothers:

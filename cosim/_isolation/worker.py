@@ -119,16 +119,20 @@ class _Worker:
         log.addHandler(self._forward)
 
     def run(self) -> int:
-        """Answer until the host closes the instance; return the exit code."""
-        self._answer(self._open)
-        while self._instance is not None:
-            command = self._serve() if self._serve else self._step_once()
-            if command == protocol.TALK:
-                what, *arguments = self._talk.recv()
-                self._answer(getattr(self, f"_do_{what}"), *arguments)
-            elif command == protocol.GONE:
-                return protocol.LOST
-        return 0
+        """Answer until the host has gone, which ends this process when it needs it no more; return the exit code."""
+        everywhere = os.sched_getaffinity(0)
+        while True:
+            self._answer(self._open)
+            while self._instance is not None:
+                command = self._serve() if self._serve else self._step_once()
+                if command == protocol.TALK:
+                    what, *arguments = self._talk.recv()
+                    self._answer(getattr(self, f"_do_{what}"), *arguments)
+                elif command == protocol.GONE:
+                    return protocol.LOST
+            self._block, self._step, self._name = self._talk.recv()  # the next instance, of the same FMU
+            self._serve, self._saved = None, {}
+            os.sched_setaffinity(0, everywhere)
 
     def _answer(self, function: Any, *arguments: Any) -> None:
         message: tuple[Any, ...]
