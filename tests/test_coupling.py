@@ -97,6 +97,15 @@ def test_energy_grows_falls_or_stays():
     assert abs(ends["mean"] - 1.0) < 1e-3
 
 
+@pytest.mark.parametrize(("way", "pull"), [("jacobi", -1), ("gauss-seidel", 0), ("end", 1), ("mean", 0)])
+def test_a_motion_of_both_masses_together(way, pull):
+    """Where both move at v, a position that is held at one end of the step pulls each with k v h / 2 on average."""
+    both = Masses(x0=(0.0, 0.0), v0=(1.0, 1.0))
+    run = built(both, 200, way).simulate(1)
+    speed = both.together(run["one.v"], run["two.v"])[-1]
+    assert np.log(speed) / (both.k / 200 / sum(both.m)) == pytest.approx(pull, abs=0.02)
+
+
 @pytest.mark.parametrize("acceleration", ["anderson", "aitken", None])
 def test_every_acceleration_finds_the_same(acceleration, run_both):
     wanted = stepped(DAMPED, 100, "end")[:, 0]

@@ -101,6 +101,10 @@ class Masses:
         """Return the energy in J, of motion relative to the centre of mass and of the spring."""
         return 0.5 * self._reduced * (v1 - v2) ** 2 + 0.5 * self.k * (x1 - x2) ** 2
 
+    def together(self, v1: Floats, v2: Floats) -> Floats:
+        """Return the speed of the centre of mass in m/s, which no force changes."""
+        return (self.m[0] * v1 + self.m[1] * v2) / (self.m[0] + self.m[1])
+
     def diagram(self, dt: float | str, fmi: tuple[str, str] = ("2.0", "2.0")) -> cosim.Diagram:
         """Return the diagram of the two FMUs, not built yet."""
         diagram = cosim.Diagram(dt)

@@ -63,14 +63,18 @@ def doubling() -> Curve:
     }
 
 
-def energies(steps: int = 100, duration: float = 2.0) -> tuple[list[float], Curve]:
-    """Return times, and the energy of the masses without a damper over time, in parts of what it was."""
-    curves, times = {}, []
+def energies(steps: int = 100, duration: float = 2.0) -> tuple[list[float], Curve, dict[str, float]]:
+    """Return times, and without a damper the energy of the swing over time and the speed of the centre of mass at the end.
+
+    Both are parts of what they were at the beginning.
+    """
+    curves, times, speeds = {}, [], {}
     for name, way in WAYS.items():
         run = FREE.diagram(f"1/{steps}").build(way).simulate(duration)
         energy = FREE.energy(*(run[signal] for signal in ("one.x", "two.x", "one.v", "two.v")))
-        curves[name], times = list(energy / energy[0]), list(run.time)
-    return times, curves
+        speed = FREE.together(run["one.v"], run["two.v"])
+        curves[name], times, speeds[name] = list(energy / energy[0]), list(run.time), float(speed[-1] / speed[0])
+    return times, curves, speeds
 
 
 def orders(errors: Curve) -> dict[str, float]:
@@ -109,7 +113,7 @@ def figure(errors: Curve, doubled: Curve, times: list[float], energy: Curve) -> 
         ylabel="largest error of a position (m)",
         title=f"Own steps, found by doubling, within {1000 // COARSE} ms",
     )
-    right.set(xlabel="time (s)", ylabel="energy / energy at the start", title="Energy without a damper, steps of 10 ms")
+    right.set(xlabel="time (s)", ylabel="energy / energy at the start", title="Swing without a damper, steps of 10 ms")
     right.set_ylim(0.0, 2.2)
     right.axhline(1.0, color=BLACK, ls=":", lw=1.0)
     for axis, place in ((left, "lower right"), (middle, "lower right"), (right, "upper left")):
@@ -132,10 +136,10 @@ def main(path: str | None = None) -> dict[str, float]:
     print(f"{'largest error (mm), step_error':30}" + "".join(f"{e:>12.0e}" for e in ERRORS))
     for name, row in doubled.items():
         print(f"{name:30}" + "".join(f"{1e3 * e:>12.4g}" for e in row))
-    times, energy = energies()
-    print(f"{'energy left after 2 s (%)':30}")
+    times, energy, speeds = energies()
+    print(f"{'after 2 s (%)':30}{'energy of the swing':>24}{'speed of the centre of mass':>32}")
     for name, row in energy.items():
-        print(f"{name:30}{100 * row[-1]:>12.4g}")
+        print(f"{name:30}{100 * row[-1]:>24.4g}{100 * speeds[name]:>32.4g}")
     if path:
         figure(errors, doubled, times, energy).savefig(path, dpi=120)
     return found
