@@ -350,3 +350,23 @@ def test_inspect_says_which_clocks_tick(clocked):
     assert rows["clocks"].works == "no"
     assert rows["inputs"].how == "2 ports; never: tick, v, fixed and 3 more."
     assert "clocks" not in row()
+
+
+@pytest.mark.parametrize("clocks", ["", CLOCKS])
+def test_iterated_steps_repeat_their_events_and_ticks(clocked, clocks):
+    """Two integrators in a loop: the steps are taken back and repeated, and each event is counted once."""
+    diagram = cosim.Diagram(dt="1/8")
+    values = ({"first": 0.3, "every": 0.55}, {"first": 0.25, "every": 0.5})
+    first, second = (
+        diagram.add(FMU(clocked(clocks=clocks), parameters=v), name) for v, name in zip(values, "ab", strict=True)
+    )
+    total = diagram.add(cosim.Sum("+-"), "total")
+    diagram.connect(first["x"], second["u"])
+    diagram.connect([diagram.add(cosim.Constant(0.5), "half")["y"], second["x"]], total["u"])
+    diagram.connect(total["y"], first["u"])
+    runs = [diagram.build("iterated").simulate(2, engine=engine) for engine in ENGINES]
+    for name in runs[0]:
+        np.testing.assert_array_equal(runs[0][name], runs[1][name], err_msg=name)
+    assert (runs[0]["a.level"][-1], runs[0]["b.level"][-1]) == (5, 5)
+    if clocks:
+        assert runs[0]["a.ticks"][-1] == 8
