@@ -3,8 +3,10 @@
 import logging
 import os
 import shutil
+import sys
 import zipfile
 from importlib.metadata import version
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -210,6 +212,35 @@ def test_a_step_that_never_ends(lag):
     with pytest.raises(FMUCrashed) as caught:
         diagram.simulate(3, engine="interpreted")
     assert caught.value.step == 10
+
+
+@pytest.mark.parametrize("tool", EXPORTERS)
+def test_a_new_version_does_not_run_the_code_of_the_old_one(tool, tmp_path):
+    """As in a notebook: run, edit, export anew to the same file, run."""
+    builder = pytest.importorskip(f"{tool}.builder")
+    source = tmp_path / f"edited_{tool}.py"
+
+    def run(text):
+        source.write_text(text)
+        builder.FmuBuilder.build_FMU(source, dest=tmp_path)
+        mine = sys.modules[source.stem] = ModuleType("mine")  # of that name, as it happens
+        before = list(sys.path)
+        last = driven(tmp_path / "Lag.fmu").simulate(1.0, engine="interpreted")["p.y"][-1]
+        assert sys.modules.pop(source.stem) is mine
+        added = sys.path[len(before) :]
+        assert sys.path[: len(before)] == before
+        assert len(added) <= 1  # behind the user's own folders
+        return last
+
+    first = run(SOURCES[tool])
+    before = list(sys.path)
+    driven(tmp_path / "Lag.fmu").simulate(1.0, engine="interpreted")
+    assert sys.path == before  # of a second instance nothing comes
+    assert run(SOURCES[tool]) == first
+    old = cosim.FMU(shutil.copy(tmp_path / "Lag.fmu", tmp_path / "old.fmu"))
+    second = run(SOURCES[tool].replace("gain * self.u", "2 * gain * self.u"))
+    assert second - 0.5 * (1 - H / TAU) ** 10 == pytest.approx(2 * (first - 0.5 * (1 - H / TAU) ** 10), rel=1e-12)
+    assert driven(old.path).simulate(1.0, engine="interpreted")["p.y"][-1] == first
 
 
 @pytest.fixture(scope="session")

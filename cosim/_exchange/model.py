@@ -126,7 +126,7 @@ class ExchangeModel:
                 f"{self.name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
                 "after the other, or each in a process of its own with FMU(..., isolate=True)."
             )
-        self.component, self._callbacks = library.create(self.name, self.messages)
+        self.component, self._callbacks = library.begin(self.name, self.messages)
         if not self.component:
             raise FMUError(
                 f"The FMU {model!r} refused to be instantiated as {self.name!r} for model exchange. If it needs a tool or "

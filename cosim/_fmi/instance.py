@@ -88,7 +88,7 @@ class Instance(StepFunctions):
                 f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
                 "after the other, or each in a process of its own with FMU(..., isolate=True)."
             )
-        component, self._callbacks = library.create(name, self._messages)
+        component, self._callbacks = library.begin(name, self._messages)
         if not component:
             tool = library.description.generation_tool or "the tool that exported it"
             needs = (

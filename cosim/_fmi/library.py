@@ -14,6 +14,7 @@ from typing import Any
 
 from bayesftc.cosim._fmi.archive import Archive, extract
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value, flattened
+from bayesftc.cosim._fmi.embedded import in_this_python
 from bayesftc.cosim._fmi.messages import STATUS, Messages, callback3, callbacks2
 from bayesftc.cosim._fmi.sources import compiled, read_sources
 from bayesftc.cosim._fmi.steps import Addresses
@@ -87,6 +88,11 @@ class Library(ABC):
     @abstractmethod
     def step_addresses(self) -> Addresses:
         """Return the addresses of the functions that a step of co-simulation may call."""
+
+    def begin(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """Return what `create` does; if it is a model in Python, of its own Python files."""
+        with in_this_python(Path(self._slave.unzipDirectory, "resources")):
+            return self.create(name, messages)
 
     @abstractmethod
     def create(self, name: str, messages: Messages) -> tuple[int, Any]:
