@@ -57,7 +57,7 @@ def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
         kink |= bool(kinks.any())
     if not np.isfinite(whole).all():
         raise ModelError(
-            "The equations cannot be evaluated beside the operating point, or jump there; give another one (at=..., start values)."
+            "The equations cannot be evaluated beside the operating point, or jump there; give another one (at=...)."
         )
     if kink:
         warnings.warn(
