@@ -10,7 +10,8 @@ import numpy as np
 
 from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.instance import ENTRY, ExchangeInstance, Timing
-from bayesftc.cosim._exchange.model import ExchangeModel, StopError
+from bayesftc.cosim._exchange.model import ExchangeModel
+from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._exchange.reasons import reason
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS, RESTARTED
 from bayesftc.cosim.block import Floats

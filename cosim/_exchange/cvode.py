@@ -71,9 +71,9 @@ def _sundials() -> Callable[..., Any]:
 @cache
 def _callbacks() -> tuple[Any, Any]:
     from bayesftc.cosim._compiler import compile_callback
-    from bayesftc.cosim._exchange import kernels
+    from bayesftc.cosim._exchange import cvode_kernels
 
-    functions: tuple[Any, Any] = kernels.cvode_slope, kernels.cvode_roots
+    functions: tuple[Any, Any] = cvode_kernels.cvode_slope, cvode_kernels.cvode_roots
     slope, roots = (compile_callback(f, "int32(float64, int64, int64, int64)") for f in functions)
     return slope, roots
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim._exchange.library import load_model
-from bayesftc.cosim._exchange.model import ExchangeModel, StopError
+from bayesftc.cosim._exchange.model import ExchangeModel
+from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._exchange.settings import DEFAULT_TOLERANCE
 from bayesftc.cosim._fmi.groups import element_names
 from bayesftc.cosim._fmi.library import CallError

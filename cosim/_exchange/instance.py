@@ -17,7 +17,8 @@ import numpy as np
 
 from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.library import ModelLibrary
-from bayesftc.cosim._exchange.model import ExchangeModel, SavedModel, StopError
+from bayesftc.cosim._exchange.model import ExchangeModel, SavedModel
+from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim.block import Floats

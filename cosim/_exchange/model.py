@@ -13,23 +13,18 @@ import numpy as np
 
 from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.library import ModelLibrary
+from bayesftc.cosim._exchange.port_values import PortValues, StopError
 from bayesftc.cosim._exchange.words import ITERATIONS
+from bayesftc.cosim._exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import element_names, groups
+from bayesftc.cosim._fmi.groups import element_names
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.messages import Messages
-from bayesftc.cosim._fmi.refusals import function_of, misfit
 from bayesftc.cosim._fmi.states import SavedState, States
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError
 
 _DISCARD, _FATAL = 2, 4
-_UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
-"""The bits of a NaN that no computation makes."""
-
-
-class StopError(Exception):
-    """Why an instance cannot go on, as a sentence."""
 
 
 @dataclass(frozen=True)
@@ -103,17 +98,14 @@ class ExchangeModel:
         self.time, self.next_event = 0.0, math.inf
         self._event_info = library.event_info()
         self._begin = start, inputs, tolerance
-        self._elements = element_names(list(inputs)), element_names(outputs)
+        self.ports = PortValues(library, list(inputs), outputs)
         self.jumps = not all(v.variability == "continuous" and v.is_float for v in inputs)
         values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
         self.inputs = np.concatenate([np.zeros(0), *values])
         try:
             self._start()
-            major, find = library.description.fmi_major, library.function_address
-            self._groups = groups(list(inputs), major, "Set", find), groups(outputs, major, "Get", find)
-            self._rows = [np.array([g.words() for g in side], dtype=np.int64) for side in self._groups]
             self._fill_table()
-            self._check_written()
+            check_written(self)
         except BaseException:
             self.healthy = False
             self.close()
@@ -143,7 +135,7 @@ class ExchangeModel:
             self.nz = library.size(self.component, "indicators", self.info.indicators)
             self.places = np.zeros(max(self.nx, 1))  # without states, a constant stands for them in an integrator
             self.x = self.places[: self.nx]
-            self.x.view(np.int64)[:] = _UNWRITTEN
+            self.x.view(np.int64)[:] = UNWRITTEN
             self._iterate()
         except (CallError, StopError) as error:
             self.fatal = isinstance(error, CallError) and error.status == _FATAL
@@ -161,36 +153,10 @@ class ExchangeModel:
         table[words.STATES], table[words.INDICATORS], table[words.X] = self.nx, self.nz, self.places.ctypes.data
         table[words.WANTS_STEPS] = self.info.needs_completed_step
         table[words.NO_RETURN] = not self.info.can_save  # else someone may go back to a saved state
-        into, out = self._rows
+        into, out = self.ports.rows
         table[words.IN_GROUPS], table[words.IN_GROUP_COUNT] = into.ctypes.data, len(into)
         table[words.OUT_GROUPS], table[words.OUT_GROUP_COUNT] = out.ctypes.data, len(out)
         table[words.IN_SIZE], table[words.INPUTS] = len(self.inputs), self.inputs.ctypes.data
-
-    def _check_written(self) -> None:
-        """Refuse an FMU that says OK and gives nothing: zeros would look like values."""
-        outputs = [name for name, _ in self._elements[1]]
-        reads: list[tuple[int, Callable[[Floats], None], Sequence[str]]] = [
-            (self.nx, lambda array: self.read("get_derivatives", array), ["the derivatives of its states"]),
-            (self.nz, lambda array: self.read("get_indicators", array), ["its event indicators"]),
-            (len(outputs), self.read_outputs, [f"the output {name!r}" for name in outputs]),
-        ]
-        missing = ["its continuous states"] if (self.x.view(np.int64) == _UNWRITTEN).any() else []
-        for size, read, names in reads:
-            values = np.full(size, _UNWRITTEN, dtype=np.int64)
-            try:
-                read(values.view(np.float64))
-            except (CallError, StopError):
-                continue  # the run will say so
-            bad = np.flatnonzero(values == _UNWRITTEN)
-            if len(bad):
-                missing.append(names[min(int(bad[0]), len(names) - 1)])
-        unwritten = (g.unwritten(self.component) for g in self._groups[1] if g.kind.code)
-        missing += [f"the output {outputs[place]!r}" for place in unwritten if place >= 0]
-        if missing:
-            raise FMUError(
-                f"The FMU {self.library.description.name!r} says that it has given {missing[0]}, but has not written all of it "
-                f"({self.name!r}): its binary and its model description do not agree. Export it again."
-            )
 
     @property
     def time(self) -> float:
@@ -221,7 +187,7 @@ class ExchangeModel:
     @property
     def sizes(self) -> tuple[int, int]:
         """How many elements its inputs and outputs have."""
-        return len(self._elements[0]), len(self._elements[1])
+        return len(self.ports.names[0]), len(self.ports.names[1])
 
     @property
     def _declared(self) -> int:
@@ -273,34 +239,18 @@ class ExchangeModel:
     def write_inputs(self, values: Floats) -> None:
         """Set the inputs, in the mode in which it is."""
         self.inputs[:] = values
-        for group in self._groups[0]:
-            status, unfit = group.put(self.component, self.inputs)
-            if unfit >= 0:
-                raise StopError(self.misfit(unfit, is_input=True))
-            self._check_values(0, group.begin, status)
+        self._noting(self.ports.write, self.inputs)
 
     def read_outputs(self, values: Floats) -> None:
         """Read the outputs."""
-        for group in self._groups[1]:
-            status, unfit = group.take(self.component, values)
-            if unfit >= 0:
-                raise StopError(self.misfit(unfit, is_input=False))
-            self._check_values(1, group.begin, status)
+        self._noting(self.ports.read, values)
 
-    def _check_values(self, side: int, begin: int, status: int) -> None:
-        if status > 1 or status < 0:
-            self.note(status)
-            raise CallError(self.function_of(begin, is_input=side == 0), status)
-
-    def function_of(self, begin: int, *, is_input: bool) -> str:
-        """Return which function failed to set inputs or read outputs, and of which, by where they begin."""
-        side = 0 if is_input else 1
-        return function_of(self._groups[side], self._elements[side], begin)
-
-    def misfit(self, place: int, *, is_input: bool) -> str:
-        """Return which input its type does not hold, or which output no double, without a full stop."""
-        elements = self._elements[0 if is_input else 1]
-        return misfit(elements, place, self.library.description.fmi_major, is_input=is_input).removesuffix(".")
+    def _noting(self, action: Callable[[int, Floats], None], values: Floats) -> None:
+        try:
+            action(self.component, values)
+        except CallError as error:
+            self.note(error.status)
+            raise
 
     # --- events ----------------------------------------------------------------------------------------------------
 
@@ -345,7 +295,7 @@ class ExchangeModel:
             raise StopError("The FMU says that its next event is at t = NaN")
         self.call("enter_continuous_mode")
         self.read_states()
-        unwritten = self.x.view(np.int64) == _UNWRITTEN
+        unwritten = self.x.view(np.int64) == UNWRITTEN
         if not (np.isfinite(self.x) | unwritten).all():
             raise StopError(self.nan_state())
         return nominals
@@ -363,10 +313,6 @@ class ExchangeModel:
         return self.states.can_save or self._is_smooth
 
     @property
-    def _input_names(self) -> tuple[str, ...]:
-        return tuple(name for name, _ in self._elements[0])
-
-    @property
     def _is_smooth(self) -> bool:
         return self.info.smooth and self.next_event == math.inf
 
@@ -374,7 +320,7 @@ class ExchangeModel:
         """Return its state; see `bayesftc.cosim.block.External.save`."""
         own = None if self._is_smooth and not self.states.can_save else self.states.save()
         held = self.inputs.copy(), self.x.copy()
-        return SavedModel(own, self.states.token, self._input_names, self.time, self.next_event, *held)
+        return SavedModel(own, self.states.token, self.ports.names[0], self.time, self.next_event, *held)
 
     def restore(self, saved: object) -> None:
         """Go back to a state; see `bayesftc.cosim.block.External.restore`."""
@@ -383,7 +329,7 @@ class ExchangeModel:
                 f"What {self.name!r} was to be restored to is no saved state of the FMU {self.library.description.name!r} as a "
                 "model exchange FMU; save it in a run of the same FMU."
             )
-        if saved.names != self._input_names or saved.x.shape != self.x.shape:
+        if saved.names != self.ports.names[0] or saved.x.shape != self.x.shape:
             raise FMUError(
                 f"What {self.name!r} was to be restored to is of a block of the FMU {self.library.description.name!r} with other "
                 f"inputs or sizes ({', '.join(saved.names) or 'no inputs'}); save it in a run of the same block."

@@ -59,7 +59,7 @@ def reason(model: ExchangeModel, solver: str, said: str) -> str:
         words.GIVES_UP: f"{solver} gives up at t = {reached:g} s: {_CVODE.get(flag) or f'it returned {flag} ({said})'}; {REMEDY}",
     }
     if why in {words.UNFIT_INPUT, words.UNFIT_OUTPUT}:
-        return model.misfit(int(table[words.UNFIT]), is_input=why == words.UNFIT_INPUT)
+        return model.ports.misfit(int(table[words.UNFIT]), is_input=why == words.UNFIT_INPUT)
     return sentences.get(why, f"The step stopped for an unknown reason ({why})")
 
 
@@ -73,7 +73,7 @@ def _call(model: ExchangeModel, role: int, status: int, when: float) -> str:
     model.note(status)
     word = STATUS[status] if 0 <= status < len(STATUS) else str(status)
     if role in {words.SET_VALUES, words.GET_VALUES}:
-        called = model.function_of(int(model.table[words.UNFIT]), is_input=role == words.SET_VALUES)
+        called = model.ports.function_of(int(model.table[words.UNFIT]), is_input=role == words.SET_VALUES)
     else:
         called = model.library.names[words.NAMES[role]]
     return f"{called} returned {word} at t = {when:g} s"

@@ -12,7 +12,8 @@ import numpy as np
 
 from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.instance import ENTRY, ExchangeInstance, Timing
-from bayesftc.cosim._exchange.model import ExchangeModel, StopError
+from bayesftc.cosim._exchange.model import ExchangeModel
+from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._exchange.reasons import endless_events, too_many_events
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim.block import Floats

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim._exchange.model import ExchangeModel, StopError
+from bayesftc.cosim._exchange.model import ExchangeModel
+from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._exchange.reasons import REMEDY, nan_derivative
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim._exchange.words import PRECISION
