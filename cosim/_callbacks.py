@@ -27,7 +27,7 @@ class Callback:
     step_word : int
         The word of the block's table that holds it.
     raised : int
-        The status where the function has raised an error, which `error` then has.
+        The status where the function has raised an error, which `taken` then returns.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Callback:
         step_word: int,
         raised: int,
     ):
-        self.error: BaseException | None = None
+        self._error: BaseException | None = None
         views: dict[tuple[int, int], Floats] = {}
 
         def view(address: int, size: int) -> Floats:
@@ -52,10 +52,15 @@ class Callback:
                 resize(ctypes.c_double.from_address(parameters + 8 * step_word).value)
                 return function(view(inputs, sizes[0]), view(outputs, sizes[1]), t)
             except BaseException as error:  # noqa: BLE001 - C code has no way for it; who explains the status raises it
-                self.error = error
+                self._error = error
                 return raised
 
         self._entry = _ENTRY(entry)
+
+    def taken(self) -> BaseException | None:
+        """Return what the function has raised, once."""
+        error, self._error = self._error, None
+        return error
 
     @property
     def address(self) -> int:

@@ -14,6 +14,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cli._works import verdicts
+from bayesftc.cosim._fmi.clocked import ClockedInstance
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError
 from bayesftc.cosim.fmu import FMU, describe
 
@@ -289,6 +290,25 @@ def test_clocks_that_nobody_ticks_are_left_alone(clocked, run_both):
     run = run_both(alone(only, 0.1), 1)
     np.testing.assert_allclose(run["b.x"], run.time, rtol=1e-12)
     assert run["b.evens"].tolist() == [0.0] * 11
+
+
+def test_what_python_raises_in_a_step_passes_compiled_code(clocked, monkeypatch):
+    """As Ctrl-C does, which Python notices in the callback."""
+
+    def interrupted(self, ticking):
+        if self._inputs[-1] > 0.5:
+            raise KeyboardInterrupt
+        return tick(self, ticking)
+
+    tick = ClockedInstance._tick
+    monkeypatch.setattr(ClockedInstance, "_tick", interrupted)
+    diagram = alone(FMU(clocked(clocks=CLOCKS), outputs=["ticks"]), "1/8", v=cosim.Ramp(slope=1.0))
+    with diagram.start() as session:
+        with pytest.raises(KeyboardInterrupt):
+            session.advance(2)
+        monkeypatch.undo()
+        session.reset()
+        assert session.advance(2)["b.ticks"][-1] == 8
 
 
 @pytest.mark.parametrize("engine", ENGINES)

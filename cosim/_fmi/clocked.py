@@ -286,9 +286,9 @@ class ClockedInstance(Instance):
 
     def explain(self, status: int) -> str:
         """See `Instance.explain`."""
-        errors = [c.error for c in self._callbacks_of_engine if c.error is not None]
-        if status == RAISED and errors:
-            raise errors[0]
+        raised = [callback.taken() for callback in self._callbacks_of_engine]
+        if status == RAISED:
+            raise next(error for error in raised if error is not None)
         if status == CLOCK:
             self._healthy = False
             return f"{self._reason} {self._messages.quoted()}"
