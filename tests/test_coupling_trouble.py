@@ -7,6 +7,10 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
+from bayesftc.cosim._coupled import steps
+from bayesftc.cosim._exchange.scipy_instance import INTERRUPTED
+from bayesftc.cosim._fmi.kernels import EVENTS, GET, SET, STEP
+from bayesftc.cosim._isolation import protocol
 from bayesftc.cosim._isolation.instance import Isolated
 from bayesftc.cosim.ops import isnan, select
 from bayesftc.examples.coupled_masses.masses import Masses, sprung_mass
@@ -111,3 +115,14 @@ def test_ctrl_c_while_a_state_is_saved_or_restored(engine, step_error, what, mon
             session.restore(state)
         session.reset()
         same_bits(session.advance(0.3)["one.x"], first)
+
+
+def test_no_status_of_fmi_looks_like_a_crash_or_ctrl_c():
+    """An event that an FMU discards was 502, as Ctrl-C in an isolated one."""
+    of_fmi = {where + status for where in (GET, SET, STEP, EVENTS) for status in range(6)}
+    assert not of_fmi & {protocol.CRASHED, protocol.INTERRUPTED, INTERRUPTED}
+    assert (steps.CRASHED, steps.INTERRUPTED, INTERRUPTED) == (
+        protocol.CRASHED,
+        protocol.INTERRUPTED,
+        protocol.INTERRUPTED,
+    )

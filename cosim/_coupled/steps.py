@@ -40,7 +40,7 @@ HUGE = 1e100
 
 NOT_FINITE = 1_000_000  # as in bayesftc.cosim.schedule
 FATAL = 4
-CRASHED, INTERRUPTED = 501, 502  # as in bayesftc.cosim._isolation.protocol
+CRASHED, INTERRUPTED = 901, 902  # as in bayesftc.cosim._isolation.protocol
 
 
 def build(sweep, save, restore, forget, resize, compiled=lambda function: function):

@@ -19,7 +19,7 @@ from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.timebase import step_at
 
-INTERRUPTED = 502
+INTERRUPTED = 902  # as in bayesftc.cosim._isolation.protocol
 """Status: Python raised something, which the instance keeps until it is asked."""
 
 

@@ -33,8 +33,9 @@ host runs on another processor."""
 
 PAUSE = 1000
 
-CRASHED, INTERRUPTED = 501, 502
-"""Statuses of a step beside those of an FMU in process: its process has ended; a signal came while it was awaited."""
+CRASHED, INTERRUPTED = 901, 902
+"""Statuses of a step beside those of an FMU in process, which stay below 900: its process has ended; a signal came while it was
+awaited."""
 
 LOST = 71
 """Exit code of a process that finds its connections to the host closed: the host has gone, or the FMU has closed them."""
