@@ -30,7 +30,7 @@ from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.simulation import advance, choose_engine, failed, make_room, open_run, place_tables
-from bayesftc.cosim.timebase import whole_number, whole_steps
+from bayesftc.cosim.timebase import EXACT, whole_number, whole_steps
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram import Diagram
@@ -124,6 +124,7 @@ class Session:
         self._run: Run | None = None
         self._is_running = False
         self._pacer: Pacer | None = None
+        self._asked: tuple[Any, int] = (None, 0)
         self._stack = ExitStack()
         self._finalizer = weakref.finalize(
             self, self._stack.close
@@ -164,9 +165,13 @@ class Session:
             of a block the session goes on only after `restore` or `reset`.
         """
         run = self._sound_run()
-        steps = whole_steps(duration, self._schedule.step, "The duration")
+        step = self._schedule.step
+        if not (isinstance(duration, float) and duration == self._asked[0]):  # many calls for a step each are usual
+            self._asked = duration, whole_steps(duration, step, "The duration")
+        steps = self._asked[1]
         end = max(run.k, 0) + steps
-        whole_steps(end * self._schedule.step, self._schedule.step, "The run's length")
+        if end * step.numerator > EXACT:
+            whole_steps(end * step, step, "The run's length")  # says so
         if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0):
             raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
         if pace is None or self._pacer is None or self._pacer.pace != pace:
