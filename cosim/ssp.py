@@ -1,4 +1,4 @@
-"""System structures of SSP 1.0: FMUs that are wired together, opened as a diagram and saved for other tools."""
+"""System structures of SSP 1.0 and 2.0: FMUs that are wired together, opened as a diagram and saved for other tools."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ def open_ssp(
 ) -> Diagram:
     """Return the diagram that an .ssp or .ssd describes: its FMUs, with their parameters, connected.
 
-    Systems inside of systems are resolved: the FMU ``b`` of the system ``a`` is the block ``a.b``. Where units differ or a
+    Systems inside of systems are resolved: the FMU ``b`` of the system ``a`` is the block ``a.b``. Arrays (of SSP 2.0) are vector
+    and matrix ports. Where units differ or a
     connection has a linear transformation, a `Gain` stands between the two FMUs. What reaches the system from outside stays open:
     such inputs keep their start values, and can be connected.
 
@@ -61,7 +62,7 @@ def open_ssp(
     isolate : bool
         Run each FMU in a process of its own (see `FMU`).
     validate : bool
-        False to accept files that break the schemas of SSP and FMI, at your own risk.
+        False to accept files that break the schemas of SSP 1.0 and FMI, at your own risk.
 
     Returns
     -------
@@ -71,8 +72,8 @@ def open_ssp(
     Raises
     ------
     SSPError
-        If the file is missing, damaged or hostile, breaks the rules of SSP 1.0, or has what cannot be a diagram (signal
-        dictionaries, components that are no FMUs, mappings that are not linear).
+        If the file is missing, damaged or hostile, breaks the rules of SSP, or has what cannot be a diagram (signal
+        dictionaries, components that are no FMUs, mappings that are not linear, connections of some elements of arrays).
     FMUError
         If one of its FMUs cannot be used.
 
@@ -117,6 +118,7 @@ def open_ssp(
         joined = [*feeds[place], *(f.output for fed in feeds.values() for f in fed.values() if f.component == place)]
         block = _fmu(files[place], component, values, joined, isolate, validate)
         nodes[place] = diagram.add(block, "_".join(".".join(place).split()))
+        _check_sizes(block, component, nodes[place].name, where)
     for place, node in nodes.items():
         for name, feed in feeds[place].items():
             _connect(diagram, nodes[feed.component], feed, node, name, where)
@@ -196,11 +198,28 @@ def _fmu(
         return replace(block, **ports, timing=timing, isolate=isolate)  # type: ignore[arg-type]
 
 
+def _check_sizes(block: FMU, component: Component, name: str, where: str) -> None:
+    """Compare the sizes that connectors declare with those of the FMU, by its structural parameters."""
+    shapes = {p.name: p.shape for side in (block.inputs, block.outputs) for p in side or () if isinstance(p, Port)}
+    for port, connector in component.connectors.items():
+        own, declared = shapes.get(port), connector.dimensions
+        if own is None or not declared:
+            continue
+        if len(own) != len(declared) or any(d not in {None, n} for d, n in zip(declared, own, strict=True)):
+            sizes = " x ".join("?" if d is None else str(d) for d in declared)
+            raise SSPError(
+                f"{where} declares {name}.{port} as an array of {sizes}, but in {component.source} its shape is {own}; set the "
+                "structural parameter that says so."
+            )
+
+
 def _value(parameter: Parameter, flat: Flat, variable: Variable, place: Place) -> Value:
     """Return a bound value in the variable's own unit."""
     value = parameter.value
     if parameter.type != "Real" or isinstance(value, str):
         return value
+    if isinstance(value, tuple):
+        return tuple(_value(replace(parameter, value=part), flat, variable, place) for part in value)
     target = variable.unit if parameter.converts else None
     what = f"The value of {'.'.join((*place, parameter.name))!r}"
     return parameter.then(flat.convert(parameter.unit, target, what, parameter.meaning)(value))
@@ -208,6 +227,11 @@ def _value(parameter: Parameter, flat: Flat, variable: Variable, place: Place) -
 
 def _connect(diagram: Diagram, source: Node, feed: Feed, target: Node, name: str, where: str) -> None:
     output, input_ = source[feed.output], target[name]
+    if output.port.shape != input_.port.shape:
+        raise SSPError(
+            f"{where} connects {output.name}, of shape {output.port.shape}, to {input_.name}, of shape {input_.port.shape}; "
+            "connect what has the same shape, and set structural parameters alike."
+        )
     between = (output.port.unit, input_.port.unit)
     differ = None not in between and units.difference(*between) is not None  # type: ignore[arg-type]
     if feed.transformation == Linear() and not differ:

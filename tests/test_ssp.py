@@ -438,7 +438,9 @@ def test_files_that_are_no_ssp(tmp_path):
     refused(tmp_path / "text.ssp", "is no SSP: it is not a zip file")
     refused(CAR["2.0"], "is no SSP: it is a zip file without SystemStructure.ssd")
     refused(
-        packed(tmp_path, ssd(system(A), version="2.0")), "is no SystemStructureDescription of SSP 1.0", "version 2.0"
+        packed(tmp_path, ssd(system(A), version="3.0")),
+        "is no SystemStructureDescription of SSP 1.0 or 2.0",
+        "version 3.0",
     )
     refused(packed(tmp_path, "<html/>"), "it is <html>")
     path = packed(tmp_path, ssd(system(A)))

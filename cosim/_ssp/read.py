@@ -1,4 +1,7 @@
-"""What an SSP says, as plain data: system structure, parameter values and mappings, checked against the schemas of SSP 1.0."""
+"""What an SSP says, as plain data: system structure, parameter values and mappings.
+
+Files of SSP 1.0 are checked against its schemas. Of SSP 2.0 there are arrays and the types of FMI 3; what else it has is refused.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from math import isfinite
+from math import isfinite, prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NoReturn
@@ -25,8 +28,13 @@ SSD, SSV, SSM, SSC = (
 SSP_FILE = Kind("SSP", ".ssp", "SystemStructure.ssd", SSPError, ("SystemStructure.ssd",), "ssps")
 FMU_TYPE = "application/x-fmu-sharedlibrary"
 
-Value = float | int | bool | str
+Value = float | int | bool | str | tuple[Any, ...]
 _SCHEMAS = {SSD: "Description", SSV: "ParameterValues", SSM: "ParameterMapping"}
+_DIMENSION = f"{SSC}Dimension"
+_DIGITS = 19
+_OF_FMI3 = {"Float64": "Real", "Float32": "Real"} | {
+    f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)
+}
 _SHOWN = 3
 _BASE_UNITS = dict(zip(("kg", "m", "s", "A", "K", "mol", "cd", "rad"), units.BASE, strict=True))
 
@@ -48,11 +56,15 @@ class Linear:
 
 @dataclass(frozen=True)
 class Connector:
-    """A connector of an element: its kind, its type and the name of its unit, where it says so."""
+    """A connector of an element: its kind, its type and the name of its unit, where it says so, and the sizes of an array.
+
+    A size that depends on a structural parameter, or on nothing that is said, is None.
+    """
 
     kind: str
     type: str | None
     unit: str | None
+    dimensions: tuple[int | None, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,7 +85,8 @@ class Parameter:
     """A value for a variable, called by its name as seen from the element that it is bound to.
 
     ``type`` is Real, Integer, Boolean, String or Enumeration (whose value is the item's name). Of a Real, ``unit`` is the unit
-    that the value is in, and ``then`` what the value goes through after it was converted to the variable's unit.
+    that the value is in, and ``then`` what the value goes through after it was converted to the variable's unit. The value of an
+    array is tuples of tuples.
     """
 
     name: str
@@ -135,7 +148,7 @@ def read_structure(content: bytes, where: str, resource: Callable[[str], bytes],
     Raises
     ------
     SSPError
-        If it is none of SSP 1.0, breaks the schema, or has what cannot be a diagram.
+        If it is none of SSP 1.0 or 2.0, breaks the schema, or has what cannot be a diagram.
     """
     return _Reader(where, resource, validate).structure(content)
 
@@ -183,12 +196,12 @@ class _Reader:
     def parsed(self, content: bytes, where: str, tag: str) -> Element:
         root = fromstring(content)
         version = root.get("version", "")
-        if root.tag != tag or not version.startswith("1."):
+        if root.tag != tag or not version.startswith(("1.", "2.")):
             raise SSPError(
-                f"{where} is no {tag.split('}')[1]} of SSP 1.0 (it is <{root.tag.split('}')[-1]}>, version {version or 'none'}); "
-                "export it as SSP 1.0."
+                f"{where} is no {tag.split('}')[1]} of SSP 1.0 or 2.0 (it is <{root.tag.split('}')[-1]}>, version "
+                f"{version or 'none'}); export it as one."
             )
-        if self.validate:
+        if self.validate and version.startswith("1."):
             problems = list(_problems(content))
             if problems:
                 more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
@@ -238,17 +251,23 @@ class _Reader:
     def connectors(self, element: Element) -> dict[str, Connector]:
         found = {}
         for connector in element.findall(f"{SSD}Connectors/{SSD}Connector"):
-            type_ = next((e for e in connector if e.tag.startswith(SSC)), None)
+            type_ = next((e for e in connector if e.tag.startswith(SSC) and e.tag != _DIMENSION), None)
             found[connector.get("name", "")] = Connector(
                 connector.get("kind", ""),
                 None if type_ is None else type_.tag.removeprefix(SSC),
                 None if type_ is None else type_.get("unit"),
+                tuple(None if d.get("size") is None else self.size(d) for d in connector.findall(_DIMENSION)),
             )
         return found
 
     def connection(self, element: Element, path: str) -> Connection:
         start, end = ((element.get(f"{side}Element"), element.get(f"{side}Connector", "")) for side in ("start", "end"))
         what = f"the connection from {shown(path, start)} to {shown(path, end)}"
+        if element.get("startIndices") is not None or element.get("endIndices") is not None:
+            self.refuse(
+                f"has indices in {what}: SSP does not say from where they count, so only whole arrays can be connected; connect "
+                "the array, or give the FMU a variable for the element"
+            )
         converts = element.get("suppressUnitConversion", "false").strip() not in {"true", "1"}
         return Connection(start, end, self.transformation(element, what), converts)
 
@@ -300,6 +319,7 @@ class _Reader:
         if typed is None:
             raise SSPError(f"{what} gives {name!r} no value.")
         kind, text = typed.tag.removeprefix(SSV), typed.get("value", "")
+        kind = _OF_FMI3.get(kind, kind)
         unit = typed.get("unit")
         read: dict[str, Callable[[str], Value]] = {
             "Real": float,
@@ -312,10 +332,13 @@ class _Reader:
             raise SSPError(
                 f"{what} gives {name!r} a value of type {kind}, which cannot be set from here; leave it out."
             )
+        shape = [self.size(d) for d in element.findall(_DIMENSION)]
         try:
-            return Parameter(name, kind, read[kind](text), unit, own.get(unit or ""))
+            value = _array(text.split(), shape, read[kind]) if shape else read[kind](text)
         except ValueError:
-            raise SSPError(f"{what} gives {name!r} the value {text!r}, which is no {kind}.") from None
+            sized = f" array of shape {tuple(shape)}" if shape else ""
+            raise SSPError(f"{what} gives {name!r} the value {text!r}, which is no {kind}{sized}.") from None
+        return Parameter(name, kind, value, unit, own.get(unit or ""))
 
     def mapped(self, parameters: list[Parameter], mapping: Element, what: str) -> list[Parameter]:
         """Apply a mapping; what it does not name keeps its own name."""
@@ -335,6 +358,12 @@ class _Reader:
                 found.append(parameter)
         return found
 
+    def size(self, dimension: Element) -> int:
+        text = dimension.get("size", "")
+        if not (text.strip().isdecimal() and text.isascii() and len(text) < _DIGITS):
+            self.refuse(f"has a Dimension of size {text!r}, which is no size")
+        return int(text)
+
     def number(self, element: Element, name: str, default: float) -> float:
         text = element.get(name)
         try:
@@ -352,6 +381,16 @@ class _Reader:
                     if not (isfinite(factor) and factor and isfinite(offset)):
                         self.refuse(f"defines the unit {definition.get('name')!r} with a factor of {factor:g}")
                     yield definition.get("name", ""), Unit({n: p for n, p in powers.items() if p}, factor, offset)
+
+
+def _array(texts: list[str], shape: list[int], read: Callable[[str], Value]) -> tuple[Any, ...]:
+    """Return the values of an array, which stand row by row, as tuples of tuples."""
+    if len(texts) != prod(shape):
+        raise ValueError(texts)
+    if len(shape) == 1:
+        return tuple(read(text) for text in texts)
+    size = prod(shape[1:])
+    return tuple(_array(texts[i * size : (i + 1) * size], shape[1:], read) for i in range(shape[0]))
 
 
 def shown(path: str, end: tuple[str | None, str]) -> str:

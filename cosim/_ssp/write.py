@@ -43,10 +43,10 @@ class _Feed:
 def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
     """Save a diagram of FMUs as an .ssp, so that other tools can run it.
 
-    FMUs become components, with what was set of their parameters and start values; scalar `Gain` blocks between them become
+    FMUs become components, with what was set of their parameters and start values. Scalar `Gain` blocks between them become
     linear transformations of connections (of several in a row the product); `Constant` blocks become start values of the inputs
-    that they feed. The step is noted in an annotation that `open_ssp` knows; other tools must be told it. A tool that steps all
-    FMUs side by side gives the result of ``build("jacobi")``.
+    that they feed. The file is of SSP 1.0, or of 2.0 where there are arrays. The step is noted in an annotation that `open_ssp`
+    knows; other tools must be told it. A tool that steps all FMUs side by side gives the result of ``build("jacobi")``.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
     Raises
     ------
     SSPError
-        If the diagram has what SSP cannot express (any other block, a sum of signals, FMUs at several rates, an FMU placed with
-        ``timing="sampled"``), or the file cannot be written.
+        If the diagram has what SSP cannot express (any other block, a sum of signals, elements of arrays, FMUs at several rates,
+        an FMU placed with ``timing="sampled"``), or the file cannot be written.
     """
     path = absolute(path, "save_ssp", "the .ssp file to write", SSPError)
     if not isinstance(diagram, Diagram):
@@ -171,6 +171,9 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
         system.append(connections)
     annotation = SubElement(SubElement(system, f"{SSD}Annotations"), f"{SSC}Annotation", type="bayesftc")
     SubElement(annotation, "bayesftc", step=str(diagram.step))
+    if next(root.iter(f"{SSC}Dimension"), None) is not None:  # SSP 1.0, which more tools read, has no arrays
+        for versioned in (root, *root.iter(f"{SSV}ParameterSet")):
+            versioned.set("version", "2.0")
     indent(root)
     return root
 
@@ -207,23 +210,28 @@ def _ports(side: Sequence[str | Port] | None) -> list[Port]:
 
 
 def _add_connector(connectors: Element, node: Node, port: Port, kind: str) -> None:
-    if port.shape:
-        _refuse(f"{node.name}.{port.name} is an array, which SSP 1.0 does not have; leave it out of the FMU's ports")
     type_ = next(v.type for v in _fmu(node).description.variables if v.name == port.name)
     if type_ == "Enumeration":
         _refuse(
             f"{node.name}.{port.name} is an enumeration, which is no port of an SSP here; leave it out of the FMU's ports"
         )
     # The unit is the FMU's own, and so is not repeated here.
-    SubElement(
-        SubElement(connectors, f"{SSD}Connector", name=port.name, kind=kind), f"{SSC}{_TYPES.get(type_, 'Integer')}"
-    )
+    connector = SubElement(connectors, f"{SSD}Connector", name=port.name, kind=kind)
+    SubElement(connector, f"{SSC}{_TYPES.get(type_, 'Integer')}")
+    _add_dimensions(connector, port.shape)
+
+
+def _add_dimensions(element: Element, shape: Sequence[int]) -> None:
+    for size in shape:
+        SubElement(element, f"{SSC}Dimension", size=str(size))
 
 
 def _feed(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
     """Go back from an input through gains to an FMU's output, or to a constant."""
     target, element, total = node, 0, Linear()
     where = f"{node.name}.{port.name}"
+    if port.shape:
+        return _feed_of_array(diagram, node, port)
     while True:
         source = diagram.source_of(target, port, element)
         if source is None:
@@ -233,6 +241,11 @@ def _feed(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
         reference, taken = source
         block = reference.node.block
         if isinstance(block, FMU):
+            if reference.port.shape:
+                _refuse(
+                    f"{where} is fed by an element of {reference.name}, and an SSP can connect whole arrays only; give the FMU "
+                    "a variable for the element"
+                )
             return _Feed(reference.node, reference.port.name, total)
         if isinstance(block, Constant):
             return _Feed(None, "", Linear(0.0, total(block.value)))
@@ -245,6 +258,24 @@ def _feed(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
             return _Feed(None, "", Linear(0.0, total(block.offset)))
         total = total.after(Linear(float(row[fed[0]]), float(block.offset)))
         target, port, element = reference.node, block.inputs[0], int(fed[0])
+
+
+def _feed_of_array(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
+    """Return the output that feeds a whole array; nothing where its start value holds."""
+    sources = [diagram.source_of(node, port, i) for i in range(port.size)]
+    first = sources[0]
+    if all(source is None for source in sources):
+        return None
+    whole = first is not None and isinstance(first[0].node.block, FMU) and first[0].port.shape == port.shape
+    if whole and first is not None:
+        origin = first[0].node, first[0].port
+        whole = all(s is not None and (s[0].node, s[0].port) == origin and s[1] == i for i, s in enumerate(sources))
+    if first is None or not whole:
+        _refuse(
+            f"{node.name}.{port.name} is an array, and only an array of an FMU with the same shape can be connected to it in an "
+            "SSP, as a whole; connect it so, or leave it unconnected"
+        )
+    return _Feed(first[0].node, first[0].port.name, Linear())
 
 
 def _add_connection(connections: Element, feed: _Feed, target: str, name: str) -> None:
@@ -266,14 +297,19 @@ def _add_values(component: Element, node: Node, values: dict[str, Any]) -> None:
     whole = SubElement(inline, f"{SSV}ParameterSet", version="1.0", name="initialValues")  # ecos finds them by it
     parameters = SubElement(whole, f"{SSV}Parameters")
     for name, value in values.items():
-        kind, text = _written(f"{node.name}.{name}", variables[name], value)
-        SubElement(SubElement(parameters, f"{SSV}Parameter", name=name), f"{SSV}{kind}", value=text)
+        shape = np.shape(value)
+        written = [_written(f"{node.name}.{name}", variables[name], part) for part in np.asarray(value, object).flat]
+        if not written:
+            continue  # an empty array
+        if shape and written[0][0] in {"String", "Enumeration"}:
+            _refuse(f"{node.name}.{name} is an array of texts, which cannot be told apart in an SSP; leave it out")
+        parameter = SubElement(parameters, f"{SSV}Parameter", name=name)
+        SubElement(parameter, f"{SSV}{written[0][0]}", value=" ".join(text for _, text in written))
+        _add_dimensions(parameter, shape)
 
 
 def _written(where: str, variable: FMUVariable, value: Any) -> tuple[str, str]:
     """Return the type and the text of a value; a number from a constant block becomes what the variable is."""
-    if variable.shape:
-        _refuse(f"{where} is an array, which SSP 1.0 does not have; leave it at its start value")
     if variable.type == "String":
         return "String", value
     kind = _TYPES.get(variable.type, "Integer")

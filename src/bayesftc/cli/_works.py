@@ -228,10 +228,10 @@ def _ssp(block: FMU | None) -> Verdict:
         return Verdict(what, "no", "it cannot be a block.")
     ports = [p for side in (block.inputs, block.outputs) for p in side or () if isinstance(p, Port)]
     arrays = [p.name for p in ports if p.shape]
-    if arrays:
-        return Verdict(what, "no", f"SSP 1.0 has no arrays: {_some(arrays)}.")
     if block.timing == "sampled":
         return Verdict(what, "partly", "as a plant (timing='plant'): SSP cannot ask a tool for timing='sampled'.")
+    if arrays:
+        return Verdict(what, "yes", f"cosim.save_ssp(diagram, path), as SSP 2.0, for its arrays: {_some(arrays)}.")
     return Verdict(what, "yes", "cosim.save_ssp(diagram, path), with others.")
 
 
