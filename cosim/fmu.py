@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
-from typing import ClassVar, Literal, cast
+from typing import Literal, cast
 
 from bayesftc.cosim._exchange.settings import checked_settings
 from bayesftc.cosim._fmi.archive import Archive, absolute, open_archive
@@ -111,7 +111,10 @@ class FMU(ExternalBlock):
     isolate: bool = field(default=False, kw_only=True)
     time_limit: float | None = field(default=None, kw_only=True)
 
-    checks_finite: ClassVar[bool] = True
+    @property
+    def checks_finite(self) -> bool:  # type: ignore[override]
+        """Whether a NaN in the outputs stops the run: not of a controller that this package has exported, where it has a meaning."""
+        return self.description.timing != "sampled"
 
     def __post_init__(self) -> None:
         if self.timing not in (None, "plant", "direct", "sampled"):

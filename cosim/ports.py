@@ -38,6 +38,8 @@ class Port:
         numbers uniform in (0, 1).
     meaning : Unit or None
         What the unit means, where an FMU defines it; else what pint says of its name.
+    description : str
+        What it is, in a few words, for those who see it in an exported FMU.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Port:
     default: float | tuple[Any, ...] | None = None
     draw: Literal["normal", "uniform"] | None = None
     meaning: Unit | None = field(default=None, compare=False, repr=False)
+    description: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, tuple) or not all(isinstance(n, int | np.integer) and n >= 1 for n in self.shape):

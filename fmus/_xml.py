@@ -42,8 +42,10 @@ def add_units(root: ET.Element, model: Model) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for unit in model.units:
         exponents = {base: getattr(unit, base) for base in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
-        element = ET.SubElement(definitions, "Unit", {"name": unit.name})
-        ET.SubElement(element, "BaseUnit", {name: str(power) for name, power in exponents.items() if power})
+        attributes = {name: str(power) for name, power in exponents.items() if power}
+        attributes |= {"factor": repr(unit.factor)} if unit.factor != 1.0 else {}
+        attributes |= {"offset": repr(unit.offset)} if unit.offset else {}
+        ET.SubElement(ET.SubElement(definitions, "Unit", {"name": unit.name}), "BaseUnit", attributes)
 
 
 def add_log_categories(root: ET.Element) -> None:

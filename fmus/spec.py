@@ -31,6 +31,8 @@ class Unit:
         As it stands in the model description, for example ``"N.s/m"``.
     kg, m, s, A, K, mol, cd, rad : int
         Exponents of the base units.
+    factor, offset : float
+        A value ``x`` in this unit is ``factor * x + offset`` in SI.
     """
 
     name: str
@@ -42,6 +44,8 @@ class Unit:
     mol: int = 0
     cd: int = 0
     rad: int = 0
+    factor: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ class Signal:
         Where its elements lie in the memory of the schedule.
     draw : str or None
         Of an input that takes random numbers, their distribution.
+    description : str
+        What it is, in words.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Signal:
     start: tuple[float, ...]
     places: tuple[int, ...]
     draw: str | None = None
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class Tunable:
         The number of its block in the schedule.
     parameter : str
         What its step functions call it.
+    description : str
+        What it is, in words.
     """
 
     name: str
@@ -71,6 +76,7 @@ class Tunable:
     start: tuple[float, ...]
     node: int
     parameter: str
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -140,7 +146,11 @@ def program_of(
     for node in nodes:
         for port in node.block.inputs:
             found |= _unfed(part, node, port, port.name if alone else f"{node.name}.{port.name}")
-    given = _named(found, inputs, "input")
+    # What has no start value that FMI can write stays what it is, unless it is asked for.
+    usual = {
+        name: places for name, places in found.items() if np.isfinite(np.asarray(places[0][1].default or 0.0)).all()
+    }
+    given = _named(found, inputs, "input") if inputs is not None else usual
     for signal, ((node, port, i), *_) in found.items():
         if (
             port.default is None
@@ -229,15 +239,22 @@ def _named(found: Mapping[str, Places], names: Names | None, what: str) -> dict[
 
 def _signal(schedule: Schedule, label: str, places: Places) -> Signal:
     node, port, _ = places[0]
-    whole = len(places) == port.size
     begin = schedule.signal(node, port).start
     at = tuple(begin + i for _, _, i in places)
-    outside = {"uniform": 0.5, "normal": 0.0}.get(port.draw or "")
-    start = tuple(float(schedule.initial[i]) if outside is None else outside for i in at)
-    of_output = any(port is output for output in node.block.outputs)
-    return Signal(
-        label, port.shape if whole else (), port.unit, (0.0,) * len(at) if of_output else start, at, port.draw
-    )
+    shape = port.shape if len(places) == port.size else ()
+    drawn = {"uniform": 0.5, "normal": 0.0}.get(port.draw or "")
+    start = tuple(float(schedule.initial[i]) if drawn is None else drawn for i in at)
+    if any(port.name == output.name for output in node.block.outputs):
+        start = (0.0,) * len(at)
+    return Signal(label, shape, port.unit, start, at, port.draw, port.description or _description(node, port))
+
+
+def _description(node: Node, port: Port) -> str:
+    if port.draw == "normal":
+        return "Standard normal random numbers, new ones at each step; 0 for none"
+    if port.draw == "uniform":
+        return "Random numbers uniform in (0, 1), new ones at each step"
+    return f"{port.name} of {type(node.block).__name__}"
 
 
 def _tunables(schedule: Schedule, alone: bool) -> Iterator[Tunable]:
@@ -253,7 +270,8 @@ def _tunables(schedule: Schedule, alone: bool) -> Iterator[Tunable]:
             array = np.asarray(value, dtype=np.float64)
             if name in settings and np.isfinite(array).all() and _alike(getattr(node.block, name), array):
                 label = name if alone else f"{node.name}.{name}"
-                yield Tunable(label, array.shape, tuple(array.ravel().tolist()), i, name)
+                about = f"{name} of {type(node.block).__name__}"
+                yield Tunable(label, array.shape, tuple(array.ravel().tolist()), i, name, about)
 
 
 def _alike(setting: object, parameter: Floats) -> bool:

@@ -1,0 +1,132 @@
+"""The model of a program for the FMI wrappers of this package: its C, what puts it behind them, and its description."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from bayesftc.cosim._export.c_file import CFile
+from bayesftc.cosim._export.dependencies import feeding
+from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim.units import BASE, parse
+from bayesftc.fmus.spec import Model, Unit, Variable
+
+Timing = Literal["plant", "sampled"]
+
+_BEHIND_FMI = """\
+/* {name} behind the contract of model.h: inputs, outputs and parameters lie in x as in its structures, its memory behind. */
+#include <string.h>
+
+#include "model.h"
+#include "{name}.h"
+
+#define PROGRAM ({name} *)(x + X_HIDDEN)
+#define INPUTS (const {name}_inputs *)x
+#define OUTPUTS ({name}_outputs *)(x + {inputs})
+
+typedef char the_structures_are_those_of_x[sizeof({name}) == MODEL_HIDDEN * sizeof(double) ? 1 : -1];
+
+static void tune(double *x)
+{{
+{tune}
+}}
+
+static void begin(double *x)
+{{
+    {name} *program = PROGRAM;
+
+    {name}_init(program);
+    program->start = x[X_TIME];
+    tune(x);
+}}
+
+/* The outputs at the start time; the first step computes them once more, from the state at the beginning. */
+void model_initialize(double *x)
+{{
+    begin(x);
+    {name}_evaluate(PROGRAM, INPUTS, OUTPUTS);
+    begin(x);
+}}
+
+int model_step(double *x, double h)
+{{
+    (void)h; /* always the fixed step */
+    tune(x);
+    {name}_evaluate(PROGRAM, INPUTS, OUTPUTS);
+    {name}_advance(PROGRAM);{after}
+    return 0;
+}}
+"""
+
+
+def model_of(program: Program, file: CFile, timing: Timing, description: str) -> Model:
+    """Return the model of a program.
+
+    Parameters
+    ----------
+    program : Program
+        The program.
+    file : CFile
+        Its C.
+    timing : {"plant", "sampled"}
+        Whether the outputs after a step are those at its end, or those that were computed from the inputs at its beginning.
+    description : str
+        A sentence or two for the user of the FMU.
+    """
+    fed = feeding(program)
+    known = [signal.name for signal in program.inputs] + [tunable.name for tunable in program.tunables]
+    variables = [_variable(signal, "input") for signal in program.inputs]
+    for signal in program.outputs:
+        initial = tuple(name for name in known if name in fed[signal.name])
+        variables.append(_variable(signal, "output", initial))
+    variables += [_variable(tunable, "parameter") for tunable in program.tunables]
+    sizes = [
+        sum(len(signal.start) for signal in group) for group in (program.inputs, program.outputs, program.tunables)
+    ]
+    tune = "    (void)x;"
+    if program.tunables:
+        tune = f"    {file.name} *program = PROGRAM;\n\n"
+        tune += f"    memcpy(&program->parameters, x + {sizes[0] + sizes[1]}, sizeof program->parameters);"
+    glue = _BEHIND_FMI.format(
+        name=file.name,
+        inputs=sizes[0],
+        tune=tune,
+        after=f"\n    {file.name}_evaluate(PROGRAM, INPUTS, OUTPUTS);" if timing == "plant" else "",
+    )
+    return Model(
+        name=file.name,
+        description=description,
+        source={f"{file.name}.h": file.header, f"{file.name}.c": file.source, f"{file.name}_fmu.c": glue},
+        variables=tuple(variables),
+        step=float(program.step),
+        fixed_step=True,
+        hidden=file.memory + sizes[2] + 2,
+        timing=timing,
+        libraries=("m",),
+    )
+
+
+def _variable(
+    signal: Signal | Tunable, causality: Literal["input", "output", "parameter"], initial: tuple[str, ...] = ()
+) -> Variable:
+    return Variable(
+        signal.name,
+        causality,
+        signal.description,
+        _unit(getattr(signal, "unit", None)),
+        start=signal.start,
+        variability="tunable" if causality == "parameter" else "",
+        initial_dependencies=initial,
+        shape=signal.shape,
+    )
+
+
+def _unit(text: str | None) -> Unit | None:
+    """Return a unit with its meaning; without one where nobody knows it."""
+    if not text:
+        return None
+    meaning = parse(text)
+    if meaning is None:
+        return Unit(text)
+    short = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+    powers = {name: meaning.powers.get(base, 0) for name, base in zip(short, BASE, strict=True)}
+    return Unit(text, **powers, factor=meaning.factor, offset=meaning.offset)
