@@ -113,7 +113,7 @@ class FMU(ExternalBlock):
 
     @property
     def checks_finite(self) -> bool:  # type: ignore[override]
-        """Whether a NaN in the outputs stops the run: not of a controller that this package has exported, where it has a meaning."""
+        """Whether a NaN in the outputs stops the run: not of an exported controller, where it means a missing sample."""
         return self.description.timing != "sampled"
 
     def __post_init__(self) -> None:
