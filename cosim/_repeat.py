@@ -9,11 +9,11 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from bayesftc.cosim._isolation.spares import Spares
+from bayesftc.cosim._running import BREATH, advance, choose_engine, explain, failed, open_run
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
-from bayesftc.cosim.simulation import BREATH, advance, choose_engine, explain, failed, open_run
 from bayesftc.cosim.timebase import whole_steps
 
 if TYPE_CHECKING:

@@ -17,11 +17,11 @@ from bayesftc.cosim.units import difference
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from bayesftc.cosim._running import Progress
     from bayesftc.cosim.control_system import ControlSystem
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.schedule import Schedule
     from bayesftc.cosim.session import RunState, Session
-    from bayesftc.cosim.simulation import Progress
 
 
 @dataclass(frozen=True, eq=False)

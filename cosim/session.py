@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.cosim._isolation.spares import Spares
 from bayesftc.cosim._pacing import Pacer
+from bayesftc.cosim._running import advance, choose_engine, failed, make_room, open_run, place_tables
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import is_external
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
@@ -29,13 +30,12 @@ from bayesftc.cosim.ports import PortRef, label, labels
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
-from bayesftc.cosim.simulation import advance, choose_engine, failed, make_room, open_run, place_tables
 from bayesftc.cosim.timebase import EXACT, whole_number, whole_steps
 
 if TYPE_CHECKING:
+    from bayesftc.cosim._running import Progress
     from bayesftc.cosim.diagram import Diagram
     from bayesftc.cosim.schedule import Schedule
-    from bayesftc.cosim.simulation import Progress
 
 
 @dataclass(frozen=True, eq=False)

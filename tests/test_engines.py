@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim
-from bayesftc.cosim import Port, simulation
+from bayesftc.cosim import Port, _running
 from bayesftc.cosim.ops import isnan, select, sqrt
 from bayesftc.cosim.random import numbers
 from bayesftc.cosim.result import labels
@@ -175,7 +175,7 @@ def test_random_diagrams(plan, seed, pieces, run_both, same_bits):
     record = [f"b{i}.y" for i in range(len(blocks))] + [f"b{i}.u" for i in range(len(blocks)) if wires[i]]
     with pytest.MonkeyPatch.context() as patch:
         if pieces:
-            patch.setattr(simulation, "BREATH", 0.0)  # a return to Python at every step
+            patch.setattr(_running, "BREATH", 0.0)  # a return to Python at every step
         result = run_both(diagram, steps * STEP, seed=seed, record=record)
     with np.errstate(all="ignore"):
         rows, seen = meaning(plan, steps, seed)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim import Port, simulation
+from bayesftc.cosim import Port, _running
 
 
 @pytest.fixture
@@ -26,10 +26,10 @@ def noisy():
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_pieces_make_no_difference(noisy, engine, monkeypatch, same_bits):
     options = {"seed": 5, "engine": engine, "record": ["*", "delay.u", "noise.noise"]}
-    monkeypatch.setattr(simulation, "BREATH", 1e9)
+    monkeypatch.setattr(_running, "BREATH", 1e9)
     whole = noisy.simulate(20, **options)
     for breath in (0.0, 1e-5, 2e-4):
-        monkeypatch.setattr(simulation, "BREATH", breath)
+        monkeypatch.setattr(_running, "BREATH", breath)
         seen = []
         pieces = noisy.simulate(20, progress=lambda k, n, seen=seen: seen.append((k, n)), **options)
         assert seen[-1] == (600, 600)

@@ -22,10 +22,10 @@ from bayesftc.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
     from bayesftc.controllers import BayesianController
+    from bayesftc.cosim._running import Progress
     from bayesftc.cosim.block import Floats
     from bayesftc.cosim.diagram import Diagram
     from bayesftc.cosim.result import Result
-    from bayesftc.cosim.simulation import Progress
 
 AGREEMENT = 1e-9
 """Largest relative difference from filterpy that is rounding."""
