@@ -36,7 +36,7 @@ class Coupling:
         The iteration is over when no value ``v`` changes any more by more than ``tolerance * (1 + |v|)``.
     acceleration : {"anderson", "aitken", None}
         How the next guess follows from the last ones: by Anderson's method over as many guesses as there are values (at most
-        five), by Aitken's relaxation (of Irons and Tuck, for vectors), or plainly the values that came out.
+        twenty), by Aitken's relaxation (of Irons and Tuck, for vectors), or plainly the values that came out.
     iterations : int
         How often a step is repeated before the run stops because it does not converge.
     hold : {"end", "mean"}

@@ -16,8 +16,9 @@ INNER, OUTER = 0, 1
 """The two saved states: of the beginning of an iterated step, and of a step that may be too long."""
 
 PLAIN, AITKEN, ANDERSON = 0, 1, 2
-DEPTH = 5
-"""How many differences Anderson's method keeps."""
+DEPTH = 20
+"""How many differences Anderson's method keeps: with fewer than there are values, a linear loop that diverges by itself is not
+solved (of five, none of eight values with a spectral radius of 20 was)."""
 
 # Rows of the working memory, each as long as there are guessed values.
 GUESS, VALUE, NEXT, SCALE, RESIDUAL, RESIDUAL_BEFORE, VALUE_BEFORE, LEFT = range(8)
