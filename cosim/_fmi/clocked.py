@@ -88,7 +88,7 @@ class ClockedInstance(Instance):
         self._inputs, self._held = np.zeros(self._sizes[0]), np.zeros(self._sizes[1])
         super().__init__(library, name, step, timing, start, inputs, outputs)
         arguments = self._sizes, self.resize, self.step_word, RAISED
-        self._callbacks_of_engine = Callback(self.output, *arguments), Callback(self.update, *arguments)
+        self._callbacks_of_engine = [Callback(self.output, *arguments), Callback(self.update, *arguments)]
         try:
             self._check_periods(step)
         except StepSizeError:
@@ -283,6 +283,11 @@ class ClockedInstance(Instance):
     def _called(self, side: int) -> str:
         groups = [*self._groups[side], *self._clocked[side]]
         return function_of(groups, self._elements[side], int(self._scratch[UNFIT]))
+
+    def close(self) -> None:
+        """See `Instance.close`."""
+        super().close()
+        self._callbacks_of_engine = []  # which hold the instance
 
     def explain(self, status: int) -> str:
         """See `Instance.explain`."""
