@@ -41,6 +41,13 @@ AGREES = 1e-3
 """Relative error of the model's own responses above which it is said."""
 
 
+RECORD = (
+    "If its outputs are rounded or noisy, identify a model from a recording (LinearModel.identify), whose inputs are as large "
+    "as they may be."
+)
+"""What to do about outputs that are too coarse for pulses."""
+
+
 class PoorFitWarning(UserWarning):
     """A model that was made from samples does not explain them well."""
 
@@ -281,7 +288,7 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
     scaled = markov / rows[:, None]
     columns = np.abs(scaled).max(axis=(0, 1))
     if not columns.any():
-        raise ModelError("No input moves any of the outputs; actuate and measure others.")
+        raise ModelError(f"No input moves any of the outputs; actuate and measure others. {RECORD}")
     columns = np.where(columns > 0, columns, 1.0)
     scaled, doubt = scaled / columns, error / rows[:, None] / columns
     half = (len(markov) - 1) // 2
@@ -289,6 +296,10 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
     # No singular value moves by more than the norm of what disturbs the matrix (Weyl).
     floor = max(3 * float(np.linalg.norm(_hankel(doubt, half), 2)), 1e-11 * float(values[0]))
     count = int(np.sum(values > floor)) if order is None else order
+    if order is None and not count:
+        raise ModelError(
+            f"The plant answers pulses of one size so differently from those of another that they tell nothing. {RECORD}"
+        )
     if not 1 <= count <= len(values):
         raise ModelError(
             f"An order of {count} is asked of responses that tell at most {len(values)}; give from 1 to that."

@@ -174,6 +174,24 @@ def test_a_dead_band_is_no_derivative_of_zero(monkeypatch):
     assert late[0] == pytest.approx(late[1], rel=0.05)
 
 
+@pytest.mark.parametrize(("name", "words"), [("HydroTurbine", "they tell nothing"), ("TwoMasses", "No input moves")])
+def test_outputs_that_are_rounded_too_coarsely_are_said(monkeypatch, name, words):
+    usual = Instance.output
+
+    def rounded(self, inputs, outputs, t):
+        status = usual(self, inputs, outputs, t)
+        outputs[:] = np.round(outputs / 1e-3) * 1e-3
+        return status
+
+    monkeypatch.setattr(Instance, "output", rounded)
+    *_, measured, actuated, _ = PLANTS[name]
+    with (
+        pytest.warns(PoorFitWarning, match="outputs are rounded"),
+        pytest.raises(ModelError, match=f"{words}.*from a record"),
+    ):
+        linearize(fmus.path(name), measured=measured, actuated=actuated)
+
+
 def test_process_noise_comes_in_where_it_is_said():
     model = LinearModel.from_fmu(
         fmus.path("PositionServo"), measured="angle", actuated="voltage", noise={"load": 0.1}, sensor_std=[0.02]

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.linalg import solve_discrete_are
+from scipy.stats import chi2
 
 from bayesftc import cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
@@ -171,6 +172,35 @@ def test_sensors_that_are_slower_than_the_rest(slow):
     np.testing.assert_allclose(np.diag(r), np.diag(R), rtol=0.25)
     assert found.whiteness.min() > 1e-3
     found.plot()
+
+
+@pytest.mark.parametrize(("slow", "settings"), [([], {}), (["y0", "y1", "y2"], {}), ([], {"C": C[:1], "R": R[:1, :1]})])
+def test_innovations_are_as_large_as_the_noise_promises(slow, settings):
+    """On recordings that the models have not seen: the squares of normalised innovations against chi-square."""
+    squares, count = 0.0, 0
+    for seed in range(4):
+        (table, names), (fresh, _) = (record(2000, seed=start + seed, **settings) for start in (0, 100))
+        for recording in (table, fresh):
+            recording.loc[np.arange(2000) % 5 != 0, slow] = np.nan
+        model = LinearModel.identify(table, **names, order=2).model
+        moves, reads, noise = model.matrix("A"), model.matrix("C"), model.matrix("sensor_covariance")
+        x, P = np.array([0.0, 0.0, 1.0]), np.diag([10.0, 10.0, 0.0])
+        for k, (u, y) in enumerate(
+            zip(fresh[names["inputs"]].to_numpy(), fresh[names["outputs"]].to_numpy(), strict=True)
+        ):
+            there = np.isfinite(y)
+            e, S = (y - reads @ x)[there], (reads @ P @ reads.T + noise)[np.ix_(there, there)]
+            gain = np.linalg.solve(S, (reads @ P)[there]).T
+            if k > 50:
+                squares, count = squares + e @ np.linalg.solve(S, e), count + len(e)
+            x, P = x + gain @ e, P - gain @ (reads @ P)[there]
+            x, P = (
+                moves @ x + model.matrix("B") @ u,
+                moves @ (P + P.T) @ moves.T / 2 + model.matrix("process_covariance"),
+            )
+    # Where a model is from as many samples as it is judged by, its error counts as much as that of the mean.
+    low, high = chi2.ppf([5e-4, 1 - 5e-4], count) / count
+    assert 1 - 1.5 * (1 - low) < squares / count < 1 + 1.5 * (high - 1)
 
 
 def test_without_gaps_both_ways_find_the_same():

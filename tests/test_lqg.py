@@ -6,6 +6,7 @@ import warnings
 import control
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers, cosim
 from bayesftc.controllers import BayesianController, LinearModel, LQGController
@@ -71,6 +72,41 @@ def test_the_one_step_posterior_is_the_regulators_law(name):
     for pole in poles:
         assert np.abs(found - pole).min() < 1e-6
     assert np.abs(found).max() < 1
+
+
+@pytest.mark.parametrize("belief", ["filtered", "joint"])
+@pytest.mark.parametrize("name", PLANTS)
+def test_poles_that_are_shown_are_those_of_control_and_filter(name, belief):
+    """Apart, each by a Riccati equation of its own; and of the loop as it runs, whose steps tell its matrix."""
+    model, goals = PLANTS[name]
+    A, B, C = (model.matrix(name) for name in "ABC")
+    controller = LQGController(model, goal_on=C[goals], goal_covariance=0.04, control_covariance=0.5, belief=belief)
+    P = solve_discrete_are(A.T, C.T, model.matrix("process_covariance"), model.matrix("sensor_covariance"))
+    gain = np.linalg.solve(C @ P @ C.T + model.matrix("sensor_covariance"), C @ P).T
+    known = np.append(np.linalg.eigvals(A - B @ controller.regulator.gain), np.linalg.eigvals(A - A @ gain @ C))
+    shown = controller.closed_loop_poles()
+    assert len(shown) == len(known)
+    assert max(np.abs(shown - pole).min() for pole in known) < 1e-8
+    # The loop's state is the plant's and the prediction; from the steady belief on each step is the same matrix.
+    n, step = len(A), controller.online(compiled=False)
+    rng, x, states = np.random.default_rng(0), np.zeros(n), []
+    for k in range(600 + 60 * n):
+        if k >= 600 and (k - 600) % 30 == 0:
+            x = x + rng.normal(size=n)
+        out = step(y=C @ x, goal=np.zeros(len(goals)))
+        following = A @ x + B @ np.atleast_1d(out.u)
+        predicted = A @ np.ravel(out.x_hat) + B @ np.atleast_1d(out.u)
+        states.append([*x, *predicted])
+        x = following
+    now = np.array(states)
+    pairs = [k for k in range(600, len(now) - 1) if (k + 1 - 600) % 30]
+    # A prediction belongs to the next sample: (x_k, prediction of x_k) -> (x_k+1, prediction of x_k+1).
+    here = np.array([[*now[k, :n], *now[k - 1, n:]] for k in pairs])
+    there = np.array([[*now[k + 1, :n], *now[k, n:]] for k in pairs])
+    scale = np.abs(here).max(axis=0)
+    loop = np.linalg.lstsq(here / scale, there / scale, rcond=1e-12)[0].T
+    found = np.linalg.eigvals(loop)
+    assert max(np.abs(found - pole).min() for pole in shown) < 1e-5
 
 
 @pytest.mark.parametrize("seed", range(25))
