@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import prod
 from types import FunctionType
 
-from bayesftc.cosim._export.functions import Functions, table_text, words, wrapped
+from bayesftc.cosim._export.functions import Functions, words, wrapped
 from bayesftc.cosim._export.kinds import FLOAT, NATURAL, Array
 from bayesftc.cosim._export.layout import Layout, member
 from bayesftc.cosim._export.program import Program, Signal, Tunable
@@ -17,7 +17,14 @@ from bayesftc.cosim.block import argument_names
 from bayesftc.cosim.schedule import Call
 
 _PARTS = ("inputs", "outputs", "parameters", "init", "evaluate", "advance")
-_VARIABLES = ("c", "u", "y", "m", "k", "t", "i", "initial")
+_VARIABLES = ("c", "u", "y", "m", "k", "t", "i", "j", "initial")
+_FILL = (
+    "for (size_t i = 0; i < sizeof initial / sizeof *initial; ++i) {",
+    "    for (int j = 0; j < initial[i].count; ++j) {",
+    "        c->memory[initial[i].begin + j] = initial[i].value;",
+    "    }",
+    "}",
+)
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,9 @@ def write_c(program: Program) -> CFile:
     if "u" not in words("\n".join(evaluate)):
         evaluate.append("(void)u;")
     advance = [*_phase(program, layout, functions, schedule.advance), "c->step += 1.0;"]
-    init = [f"for (int i = 0; i < {len(layout.initial)}; ++i) {{", "    c->memory[i] = initial[i];", "}"]
+    runs = layout.runs()
+    init = ["memset(c->memory, 0, sizeof c->memory);"]
+    init += [line for line in _FILL if runs]
     init += [f"c->parameters.{member(t)}[{e}] = {literal(v)};" for t in program.tunables for e, v in enumerate(t.start)]
     read = words("\n".join([*evaluate, *advance]))
     tables = [table for name, table in layout.tables.items() if name in read]
@@ -68,17 +77,29 @@ def write_c(program: Program) -> CFile:
         f"/* {name}: {name}.h says how to use it. */",
         "#include <math.h>",
         "#include <stdint.h>",
+        "#include <string.h>",
         "",
         f'#include "{name}.h"',
         "",
-        "\n\n".join([*(text for text, _ in tables), table_text("initial", layout.initial.tolist()), functions.text()]),
+        "\n\n".join([*(text for text, _ in tables), *_initial(runs), functions.text()]),
         "",
         *_function(f"void {name}_init({name} *c)", {}, [*init, "c->start = 0.0;", "c->step = 0.0;"]),
         *_function(f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y)", known, evaluate),
         *_function(f"void {name}_advance({name} *c)", known, advance),
     ]
     size = len(layout.initial)
-    return CFile(name, _header(program, name, size), "\n".join(source), size, size + sum(count for _, count in tables))
+    return CFile(
+        name, _header(program, name, size), "\n".join(source), size, 2 * len(runs) + sum(count for _, count in tables)
+    )
+
+
+def _initial(runs: Sequence[tuple[int, int, float]]) -> list[str]:
+    """Return the table of what memory is at the beginning where it is not zero."""
+    if not runs:
+        return []
+    rows = ", ".join(f"{{ {begin}, {count}, {literal(value)} }}" for begin, count, value in runs)
+    text = "static const struct { int begin, count; double value; } initial[] = " + f"{{ {rows} }};"
+    return ["\n".join(wrapped(text))]
 
 
 def _phase(program: Program, layout: Layout, functions: Functions, calls: Iterable[Call]) -> list[str]:

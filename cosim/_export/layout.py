@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._export.functions import Functions, table_text
+from bayesftc.cosim._export.kinds import same
 from bayesftc.cosim._export.program import Program, Signal, Tunable
 from bayesftc.cosim._opening import OUTSIDE
 from bayesftc.cosim.block import Floats
@@ -60,6 +61,16 @@ class Layout:
         self.initial: Floats = np.zeros(max(len(self._places), 1))
         for place, at in self._places.items():
             self.initial[at] = values[place]
+
+    def runs(self) -> list[tuple[int, int, float]]:
+        """Return where the array is not zero at the beginning: places of equal value, as (first, how many, value)."""
+        found: list[tuple[int, int, float]] = []
+        for at, value in enumerate(self.initial.tolist()):
+            if found and sum(found[-1][:2]) == at and same(found[-1][2], value):
+                found[-1] = found[-1][0], found[-1][1] + 1, value
+            elif not same(value, 0.0):
+                found.append((at, 1, value))
+        return found
 
     def pointer(self, i: int, name: str) -> str:
         """Return where the numbers of an argument of block `i` begin."""
