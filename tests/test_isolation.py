@@ -648,9 +648,12 @@ diagram = cosim.Diagram(dt=0.02)
 diagram.add(block, "car")
 with diagram.start(engine=engine) as session:
     session.advance(0.08)
-    mine = str(os.getpid())
-    pids = [n for n in os.listdir("/proc") if n.isdigit() and
-            open(f"/proc/{n}/stat").read().rpartition(")")[2].split()[1] == mine]
+    def parent(n):
+        try:
+            return open(f"/proc/{n}/stat").read().rpartition(")")[2].split()[1]
+        except OSError:
+            return ""  # it has ended meanwhile
+    pids = [n for n in os.listdir("/proc") if n.isdigit() and parent(n) == str(os.getpid())]
     print(json.dumps(pids), flush=True)
     try:
         session.advance(1.0)
