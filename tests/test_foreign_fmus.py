@@ -1,8 +1,11 @@
 """FMUs that this project did not write, made by other exporters when the tests begin."""
 
+import atexit
+import gc
 import logging
 import os
 import shutil
+import signal
 import sys
 import zipfile
 from importlib.metadata import version
@@ -34,6 +37,9 @@ BODY = """
             raise ValueError("the valve is stuck")
         if self.mode == "refuse" and t > 0.95:
             return False
+        if self.mode == "interrupt" and t > 0.95:
+            import signal
+            signal.raise_signal(signal.SIGINT)
         if self.mode == "crash" and t > 0.95:
             import ctypes
             ctypes.string_at(0)
@@ -197,6 +203,42 @@ def test_a_step_that_fails_ends_in_a_sentence(lag, tool, mode, isolate):
 
 
 @pytest.mark.parametrize("tool", EXPORTERS)
+def test_what_a_binary_holds_of_python_it_lets_go_of_before_the_end(tool, tmp_path, monkeypatch):
+    """PythonFMU's own destructors free it twice, and some processes end with an abort and another exit code."""
+    builder = pytest.importorskip(f"{tool}.builder")
+    (tmp_path / f"ends_{tool}.py").write_text(SOURCES[tool])
+    path = builder.FmuBuilder.build_FMU(tmp_path / f"ends_{tool}.py", dest=tmp_path)
+    driven(path).simulate(0.1, engine="interpreted")  # loads what has exits of its own
+    shutil.copy(path, tmp_path / "other.fmu")
+    with zipfile.ZipFile(tmp_path / "other.fmu", "a") as archive:
+        archive.writestr("resources/note.txt", "another file, and so another binary")
+    path, at_exit = tmp_path / "other.fmu", []
+    monkeypatch.setattr(atexit, "register", at_exit.append)
+    for _ in range(2):
+        last = driven(path).simulate(1.0, engine="interpreted")["p.y"][-1]
+    assert [function.__name__ for function in at_exit] == ["finalizePythonInterpreter"]
+    with driven(path).start(engine="interpreted") as session:  # of which one may still be open
+        at_exit[0]()
+        assert session.advance(1.0)["p.y"][-1] == last
+
+
+@pytest.mark.parametrize("tool", EXPORTERS)
+def test_ctrl_c_within_an_fmu_is_no_failure_of_the_fmu(lag, tool):
+    """Its binary takes what Python raises there for an error of the model."""
+    usual = signal.getsignal(signal.SIGINT)
+    with driven(lag(tool)).start(engine="interpreted") as session:
+        session.advance(0.5)
+        assert signal.getsignal(signal.SIGINT) is usual
+    diagram = cosim.Diagram(dt=H)
+    diagram.add(FMU(lag(tool), parameters={"mode": "interrupt"}), "p")
+    for _ in range(3):  # what has failed is not freed: its binary would free its Python objects twice
+        with pytest.raises(KeyboardInterrupt):
+            diagram.simulate(3, engine="interpreted")
+        gc.collect()
+    assert signal.getsignal(signal.SIGINT) is usual
+
+
+@pytest.mark.parametrize("tool", EXPORTERS)
 def test_a_crash_of_an_isolated_fmu_leaves_the_host_alive(lag, tool):
     diagram = cosim.Diagram(dt=H)
     diagram.add(FMU(lag(tool), parameters={"mode": "crash"}, isolate=True), "p")
@@ -208,7 +250,7 @@ def test_a_crash_of_an_isolated_fmu_leaves_the_host_alive(lag, tool):
 
 def test_a_step_that_never_ends(lag):
     diagram = cosim.Diagram(dt=H)
-    diagram.add(FMU(lag("pythonfmu"), parameters={"mode": "hang"}, isolate=True, time_limit=0.5), "p")
+    diagram.add(FMU(lag("pythonfmu"), parameters={"mode": "hang"}, isolate=True, time_limit=2.0), "p")
     with pytest.raises(FMUCrashed) as caught:
         diagram.simulate(3, engine="interpreted")
     assert caught.value.step == 10

@@ -91,7 +91,7 @@ class Library(ABC):
 
     def begin(self, name: str, messages: Messages) -> tuple[int, Any]:
         """Return what `create` does; if it is a model in Python, of its own Python files."""
-        with in_this_python(Path(self._slave.unzipDirectory, "resources")):
+        with in_this_python(Path(self._slave.unzipDirectory, "resources"), self._keep):
             return self.create(name, messages)
 
     @abstractmethod
