@@ -70,6 +70,9 @@ class LQGController(BayesianController):
     for the costs ``(y - goal)' goal_covariance^-1 (y - goal) + (u - u_ss)' control_covariance^-1 (u - u_ss)`` of each sample. A
     common factor of both precisions changes nothing; it is taken so small that what the belief does not know does not weigh.
 
+    Integrators that the goals do not see (the position, of a goal on the speed) are left to themselves: A, B and P are those of
+    what is left, and so is the steady state.
+
     Fewer goals than controls leave freedom: then u_ss is the cheapest one. Estimated disturbances
     (`LinearModel.with_disturbance`) and faults of actuators that the precision learner finds count in (x_ss, u_ss), so that they
     leave no steady error.

@@ -210,8 +210,10 @@ class LinearModel:
         """Return the model of an FMU about a steady state, in the FMU's own values.
 
         *Model exchange* (also where the file can do both): the state at which the derivatives are zero is sought from the start
-        values, with the inputs held or, if there is none, with the actuated ones free; there the FMU's directional derivatives
-        are taken, or central differences where it has none, and sampled exactly (zero-order hold). States are the FMU's.
+        values, with the inputs held or, if there is none, with those free that are actuated and not given in `at`. If there is
+        none either, a steady motion will do, in which states on which nothing depends (a car's position) go on at a constant
+        rate. There the FMU's directional derivatives are taken, or central differences where it has none, and sampled exactly
+        (zero-order hold). States are the FMU's, but for integrators that no output sees, which are left out.
 
         *Co-simulation*, whose states nobody sees: the FMU is run from its start until its outputs stay where they are; from
         there it answers short pulses of each input, up and down, of several sizes, of which those count that agree best. The
