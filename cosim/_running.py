@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim._coupled.engines import check_groups, place_words
+from bayesftc.cosim._fmi.embedded import interrupts
 from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._memory import TABLE
@@ -143,13 +144,20 @@ def advance(
         if pacer:
             pacer.wait(until)
         run.sound = False
-        with one_processor(run.instances.values()), kept() if run.instances else nullcontext() as changed:
+        with (
+            one_processor(run.instances.values()),
+            kept() if run.instances else nullcontext() as changed,
+            interrupts() as heard,
+        ):
             run.k, failure = engine.advance(begin, until, first=run.k < 0)
         if changed:
             _warn_of_arithmetic(run)
         now = time.perf_counter()
         if failure:
-            return explain(failure, run)
+            reason = explain(failure, run)  # by which a failed FMU also knows what it must not be asked any more
+            if heard:
+                raise KeyboardInterrupt
+            return reason
         run.sound = True
         if pacer:
             pacer.done(until)
