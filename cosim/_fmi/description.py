@@ -30,10 +30,7 @@ _Scalar = float | int | bool | str
 Given = _Scalar | Sequence[_Scalar | Sequence[_Scalar | Sequence[_Scalar]]] | NDArray[Any]
 """A value as a user gives it: with a unit (``(30, "deg")``, ``([[1, 0], [0, 1]], "kg")``) or without."""
 
-REAL_TYPES = frozenset({"Real", "Float64"})
-"""The types that ports can have: double-precision numbers of FMI 2 and FMI 3."""
-
-_FLOATS = REAL_TYPES | {"Float32"}
+_FLOATS = frozenset({"Real", "Float64", "Float32"})
 _KINDS = ("coSimulation", "modelExchange", "scheduledExecution")
 _CAPABILITIES = (
     "needsExecutionTool",
@@ -106,11 +103,6 @@ class FMUVariable:
     def clocked(self) -> bool:
         """Whether it only exists at the ticks of clocks."""
         return bool(self.clocks)
-
-    @property
-    def is_real(self) -> bool:
-        """Whether it is made of double-precision numbers."""
-        return self.type in REAL_TYPES
 
     @property
     def is_float(self) -> bool:
