@@ -157,5 +157,5 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
         return f"did you mean {' or '.join(repr(n) for n in near)}?"
     if not known:
         return "there are none."
-    shown = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+    shown = ", ".join(known[:12]) + (f", and {len(known) - 12} more" if len(known) > 12 else "")
     return f"known names: {shown}."

@@ -46,8 +46,8 @@ def check_name(name: str) -> None:
         return
     by_lower = {other.lower(): other for other in known}
     near = [by_lower[match] for match in difflib.get_close_matches(str(name).lower(), by_lower, n=3)]
-    hint = f"did you mean {' or '.join(repr(other) for other in near)}? " if near else ""
-    raise ValueError(f"No FMU named {name!r} is shipped; {hint}Shipped are: {', '.join(known)}.")
+    hint = f"; did you mean {' or '.join(repr(other) for other in near)}?" if near else "."
+    raise ValueError(f"No FMU named {name!r} is shipped{hint} Shipped are: {', '.join(known)}.")
 
 
 def path(name: str, *, fmi: str = "2.0") -> Path:

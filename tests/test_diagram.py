@@ -9,6 +9,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
+from bayesftc.cosim.errors import did_you_mean
 
 
 def nothing():
@@ -158,6 +159,10 @@ def test_units_in_another_spelling_are_the_same(make_block):
         diagram = cosim.Diagram(1)
         source = diagram.add(cosim.Constant(1.0, unit=a))
         diagram.connect(source["y"], diagram.add(make_block(inputs=[Port("u", unit=b)]))["u"])
+
+
+def test_of_many_names_the_first_are_listed():
+    assert did_you_mean("zzz", map(str, range(100, 115))).endswith("110, 111, and 3 more.")
 
 
 def test_unknown_names_list_the_near_ones(parts):
