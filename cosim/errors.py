@@ -149,6 +149,15 @@ class RecordingError(BayesFTCError, ValueError):
     exit_code = 16
 
 
+def brief(value: object, length: int = 60) -> str:
+    """Return what someone has given, short enough for a sentence."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python does not write out whole numbers of more than 4300 digits
+        return "a number of thousands of digits"
+    return text if len(text) <= length else f"{text[: length - 3]}..."
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the tail of a sentence about an unknown name: the near names, else all of them."""
     known = sorted(known)

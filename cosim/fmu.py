@@ -145,7 +145,7 @@ class FMU(ExternalBlock):
         own = "direct" if exchange else "plant"
         set_(self, "timing", asked or description.timing or own)
         set_(self, "name", self.name or "".join(description.name.lower().split()))
-        set_(self, "parameters", start_values(archive, description, self.parameters or {}))
+        set_(self, "parameters", start_values(archive, description, self.parameters or {}, validate=self.validate))
         set_(self, "tunable", tuple(self.tunable) if isinstance(self.tunable, list | tuple) else self.tunable)
         variables = resolved(archive, description, self._given)
         chosen = {
@@ -168,8 +168,9 @@ class FMU(ExternalBlock):
         }
         if asked is None and self.timing == "direct" and not reaching:
             set_(self, "timing", "plant")  # there it is the same
+        resized = {v.name for v in description.variables if v.start is not None}
         for side, ports in chosen.items():
-            set_(self, f"{side}s", tuple(self._port(v, reaching, description.units) for v in ports))
+            set_(self, f"{side}s", tuple(self._port(v, reaching, description.units, resized) for v in ports))
         if asked is None and self.timing == "plant" and not exchange:
             late = late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
             if late:
@@ -304,12 +305,20 @@ class FMU(ExternalBlock):
         archive = open_archive(Path(self.path))
         return archive, read_description(archive, validate=self.validate)
 
-    def _port(self, variable: FMUVariable, reaching: Container[str], units: Mapping[str, UnitDefinition]) -> Port:
+    def _port(
+        self,
+        variable: FMUVariable,
+        reaching: Container[str],
+        units: Mapping[str, UnitDefinition],
+        resized: Container[str],
+    ) -> Port:
         definition = units.get(variable.unit or "")
         meaning = definition.unit if definition else None
         if variable.causality == "output":
             return Port(variable.name, variable.shape, variable.unit, meaning=meaning)
-        default = as_floats(value_of(variable, self._given))
+        # A start value that is NaN or infinite is none: a zero in its place would look like one.
+        known = variable.start is not None or variable.name in self._given or variable.name in resized
+        default = as_floats(value_of(variable, self._given)) if known else None
         feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
         return Port(variable.name, variable.shape, variable.unit, feedthrough, default, meaning=meaning)
 

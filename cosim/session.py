@@ -24,7 +24,7 @@ from bayesftc.cosim._running import advance, choose_engine, failed, make_room, o
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import is_external
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
-from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.ports import PortRef, label, labels
 from bayesftc.cosim.random import check_seed
@@ -230,11 +230,13 @@ class Session:
             raise UnknownNameError(self._not_free(asked))
         lies, shape, is_plant = self._free[asked]
         try:
+            if np.asarray(value).dtype.kind in "USV":  # of which NumPy would read the digits
+                raise TypeError
             values = np.broadcast_to(np.asarray(value, dtype=np.float64), shape or (1,)).ravel()
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             size = lies.stop - lies.start
             raise ModelError(
-                f"{asked} cannot be set to {value!r}; give {'one number' if size == 1 else f'{size} numbers'}."
+                f"{asked} cannot be set to {brief(value)}; give {'one number' if size == 1 else f'{size} numbers'}."
             ) from None
         if is_plant and not np.isfinite(values).all():
             raise ModelError(

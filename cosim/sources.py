@@ -11,9 +11,16 @@ from numbers import Real
 import numpy as np
 
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import select, sin
 from bayesftc.cosim.ports import Port
+
+
+def _is_finite(value: Real) -> bool:
+    try:
+        return isfinite(value)
+    except OverflowError:  # a whole number beyond all doubles
+        return False
 
 
 @dataclass(frozen=True)
@@ -28,8 +35,8 @@ class Source(Block):
     def _check(self, *names: str) -> None:
         for name in names:
             value = getattr(self, name)
-            if np.ndim(value) != 0 or not isinstance(value, Real) or not isfinite(value):
-                raise ModelError(f"{type(self).__name__} has {name}={value!r}; it must be a finite number.")
+            if np.ndim(value) != 0 or not isinstance(value, Real) or not _is_finite(value):
+                raise ModelError(f"{type(self).__name__} has {name}={brief(value)}; it must be a finite number.")
 
 
 def _constant(value, y):

@@ -6,10 +6,11 @@ import math
 from fractions import Fraction
 from numbers import Rational, Real
 
-from bayesftc.cosim.errors import ModelError, StepSizeError
+from bayesftc.cosim.errors import ModelError, StepSizeError, brief
 
 _ROUNDING = Fraction(1, 10**15)
 _HALF_UNIT = Fraction(1, 2**54)
+_LONGEST = 10**30
 
 EXACT = 2**53
 """Whole numbers up to here are doubles, so that the quotient of two of them is the double nearest to the true one."""
@@ -25,7 +26,9 @@ def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fr
     """
     exact = _exact(dt, what)
     if exact <= 0:
-        raise StepSizeError(f"{what} is {dt!r} s; it must be positive.")
+        raise StepSizeError(f"{what} is {brief(dt)} s; it must be positive.")
+    if not 1 <= exact * _LONGEST <= _LONGEST**2:
+        raise StepSizeError(f"{what} is {brief(dt)} s; it must be between {1 / _LONGEST:g} s and {float(_LONGEST):g} s.")
     if not isinstance(dt, str | Rational):
         # The simplest fraction that rounds to this double; 3 * 0.1 is a rounding error away from 3/10, which is meant.
         for limit in (10**3, 10**6, 10**9, 10**12, EXACT):
@@ -46,7 +49,9 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
     """
     exact = _exact(duration, what)
     if exact < 0:
-        raise StepSizeError(f"{what} is {duration!r} s; it must not be negative.")
+        raise StepSizeError(f"{what} is {brief(duration)} s; it must not be negative.")
+    if exact > _LONGEST:
+        raise StepSizeError(f"{what} is {brief(duration)} s, at whose end times cannot be told apart; take a shorter run.")
     ratio = exact / step
     count = round(ratio)
     if abs(ratio - count) > Fraction(1, 10**12) * max(count, 1):
@@ -79,9 +84,11 @@ def _exact(seconds: float | str | Fraction, what: str) -> Fraction:
     try:
         if isinstance(seconds, bool):
             raise TypeError
-        return Fraction(seconds if isinstance(seconds, str | Rational) else float(seconds))
+        if isinstance(seconds, Rational):
+            return Fraction(int(seconds.numerator), int(seconds.denominator))  # NumPy's whole numbers overflow
+        return Fraction(seconds if isinstance(seconds, str) else float(seconds))
     except (ValueError, TypeError, OverflowError, ZeroDivisionError):
-        raise StepSizeError(f"{what} {seconds!r} is no finite number; give seconds, as 0.02 or '1/50'.") from None
+        raise StepSizeError(f"{what} {brief(seconds)} is no finite number; give seconds, as 0.02 or '1/50'.") from None
 
 
 def show(step: Fraction) -> str:

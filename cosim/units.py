@@ -27,6 +27,9 @@ _TOKEN = re.compile(
     r"|(?P<one>1(?![\d.]))|(?P<sign>[*.·/() ]))"
 )
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_LONGEST = 200
+"""Characters of a number with its unit; to search longer texts for one may take for ever."""
+
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?=.*[^\W\d_]|.*[%°])(\S.*)\Z", re.DOTALL)
 
 
@@ -259,5 +262,5 @@ def _spelt(unit: str) -> str:
 
 def split(text: str) -> tuple[float, str] | None:
     """Return number and unit of a text such as ``"3.6 km/h"``, or None where it is none."""
-    found = _NUMBER.match(text)
+    found = _NUMBER.match(text) if len(text) <= _LONGEST else None
     return (float(found[1]), found[2].strip()) if found else None

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bayesftc import fmus
+from bayesftc import cosim, fmus
 from bayesftc.cosim import _zip
 from bayesftc.cosim._fmi import archive as _fmi_archive, library as _fmi_library
-from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError
+from bayesftc.cosim.errors import FMUError, ModelError, StepSizeError, UnknownNameError
 from bayesftc.cosim.fmu import FMU, describe
 
 STEP = Fraction(1, 50)
@@ -261,6 +261,8 @@ def test_names_and_types(tmp_path, fmi):
         ("n", 2**40, "a whole number from "),
         ("on", 1, "True or False, not 1"),
         ("file", 3, "a text, not 3"),
+        ("file", "a\0b", "a text without NUL or halves of characters, not 'a"),
+        ("file", "\ud800", "a text without NUL or halves of characters, not "),
     ):
         refused(lambda n=name, v=value: FMU(path, parameters={n: v}), f"{name!r} of the FMU", wanted)
     refused(lambda: FMU(path, inputs=["frce"]), "has no input 'frce'; did you mean 'force'", error=UnknownNameError)
@@ -299,6 +301,28 @@ def test_values_of_every_type_reach_the_right_function(tmp_path, library, prefix
     wanted = zip(names, (4, 20, 21, 22), (2.0, -7, True, "b\xe9".encode()), strict=True)
     more = () if fmi == "2.0" else (1,)
     assert calls == [(f"{prefix}Set{name}", 9, [reference], 1, value, *more) for name, reference, value in wanted]
+
+
+TOO_LARGE = {"huge": 10**400, "thousands": 10**5000, "digits": "9" * 100_000, "nan": float("nan"), "scaled": (1e300, "Yg")}
+
+
+@pytest.mark.parametrize("value", TOO_LARGE.values(), ids=TOO_LARGE)
+def test_numbers_that_no_double_holds(value):
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(FMU(fmus.path("CruiseControl")), "car")
+    with pytest.raises(FMUError, match="it must be a finite number, not") as caught:
+        FMU(fmus.path("CruiseControl"), parameters={"m": value})
+    assert len(str(caught.value)) < 200
+    if isinstance(value, int | str):
+        with pytest.raises(ModelError, match="it must be a finite number"):
+            cosim.Constant(value)
+        with pytest.raises(StepSizeError) as caught:
+            cosim.Diagram(dt=value)
+        assert len(str(caught.value)) < 200
+        with pytest.raises(StepSizeError):
+            diagram.simulate(value)
+        with diagram.start(engine="interpreted") as session, pytest.raises(ModelError, match="cannot be set to"):
+            session.set("car.force", value)
 
 
 def test_a_file_that_changes_under_a_block(tmp_path):

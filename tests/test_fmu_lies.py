@@ -245,6 +245,37 @@ def test_numbers_that_stand_for_no_variable(tmp_path, validate):
         describe(deep, validate=validate)
 
 
+def test_a_start_value_that_is_no_number_is_not_taken_for_zero(tmp_path):
+    with zipfile.ZipFile(fmus.path("CruiseControl")) as old:
+        text = old.read("modelDescription.xml").decode()
+    start = text.index('name="force"')
+    element = text[start : text.index("start=", start) + len('start="0.0"')]
+    for word in ("NaN", "INF"):
+        path = rewritten("2.0", tmp_path / f"{word}.fmu", (element, element.replace('start="0.0"', f'start="{word}"')))
+        diagram = cosim.Diagram(dt=0.02)
+        diagram.add(cosim.FMU(path), "car")
+        with pytest.raises(cosim.UnconnectedInputError, match=r"car\.force"):
+            diagram.build()
+    diagram = cosim.Diagram(dt=0.02)
+    car = diagram.add(cosim.FMU(path), "car")
+    diagram.connect(diagram.add(cosim.Constant(100.0), "push")["y"], car["force"])
+    assert diagram.simulate(0.02, engine="interpreted")["car.v"][-1] == 0.02
+
+
+def test_values_beyond_the_bounds_that_an_fmu_declares(tmp_path):
+    with zipfile.ZipFile(fmus.path("CruiseControl")) as old:
+        text = old.read("modelDescription.xml").decode()
+    start = text.index("<Real", text.index('name="m"'))
+    element = text[start : start + 60]
+    bounded = element.replace("<Real", '<Real min="1" max="500"')
+    path = rewritten("2.0", tmp_path / "m.fmu", (text[start - 80 : start] + element, text[start - 80 : start] + bounded))
+    assert cosim.FMU(path, parameters={"m": 500}).start_value("m") == 500.0
+    for value in (0.5, 501):
+        with pytest.raises(FMUError, match=r"'m' of the FMU m\.fmu is to be .* but by its own account must be from 1 to 500 kg"):
+            cosim.FMU(path, parameters={"m": value})
+        assert cosim.FMU(path, parameters={"m": value}, validate=False).start_value("m") == value
+
+
 def test_a_size_of_steps_that_is_none(tmp_path):
     path = rewritten("3.0", tmp_path / "step.fmu", ("<CoSimulation ", '<CoSimulation fixedInternalStepSize="1e-320" '))
     assert len(run(path, 5.0, False, steps=2).time) == 3

@@ -78,6 +78,8 @@ class FMUVariable:
         Of an enumeration: names and numbers.
     relative : bool
         Whether it is a difference, to which a unit's offset (degC) does not apply.
+    bounds : (float, float)
+        The least and the largest value that it may have (its min and max); infinite where it names none.
     clock : Clock or None
         Of a clock, when it ticks.
     """
@@ -97,6 +99,7 @@ class FMUVariable:
     dimensions: tuple[int | str, ...] = ()
     items: tuple[tuple[str, int], ...] = ()
     relative: bool = False
+    bounds: tuple[float, float] = field(default=(-math.inf, math.inf), repr=False)
     clock: Clock | None = None
 
     @property
@@ -316,8 +319,21 @@ def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Cl
         dimensions=tuple(int(d.start) if d.start is not None else d.variable.name for d in variable.dimensions),
         items=tuple((item.name, int(item.value)) for item in getattr(variable.declaredType, "items", None) or ()),
         relative=bool(_declared(variable, "relativeQuantity")),
+        bounds=_bounds(variable),
         clock=clocks.get(variable.valueReference) if variable.type == "Clock" else None,
     )
+
+
+def _bounds(variable: ModelVariable) -> tuple[float, float]:
+    """Return the least and the largest value that a variable may have by its own account."""
+    found = []
+    for attribute, otherwise in (("min", -math.inf), ("max", math.inf)):
+        try:
+            found.append(float(_declared(variable, attribute)))
+        except (TypeError, ValueError):  # it has none, or nobody has validated what it has
+            found.append(otherwise)
+    low, high = (otherwise if math.isnan(x) else x for x, otherwise in zip(found, (-math.inf, math.inf), strict=True))
+    return (low, high) if low <= high else (-math.inf, math.inf)
 
 
 def _declared(variable: ModelVariable, attribute: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Integral, Real
@@ -13,17 +14,20 @@ import numpy as np
 from bayesftc.cosim._fmi.archive import Archive
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value, flattened, shaped
 from bayesftc.cosim._fmi.groups import type_range
-from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.units import conversion, split
 
 LARGEST = 10_000_000
 """How many elements an array may have."""
 
 _FLOATS = frozenset({"Real", "Float64", "Float32"})
+_LARGEST = sys.float_info.max
 
 
-def start_values(archive: Archive, description: FMUDescription, values: Mapping[str, Any]) -> dict[str, Value]:
-    """Check start values by name, causality, type, shape and unit.
+def start_values(
+    archive: Archive, description: FMUDescription, values: Mapping[str, Any], *, validate: bool = True
+) -> dict[str, Value]:
+    """Check start values by name, causality, type, shape and unit and, with `validate`, by the bounds that the FMU declares.
 
     Returns
     -------
@@ -53,10 +57,25 @@ def start_values(archive: Archive, description: FMUDescription, values: Mapping[
     first = {n: v for n, v in values.items() if known[n].causality == "structuralParameter"}
     checked = {n: _converted(archive, description, known[n], v) for n, v in first.items()}
     sized = resolved(archive, description, checked)  # how large the others are
-    return {
+    found = {
         name: checked[name] if name in checked else _converted(archive, description, sized[name], value)
         for name, value in values.items()
     }
+    for name, value in found.items() if validate else ():
+        _check_bounds(archive, known[name], value)
+    return found
+
+
+def _check_bounds(archive: Archive, variable: FMUVariable, value: Value) -> None:
+    low, high = variable.bounds
+    for x in flattened(value):
+        if not isinstance(x, str) and not low <= x <= high:
+            allowed = f"at least {low:g}" if high == math.inf else f"at most {high:g}" if low == -math.inf else ""
+            raise FMUError(
+                f"{variable.name!r} of the FMU {archive.path.name} is to be {x!r}, but by its own account must be "
+                f"{allowed or f'from {low:g} to {high:g}'}{f' {variable.unit}' if variable.unit else ''}; give such a value, or "
+                "try it all the same with validate=False."
+            )
 
 
 def resolved(archive: Archive, description: FMUDescription, values: Mapping[str, Value]) -> dict[str, FMUVariable]:
@@ -140,7 +159,7 @@ def _converted(archive: Archive, description: FMUDescription, variable: FMUVaria
     if flat is None:
         raise FMUError(
             f"{variable.name!r} of the FMU {archive.path.name} is an array of shape {variable.shape} and must be given as one, "
-            f"row by row, not as {value!r}."
+            f"row by row, not as {brief(value)}."
         )
     return shaped(tuple(_element(archive, variable, x, x, gain, offset) for x in flat), variable.shape)
 
@@ -189,17 +208,19 @@ def _element(archive: Archive, variable: FMUVariable, value: Any, shown: Any, ga
     kind = variable.type
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     if kind in _FLOATS:
-        if is_number and math.isfinite(value):
-            return gain * float(value) + offset if (gain, offset) != (1.0, 0.0) else float(value)
+        if is_number and -_LARGEST <= value <= _LARGEST:
+            converted = gain * float(value) + offset if (gain, offset) != (1.0, 0.0) else float(value)
+            if math.isfinite(converted):
+                return converted
         wanted = "a finite number"
     elif kind == "Boolean":
         if isinstance(value, bool | np.bool_):
             return bool(value)
         wanted = "True or False"
     elif kind == "String":
-        if isinstance(value, str):
+        if isinstance(value, str) and "\0" not in value and not any("\ud800" <= c <= "\udfff" for c in value):
             return value
-        wanted = "a text"
+        wanted = "a text without NUL or halves of characters" if isinstance(value, str) else "a text"
     elif variable.items:
         if isinstance(value, str) and value in dict(variable.items):
             return dict(variable.items)[value]
@@ -213,7 +234,7 @@ def _element(archive: Archive, variable: FMUVariable, value: Any, shown: Any, ga
             return int(value)
         wanted = f"a whole number from {low} to {high}"
     raise FMUError(
-        f"{variable.name!r} of the FMU {archive.path.name} is {kind}, so it must be {wanted}, not {shown!r}."
+        f"{variable.name!r} of the FMU {archive.path.name} is {kind}, so it must be {wanted}, not {brief(shown)}."
     )
 
 
