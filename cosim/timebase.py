@@ -28,7 +28,9 @@ def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fr
     if exact <= 0:
         raise StepSizeError(f"{what} is {brief(dt)} s; it must be positive.")
     if not 1 <= exact * _LONGEST <= _LONGEST**2:
-        raise StepSizeError(f"{what} is {brief(dt)} s; it must be between {1 / _LONGEST:g} s and {float(_LONGEST):g} s.")
+        raise StepSizeError(
+            f"{what} is {brief(dt)} s; it must be between {1 / _LONGEST:g} s and {float(_LONGEST):g} s."
+        )
     if not isinstance(dt, str | Rational):
         # The simplest fraction that rounds to this double; 3 * 0.1 is a rounding error away from 3/10, which is meant.
         for limit in (10**3, 10**6, 10**9, 10**12, EXACT):
@@ -51,7 +53,9 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
     if exact < 0:
         raise StepSizeError(f"{what} is {brief(duration)} s; it must not be negative.")
     if exact > _LONGEST:
-        raise StepSizeError(f"{what} is {brief(duration)} s, at whose end times cannot be told apart; take a shorter run.")
+        raise StepSizeError(
+            f"{what} is {brief(duration)} s, at whose end times cannot be told apart; take a shorter run."
+        )
     ratio = exact / step
     count = round(ratio)
     if abs(ratio - count) > Fraction(1, 10**12) * max(count, 1):

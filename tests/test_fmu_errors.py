@@ -303,7 +303,13 @@ def test_values_of_every_type_reach_the_right_function(tmp_path, library, prefix
     assert calls == [(f"{prefix}Set{name}", 9, [reference], 1, value, *more) for name, reference, value in wanted]
 
 
-TOO_LARGE = {"huge": 10**400, "thousands": 10**5000, "digits": "9" * 100_000, "nan": float("nan"), "scaled": (1e300, "Yg")}
+TOO_LARGE = {
+    "huge": 10**400,
+    "thousands": 10**5000,
+    "digits": "9" * 100_000,
+    "nan": float("nan"),
+    "scaled": (1e300, "Yg"),
+}
 
 
 @pytest.mark.parametrize("value", TOO_LARGE.values(), ids=TOO_LARGE)

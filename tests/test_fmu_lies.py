@@ -268,10 +268,14 @@ def test_values_beyond_the_bounds_that_an_fmu_declares(tmp_path):
     start = text.index("<Real", text.index('name="m"'))
     element = text[start : start + 60]
     bounded = element.replace("<Real", '<Real min="1" max="500"')
-    path = rewritten("2.0", tmp_path / "m.fmu", (text[start - 80 : start] + element, text[start - 80 : start] + bounded))
+    path = rewritten(
+        "2.0", tmp_path / "m.fmu", (text[start - 80 : start] + element, text[start - 80 : start] + bounded)
+    )
     assert cosim.FMU(path, parameters={"m": 500}).start_value("m") == 500.0
     for value in (0.5, 501):
-        with pytest.raises(FMUError, match=r"'m' of the FMU m\.fmu is to be .* but by its own account must be from 1 to 500 kg"):
+        with pytest.raises(
+            FMUError, match=r"'m' of the FMU m\.fmu is to be .* but by its own account must be from 1 to 500 kg"
+        ):
             cosim.FMU(path, parameters={"m": value})
         assert cosim.FMU(path, parameters={"m": value}, validate=False).start_value("m") == value
 
