@@ -375,13 +375,10 @@ class ExchangeModel:
         """Free the instance; the binary stays loaded."""
         component, self.component = self.component, 0
         if component:
-            self.library.alive -= 1
-            try:
-                self.states.close(free=not self.fatal)
-                if self.healthy:
-                    self.library.terminate(component)
-                if not self.fatal:  # after Fatal the standard allows no call at all
-                    self.library.free(component)
-            except (CallError, FMUError):
-                pass  # it is over either way
+            self.library.release(
+                component,
+                lambda: self.states.close(free=not self.fatal),
+                healthy=self.healthy,
+                fatal=self.fatal,
+            )
         self.messages.close()

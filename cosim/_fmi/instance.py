@@ -245,15 +245,12 @@ class Instance(StepFunctions):
         """Free the instance; the binary stays loaded."""
         component, self._component = self._component, 0
         if component:
-            self._library.alive -= 1
-            try:
-                self._states.close(free=not self._fatal)
-                if self._healthy:
-                    self._library.terminate(component)
-                if not self._fatal:  # after Fatal the standard allows no call at all
-                    self._library.free(component)
-            except (CallError, FMUError):
-                pass  # it is over either way, and the results stand
+            self._library.release(
+                component,
+                lambda: self._states.close(free=not self._fatal),
+                healthy=self._healthy,
+                fatal=self._fatal,
+            )
         self._messages.close()
 
 

@@ -122,6 +122,28 @@ class Library(ABC):
     def free(self, component: int) -> None:
         """Free an instance."""
 
+    def release(self, component: int, forget_states: Callable[[], None], *, healthy: bool, fatal: bool) -> None:
+        """End and free an instance, which is over whatever that says.
+
+        Parameters
+        ----------
+        component : int
+            The instance.
+        forget_states : callable
+            Frees its saved states.
+        healthy : bool
+            Whether it stands where it may be told that the run is over.
+        fatal : bool
+            Whether it has returned Fatal, after which the standard allows no call at all.
+        """
+        self.alive -= 1
+        with suppress(CallError, FMUError):
+            forget_states()
+            if healthy:
+                self.terminate(component)
+            if not fatal:
+                self.free(component)
+
     def last_words(self, component: int) -> str:
         """Return what more is known of a discarded step, as a sentence or nothing."""
         return ""
