@@ -62,8 +62,12 @@ def add_experiment(root: ET.Element, model: Model) -> None:
 
 
 def add_annotation(parent: ET.Element, model: Model) -> None:
-    """Say when the outputs hold, for importers that know ``bayesftc``; others ignore it."""
-    ET.SubElement(parent, "bayesftc", {"timing": model.timing})
+    """Say when the outputs hold, and which blocks and signals these are, for importers that know ``bayesftc``."""
+    blocks = {"blocks": " ".join(model.blocks)} if model.blocks else {}
+    element = ET.SubElement(parent, "bayesftc", {"timing": model.timing, **blocks})
+    for variable in model.variables:
+        if variable.origin:
+            ET.SubElement(element, "Signal", {"name": variable.name, "origin": variable.origin})
 
 
 def build_description(model: Model, sources: Sequence[str]) -> bytes:

@@ -74,6 +74,9 @@ class Variable:
         Of an output: the inputs and parameters that its initial value is computed from.
     shape : tuple of int
         ``()`` for a number. An array is one variable in FMI 3, and one for each element in FMI 2, ``y[0]`` the first.
+    origin : str
+        Of what a block of a diagram was exported from: its name there, where that is another one. Written as a vendor
+        annotation.
     """
 
     name: str
@@ -85,6 +88,7 @@ class Variable:
     dependencies: tuple[str, ...] = ()
     initial_dependencies: tuple[str, ...] = ()
     shape: tuple[int, ...] = ()
+    origin: str = ""
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -154,6 +158,8 @@ class Model:
         inputs at t_k ("sampled", as a controller is). Written as a vendor annotation.
     libraries : tuple of str
         System libraries that the C file needs, for example ``("m",)``.
+    blocks : tuple of str
+        Names of the blocks of a diagram that it was exported from. Written as a vendor annotation.
     """
 
     name: str
@@ -166,6 +172,7 @@ class Model:
     hidden: int = 0
     timing: Literal["plant", "sampled"] = "plant"
     libraries: tuple[str, ...] = ()
+    blocks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not _IDENTIFIER.fullmatch(self.name):
@@ -229,6 +236,7 @@ class Model:
                     shape=(),
                     dependencies=each(variable.dependencies),
                     initial_dependencies=each(variable.initial_dependencies),
+                    origin=variable.origin and variable.origin + name.removeprefix(variable.name),
                 )
                 for variable in self.variables
                 for name, start in zip(variable.elements, variable.starts, strict=True)

@@ -102,6 +102,7 @@ def model_of(program: Program, file: CFile, timing: Timing, description: str) ->
         hidden=file.memory + sizes[2] + 2,
         timing=timing,
         libraries=("m",),
+        blocks=program.blocks,
     )
 
 
@@ -117,7 +118,13 @@ def _variable(
         variability="tunable" if causality == "parameter" else "",
         initial_dependencies=initial,
         shape=signal.shape,
+        origin=_renamed(signal) if isinstance(signal, Signal) else "",
     )
+
+
+def _renamed(signal: Signal) -> str:
+    """Return what a signal is called in its diagram, where the outside does not call it so, with or without its block's name."""
+    return "" if signal.name in {signal.origin, signal.origin.partition(".")[2]} else signal.origin
 
 
 def _unit(text: str | None) -> Unit | None:

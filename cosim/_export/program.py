@@ -40,6 +40,8 @@ class Signal:
         Of an input that takes random numbers, their distribution.
     description : str
         What it is, in words.
+    origin : str
+        What it is called in the diagram, as ``controller.y``.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Signal:
     places: tuple[int, ...]
     draw: str | None = None
     description: str = ""
+    origin: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,6 +103,11 @@ class Program:
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     tunables: tuple[Tunable, ...]
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The names of the blocks."""
+        return tuple(node.name for node in self.schedule.nodes if node.name != OUTSIDE)
 
     @property
     def step(self) -> Fraction:
@@ -246,7 +254,10 @@ def _signal(schedule: Schedule, label: str, places: Places) -> Signal:
     start = tuple(float(schedule.initial[i]) if drawn is None else drawn for i in at)
     if any(port.name == output.name for output in node.block.outputs):
         start = (0.0,) * len(at)
-    return Signal(label, shape, port.unit, start, at, port.draw, port.description or _description(node, port))
+    origin = f"{node.name}.{port.name}"
+    if len(places) < port.size:
+        origin = labels(origin, port.shape)[places[0][2]]
+    return Signal(label, shape, port.unit, start, at, port.draw, port.description or _description(node, port), origin)
 
 
 def _description(node: Node, port: Port) -> str:

@@ -151,6 +151,10 @@ class FMUDescription:
         What the FMU says of its units, by name.
     exchange : ExchangeInfo or None
         Its states, derivatives and capabilities as a model exchange FMU; None where it is none.
+    blocks : tuple of str
+        What the vendor annotation says of the blocks of a diagram that it was exported from, and
+    origins : mapping of str to str
+        of its signals: what those that were renamed are called there.
     """
 
     name: str
@@ -169,6 +173,8 @@ class FMUDescription:
     log_categories: tuple[str, ...] = field(default=(), repr=False)
     units: Mapping[str, UnitDefinition] = field(default_factory=dict, repr=False)
     exchange: ExchangeInfo | None = field(default=None, repr=False)
+    blocks: tuple[str, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     @property
     def fmi_major(self) -> int:
@@ -224,7 +230,8 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         _check_identifier(archive, getattr(model, kind).modelIdentifier or "")
     first = getattr(model, kinds[0]) if kinds else None
     experiment = model.defaultExperiment
-    annotations = [element.get("timing") for element in root.iter("bayesftc")]
+    annotations = list(root.iter("bayesftc"))
+    timings = [annotation.get("timing") for annotation in annotations]
     clocks = read_clocks(root)
     variables = tuple(_variable(archive, v, clocks) for v in model.modelVariables)
     if validate and version == "2.0":
@@ -243,13 +250,15 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         },
         description=model.description,
         generation_tool=model.generationTool,
-        timing=next((a for a in annotations if a in {"plant", "sampled"}), None),
+        timing=next((timing for timing in timings if timing in {"plant", "sampled"}), None),
         feedthrough=_feedthrough(model),
         identifier=getattr(first, "modelIdentifier", None) or "",
         token=model.guid or "",
         log_categories=tuple(c.name for c in model.logCategories),
         units={u.name: _unit(u) for u in model.unitDefinitions},
         exchange=read_exchange(model, root, variables),
+        blocks=tuple(name for annotation in annotations for name in annotation.get("blocks", "").split()),
+        origins={s.get("name", ""): s.get("origin", "") for a in annotations for s in a.iter("Signal")},
     )
 
 
