@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
 
+from bayesftc.cosim._interrupts import import_engine
 from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.coupling import Coupling, Method
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
@@ -247,6 +248,7 @@ class Diagram:
         Result
             Signals by name (``"plant.v"``) at t_0 ... t_N.
         """
+        import_engine()
         from bayesftc.cosim.simulation import simulate
 
         return simulate(
@@ -287,6 +289,7 @@ class Diagram:
         Session
             At its beginning, before the first outputs are computed.
         """
+        import_engine()
         from bayesftc.cosim.session import Session
 
         self._session = Session(self, seed=seed, record=record, decimation=decimation, engine=engine)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim._contract import checked
+from bayesftc.cosim._interrupts import import_engine
 from bayesftc.cosim._memory import arrange, bind
 from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
@@ -122,6 +123,7 @@ class Online:
         return call
 
     def _compiled(self, kernel: Kernel) -> Callable[[float, int], Any]:
+        import_engine()
         from bayesftc.cosim._compiler import compile_kernel
 
         address = [ctypes.c_int64(self._memory.ctypes.data + 8 * start) for start in self._slots.start.values()]

@@ -242,3 +242,30 @@ def test_while_a_run_waits_for_the_clock(tmp_path):
     finally:
         process.kill()
         process.wait()
+
+
+HALF_IMPORTED = """
+import signal, sys
+from bayesftc import cosim
+
+class Finder:
+    def find_spec(self, name, path, target=None):
+        if name == "numba.core.types":
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+diagram = cosim.Diagram(0.1)
+one = diagram.add(cosim.Constant(2.0), "one")
+try:
+    diagram.simulate(1.0)
+    print("not interrupted")
+except KeyboardInterrupt:
+    sys.meta_path.pop(0)
+    print(float(diagram.simulate(1.0)["one.y"][-1]))
+"""
+
+
+def test_what_is_imported_at_the_first_run_is_imported_whole():
+    """Ctrl-C in the middle of it is heard at its end, and the next run finds no half of numba."""
+    done = subprocess.run([sys.executable, "-c", HALF_IMPORTED], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "2.0\n", done.stderr
