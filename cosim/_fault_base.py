@@ -112,12 +112,25 @@ class Fault(Block):
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u``, and the random inputs that this fault uses."""
         used = (*self.draws, *(() if self.mean_time_to_fault is None else ("transition",)))
-        return (Port("u", self.shape), *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+        return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+
+    @property
+    def signal(self) -> Port:
+        """Input ``u``."""
+        return Port("u", self.shape, description="The signal before the fault")
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Outputs ``y`` and ``active``."""
-        return (Port("y", self.shape), Port("active"))
+        return (
+            Port("y", self.shape, description="The signal, one of its channels faulty while the fault is present"),
+            Port("active", description="1 while the fault is present, else 0"),
+        )
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -82,6 +82,11 @@ class Block:
         return ()
 
     @property
+    def one_unit(self) -> tuple[str, ...]:
+        """Names of ports that have one unit, whichever it is, as the input and the output of a delay."""
+        return ()
+
+    @property
     def default_name(self) -> str:
         """The name under which a diagram adds the block if none is given."""
         return type(self).__name__.lower()

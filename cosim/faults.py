@@ -223,12 +223,12 @@ class RandomFaults(Fault):
         """Input ``u``, and the random inputs that any of the kinds uses."""
         used = {"pick", "transition"} if self.mean_time_to_fault is not None else {"pick"}
         used |= {name for kind in self.kinds for name in kind.draws}
-        return (Port("u", self.shape), *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+        return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Outputs ``y``, ``active`` and ``kind``."""
-        return (*super().outputs, Port("kind"))
+        return (*super().outputs, Port("kind", description="Number of the kind of fault that is present, -1 for none"))
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -14,6 +14,8 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import isnan, maximum, minimum, select
 from bayesftc.cosim.ports import Port
 
+IN = "What comes in"
+
 
 def _gain(u, gain, offset, y):
     for i in range(y.shape[0]):
@@ -55,12 +57,21 @@ class Gain(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u``."""
-        return (Port("u", () if np.ndim(self.gain) == 0 else (self._matrix.shape[1],), unit=self.input_unit),)
+        return (
+            Port("u", () if np.ndim(self.gain) == 0 else (self._matrix.shape[1],), self.input_unit, description=IN),
+        )
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", () if np.ndim(self.gain) == 0 else (self._matrix.shape[0],), unit=self.output_unit),)
+        return (
+            Port(
+                "y",
+                () if np.ndim(self.gain) == 0 else (self._matrix.shape[0],),
+                self.output_unit,
+                description="gain u + offset",
+            ),
+        )
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
@@ -88,12 +99,17 @@ class Sum(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u``, an element for each sign."""
-        return (Port("u", (len(self.signs),)),)
+        return (Port("u", (len(self.signs),), description="What is added or subtracted"),)
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y"),)
+        return (Port("y", description="The sum"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
@@ -128,12 +144,17 @@ class UnitDelay(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u``, without direct feedthrough."""
-        return (Port("u", () if self.size == 1 else (self.size,), feedthrough=False),)
+        return (Port("u", () if self.size == 1 else (self.size,), feedthrough=False, description=IN),)
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", () if self.size == 1 else (self.size,)),)
+        return (Port("y", () if self.size == 1 else (self.size,), description="u of the step before"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
@@ -161,12 +182,17 @@ class Saturation(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u``."""
-        return (Port("u", () if self.size == 1 else (self.size,)),)
+        return (Port("u", () if self.size == 1 else (self.size,), description=IN),)
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", () if self.size == 1 else (self.size,)),)
+        return (Port("y", () if self.size == 1 else (self.size,), description="u within its limits"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -98,13 +98,19 @@ class Sensors(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u`` and random input ``noise``."""
-        u = Port("u", () if self.signals == 1 else (self.signals,), unit=self.unit)
+        shape = () if self.signals == 1 else (self.signals,)
+        u = Port("u", shape, unit=self.unit, description="What is measured")
         return (u, Port("noise", (self.count,), draw="normal"))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", (self.count,), unit=self.unit),)
+        return (Port("y", (self.count,), unit=self.unit, description="Samples of the sensors; NaN for a missing one"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y") if self.matrix is None and self.function is None else ()
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -30,7 +30,7 @@ class Source(Block):
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", unit=getattr(self, "unit", None)),)
+        return (Port("y", unit=getattr(self, "unit", None), description="A signal that depends on time alone"),)
 
     def _check(self, *names: str) -> None:
         for name in names:
@@ -225,7 +225,7 @@ class Gaussian(Block):
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", self.shape, unit=self.unit),)
+        return (Port("y", self.shape, unit=self.unit, description="Independent normal numbers at each step"),)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -2,9 +2,11 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import cached_property
+from itertools import accumulate, product
 from pathlib import Path
 from typing import Literal
 
@@ -74,6 +76,9 @@ class Variable:
         Of an output: the inputs and parameters that its initial value is computed from.
     shape : tuple of int
         ``()`` for a number. An array is one variable in FMI 3, and one for each element in FMI 2, ``y[0]`` the first.
+    element_dependencies : tuple of tuple of str
+        Of an output: for each of its elements the elements of inputs and parameters that its initial value is computed from, in
+        place of `initial_dependencies`.
     origin : str
         Of what a block of a diagram was exported from: its name there, where that is another one. Written as a vendor
         annotation.
@@ -88,6 +93,7 @@ class Variable:
     dependencies: tuple[str, ...] = ()
     initial_dependencies: tuple[str, ...] = ()
     shape: tuple[int, ...] = ()
+    element_dependencies: tuple[tuple[str, ...], ...] = ()
     origin: str = ""
 
     def __post_init__(self) -> None:
@@ -179,9 +185,9 @@ class Model:
             raise ValueError(f"The model name {self.name!r} is no C identifier; use letters, digits and '_'.")
         if not (math.isfinite(self.step) and self.step > 0.0):
             raise ValueError(f"The step size {self.step} of '{self.name}' must be positive and finite.")
-        symbols = [variable.symbol for variable in self.variables] + ["X_time", "X_TIME", "X_HIDDEN"]
+        symbols = Counter([*(variable.symbol for variable in self.variables), "X_time", "X_TIME", "X_HIDDEN"])
         for variable in self.variables:
-            if symbols.count(variable.symbol) > 1:
+            if symbols[variable.symbol] > 1:
                 raise ValueError(
                     f"The variable '{variable.name}' of '{self.name}' shares its C name {variable.symbol} with another "
                     "or with the time; rename it."
@@ -208,11 +214,16 @@ class Model:
 
     def index(self, name: str) -> int:
         """Place of a variable among the others, which is its value reference."""
-        return [variable.name for variable in self.variables].index(name)
+        return self._places[name][0]
 
     def offset(self, name: str) -> int:
         """Place of a variable's first element in the vector of values."""
-        return sum(variable.size for variable in self.variables[: self.index(name)])
+        return self._places[name][1]
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[int, int]]:
+        offsets = accumulate((variable.size for variable in self.variables), initial=0)
+        return {v.name: (i, offset) for i, (v, offset) in enumerate(zip(self.variables, offsets, strict=False))}
 
     @property
     def size(self) -> int:
@@ -226,6 +237,9 @@ class Model:
         def each(names: tuple[str, ...]) -> tuple[str, ...]:
             return tuple(element for name in names for element in elements[name])
 
+        def of_elements(variable: Variable) -> tuple[tuple[str, ...], ...]:
+            return variable.element_dependencies or (each(variable.initial_dependencies),) * variable.size
+
         return replace(
             self,
             variables=tuple(
@@ -235,10 +249,11 @@ class Model:
                     start=start,
                     shape=(),
                     dependencies=each(variable.dependencies),
-                    initial_dependencies=each(variable.initial_dependencies),
+                    initial_dependencies=exact,
+                    element_dependencies=(),
                     origin=variable.origin and variable.origin + name.removeprefix(variable.name),
                 )
                 for variable in self.variables
-                for name, start in zip(variable.elements, variable.starts, strict=True)
+                for name, start, exact in zip(variable.elements, variable.starts, of_elements(variable), strict=True)
             ),
         )

@@ -54,7 +54,7 @@ def write_c(program: Program) -> CFile:
     functions = Functions([name, *(f"{name}_{part}" for part in _PARTS), *_VARIABLES])
     layout = Layout(program, functions)
     schedule, step = program.schedule, program.step
-    evaluate = _phase(program, layout, functions, schedule.evaluate)
+    evaluate = [*layout.tuned(), *_phase(program, layout, functions, schedule.evaluate)]
     evaluate += [
         f"y->{member(s)}[{e}] = {layout.element(at)};" for s in program.outputs for e, at in enumerate(s.places)
     ]
@@ -81,7 +81,7 @@ def write_c(program: Program) -> CFile:
         "",
         f'#include "{name}.h"',
         "",
-        "\n\n".join([*(text for text, _ in tables), *_initial(runs), functions.text()]),
+        "\n\n".join([*(text for text, _ in tables), *_initial(runs), functions.text([*evaluate, *advance])]),
         "",
         *_function(f"void {name}_init({name} *c)", {}, [*init, "c->start = 0.0;", "c->step = 0.0;"]),
         *_function(f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y)", known, evaluate),

@@ -1,39 +1,72 @@
-"""Which inputs an output depends on at the same time, by the paths of direct feedthrough between them."""
+"""Which inputs and parameters an output depends on at the same time, element by element."""
 
 from __future__ import annotations
 
-from bayesftc.cosim._export.program import Program
+from itertools import count
+
+import numpy as np
+
+from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim._export.sets import Memory, Origins, origins, run
 from bayesftc.cosim._opening import OUTSIDE
-from bayesftc.cosim.block import argument_names
+from bayesftc.cosim.ports import labels
 
 
 def feeding(program: Program) -> dict[str, frozenset[str]]:
-    """Return, for each output, the names of the inputs and parameters that its value at t_k is computed from.
+    """Return, for each output, the names of the inputs and parameters that its value at t_k is computed from."""
+    given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
+    whole = {element: signal.name for signal in given for element in labels(signal.name, signal.shape)}
+    return {
+        output: frozenset(whole[name] for names in elements for name in names)
+        for output, elements in feeding_elements(program).items()
+    }
 
-    An output is taken to depend on all that its block reads to compute outputs, its inputs with ``feedthrough=True``.
+
+def feeding_elements(program: Program) -> dict[str, tuple[frozenset[str], ...]]:
+    """Return, for each element of each output, the elements of inputs and parameters that its value at t_k is computed from.
+
+    Step functions are run on sets. Of one that branches on data, each output is taken to depend on all that it reads. What
+    a number is multiplied with that is always zero, it does not depend on.
     """
     schedule = program.schedule
-    sources: dict[int, frozenset[str]] = {}  # by place in memory
+    memory: Memory = np.array([*map(np.float64, schedule.initial.tolist()), None], dtype=object)[:-1]
+    names: list[str] = []
+    bits = (1 << i for i in count())
+
+    def known(name: str, shape: tuple[int, ...]) -> list[Origins]:
+        elements = labels(name, shape)
+        names.extend(elements)
+        return [Origins(next(bits)) for _ in elements]
+
     for i, node in enumerate(schedule.nodes):
+        slots = schedule.slots[i]
+        for section, offset, shape in slots.sections.values():
+            if section in {"state", "outputs"}:
+                begin = slots.start[section] + offset
+                for place in range(begin, begin + int(np.prod(shape, dtype=int))):
+                    memory[place] = Origins(0)
         if node.name == OUTSIDE:
-            begin = schedule.slots[i].start["outputs"]
-            names = [signal.name for signal in program.inputs for _ in signal.places]
-            sources |= {begin + j: frozenset({name}) for j, name in enumerate(names)}
+            given = [element for signal in program.inputs for element in known(signal.name, signal.shape)]
+            begin = slots.start["outputs"]
+            for place, element in enumerate(given, begin):
+                memory[place] = element
+    for tunable in program.tunables:
+        for element, places in zip(known(tunable.name, tunable.shape), tunable.places, strict=True):
+            for parameter, j in places:
+                memory[schedule.slots[tunable.node].offset(parameter) + j] = element
     for call in schedule.evaluate:
-        node = schedule.nodes[call.node]
         kernel = schedule.kernel(call)
-        if node.name == OUTSIDE or kernel is None:
+        if schedule.nodes[call.node].name == OUTSIDE or kernel is None:
             continue
-        read = set(argument_names(kernel))
-        found = {t.name for t in program.tunables if t.node == call.node and t.parameter in read}
-        found |= {name for _, origin in call.gathers for name in sources.get(origin, ())}
-        begin = schedule.slots[call.node].start["outputs"]
-        size = sum(port.size for port in node.block.outputs)
-        sources |= dict.fromkeys(range(begin, begin + size), frozenset(found))
-    return {
-        signal.name: frozenset(name for at in signal.places for name in sources.get(at, ()))
-        for signal in program.outputs
-    }
+        for to, origin in call.gathers:
+            memory[to] = memory[origin]
+        run(kernel, schedule.slots[call.node], memory)
+    return {signal.name: tuple(_named(memory[at], names) for at in signal.places) for signal in program.outputs}
+
+
+def _named(number: object, names: list[str]) -> frozenset[str]:
+    of = origins(number)
+    return frozenset(names[i] for i in range(of.bit_length()) if of >> i & 1)
 
 
 def keeps_state_in_outputs(program: Program) -> bool:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 from bayesftc.cosim._export.c_file import CFile
-from bayesftc.cosim._export.dependencies import feeding
+from bayesftc.cosim._export.dependencies import feeding, feeding_elements
 from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim.ports import labels
 from bayesftc.cosim.units import BASE, parse
 from bayesftc.fmus.spec import Model, Unit, Variable
 
@@ -72,12 +73,15 @@ def model_of(program: Program, file: CFile, timing: Timing, description: str) ->
     description : str
         A sentence or two for the user of the FMU.
     """
-    fed = feeding(program)
-    known = [signal.name for signal in program.inputs] + [tunable.name for tunable in program.tunables]
     variables = [_variable(signal, "input") for signal in program.inputs]
+    given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
+    whole, single = feeding(program), feeding_elements(program)
+    names = {signal.name: i for i, signal in enumerate(given)}
+    elements = {name: i for i, name in enumerate(n for s in given for n in labels(s.name, s.shape))}
     for signal in program.outputs:
-        initial = tuple(name for name in known if name in fed[signal.name])
-        variables.append(_variable(signal, "output", initial))
+        initial = tuple(sorted(whole[signal.name], key=names.__getitem__))
+        each = tuple(tuple(sorted(of, key=elements.__getitem__)) for of in single[signal.name])
+        variables.append(_variable(signal, "output", initial, each))
     variables += [_variable(tunable, "parameter") for tunable in program.tunables]
     sizes = [
         sum(len(signal.start) for signal in group) for group in (program.inputs, program.outputs, program.tunables)
@@ -107,7 +111,10 @@ def model_of(program: Program, file: CFile, timing: Timing, description: str) ->
 
 
 def _variable(
-    signal: Signal | Tunable, causality: Literal["input", "output", "parameter"], initial: tuple[str, ...] = ()
+    signal: Signal | Tunable,
+    causality: Literal["input", "output", "parameter"],
+    initial: tuple[str, ...] = (),
+    elements: tuple[tuple[str, ...], ...] = (),
 ) -> Variable:
     return Variable(
         signal.name,
@@ -117,6 +124,7 @@ def _variable(
         start=signal.start,
         variability="tunable" if causality == "parameter" else "",
         initial_dependencies=initial,
+        element_dependencies=elements,
         shape=signal.shape,
         origin=_renamed(signal) if isinstance(signal, Signal) else "",
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesftc.cosim._export.functions import Functions, table_text
 from bayesftc.cosim._export.kinds import same
+from bayesftc.cosim._export.names import in_c
 from bayesftc.cosim._export.program import Program, Signal, Tunable
 from bayesftc.cosim._opening import OUTSIDE
 from bayesftc.cosim.block import Floats
@@ -16,7 +17,7 @@ from bayesftc.cosim.block import Floats
 
 def member(signal: Signal | Tunable) -> str:
     """Return what a signal or a parameter is called in its structure."""
-    return Functions.allowed(signal.name.replace("]", "").replace("[", "_").replace(",", "_").replace(".", "_"))
+    return in_c(signal.name)
 
 
 class Layout:
@@ -39,6 +40,8 @@ class Layout:
 
     def __init__(self, program: Program, functions: Functions):
         self._slots, self._tuned = program.schedule.slots, {(t.node, t.parameter): t for t in program.tunables}
+        self._parts = [t for t in program.tunables if t.parameter is None]
+        mixed = {(t.node, name) for t in self._parts for places in t.places for name, _ in places}
         self._places: dict[int, int] = {}  # from the schedule's memory to the array
         self._tables: dict[tuple[int, str], str] = {}
         self._brought: dict[int, str] = {}  # what comes from outside, by its place in the schedule's memory
@@ -52,7 +55,7 @@ class Layout:
                 continue
             for name, (section, offset, shape) in self._slots[i].sections.items():
                 begin, size = self._slots[i].start[section] + offset, _size(shape)
-                if section != "parameters":
+                if section != "parameters" or (i, name) in mixed:
                     if name not in {"inputs", "outputs"}:  # which are all of them once more
                         self._places |= {begin + j: len(self._places) + j for j in range(size)}
                 elif size and (i, name) not in self._tuned:
@@ -71,6 +74,15 @@ class Layout:
             elif not same(value, 0.0):
                 found.append((at, 1, value))
         return found
+
+    def tuned(self) -> list[str]:
+        """Return the lines that bring tunable numbers to where step functions find them among others."""
+        return [
+            f"m[{self._places[self._slots[t.node].offset(name) + e]}] = c->parameters.{member(t)}[{j}];"
+            for t in self._parts
+            for j, places in enumerate(t.places)
+            for name, e in places
+        ]
 
     def pointer(self, i: int, name: str) -> str:
         """Return where the numbers of an argument of block `i` begin."""

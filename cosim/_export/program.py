@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import islice
 from math import gcd
 
 import numpy as np
 
+from bayesftc.cosim._export.names import check, legal, unique
+from bayesftc.cosim._export.tunables import Element, settings_of
+from bayesftc.cosim._export.units import Units, units_of
 from bayesftc.cosim._opening import OUTSIDE, Names, opened
-from bayesftc.cosim.block import Block, Floats
+from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram, Node, is_external
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, labels
 from bayesftc.cosim.schedule import Schedule
 from bayesftc.cosim.timebase import rational_step
 
-Places = tuple[tuple[Node, Port, int], ...]
+Place = tuple[Node, Port, int]
+Places = tuple[Place, ...]
+
+
+class _Element(tuple[Place]):
+    """One element of a port, which the outside sees as a number even where the port has no other."""
 
 
 @dataclass(frozen=True)
@@ -68,18 +77,24 @@ class Tunable:
         What it is until it is changed.
     node : int
         The number of its block in the schedule.
-    parameter : str
-        What its step functions call it.
+    parameter : str or None
+        If it is all of one parameter of the step functions, in the same order: the name of that.
     description : str
         What it is, in words.
+    setting : str
+        What the block calls it, as ``precision.forgetting``.
+    places : tuple of tuple of (str, int)
+        Where each of its numbers stands among the parameters: in which, and which element of it, row by row.
     """
 
     name: str
     shape: tuple[int, ...]
     start: tuple[float, ...]
     node: int
-    parameter: str
+    parameter: str | None
     description: str = ""
+    setting: str = ""
+    places: tuple[tuple[Element, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -147,7 +162,8 @@ def program_of(
     UnknownNameError
         If there is no block or signal of that name.
     """
-    part = _part(_as_diagram(exported, dt), blocks)
+    diagram = _as_diagram(exported, dt)
+    part, units = _part(diagram, blocks), units_of(diagram)
     nodes = part.nodes
     alone = len(nodes) == 1
     found: dict[str, Places] = {}
@@ -180,13 +196,15 @@ def program_of(
         for port in node.block.outputs
     }
     shown = _named(seen, outputs, "output")
-    return Program(
+    program = Program(
         name or (nodes[0].name if alone else "diagram"),
         schedule,
-        tuple(_signal(schedule, label, places) for label, places in given.items()),
-        tuple(_signal(schedule, label, places) for label, places in shown.items()),
+        tuple(_signal(schedule, label, places, units) for label, places in given.items()),
+        tuple(_signal(schedule, label, places, units) for label, places in shown.items()),
         tuple(_tunables(schedule, alone)),
     )
+    called = [(names, what) for names, what in ((inputs, "input"), (outputs, "output")) if isinstance(names, Mapping)]
+    return _with_names(program, [(new, what) for names, what in called for old, new in names.items() if new != old])
 
 
 def _as_diagram(exported: Block | Diagram, dt: float | str | Fraction | None) -> Diagram:
@@ -237,19 +255,36 @@ def _named(found: Mapping[str, Places], names: Names | None, what: str) -> dict[
         return dict(found)
     listed = [names] if isinstance(names, str) else names
     renamed = names if isinstance(names, Mapping) else {name: name for name in listed}
+    elements = {element: place for label, places in found.items() for element, place in _elements(label, places)}
     for name in renamed:
-        if name not in found:
+        if name not in found and name not in elements:
             raise UnknownNameError(f"What is exported has no {what} {name!r}; {did_you_mean(name, found)}")
     if len(set(renamed.values())) < len(listed):
         raise ModelError(f"Two {what}s of what is exported would have one name ({', '.join(renamed.values())}).")
-    return {label: found[name] for name, label in renamed.items()}
+    chosen = {label: found.get(name) or _Element((elements[name],)) for name, label in renamed.items()}
+    taken: set[tuple[str, str, int]] = set()
+    for label, places in chosen.items():
+        new = {(node.name, port.name, i) for node, port, i in places}
+        if taken & new:
+            raise ModelError(
+                f"The {what} {label!r} of what is exported is part of another one; name each element once."
+            )
+        taken |= new
+    return chosen
 
 
-def _signal(schedule: Schedule, label: str, places: Places) -> Signal:
+def _elements(label: str, places: Places) -> Iterator[tuple[str, Place]]:
+    """Yield the elements of a signal that is a whole port, each with the name that it has alone."""
+    _, port, _ = places[0]
+    if len(places) == port.size and port.shape:
+        yield from zip(labels(label, port.shape), places, strict=True)
+
+
+def _signal(schedule: Schedule, label: str, places: Places, units: Units) -> Signal:
     node, port, _ = places[0]
     begin = schedule.signal(node, port).start
     at = tuple(begin + i for _, _, i in places)
-    shape = port.shape if len(places) == port.size else ()
+    shape = port.shape if len(places) == port.size and not isinstance(places, _Element) else ()
     drawn = {"uniform": 0.5, "normal": 0.0}.get(port.draw or "")
     start = tuple(float(schedule.initial[i]) if drawn is None else drawn for i in at)
     if any(port.name == output.name for output in node.block.outputs):
@@ -257,7 +292,8 @@ def _signal(schedule: Schedule, label: str, places: Places) -> Signal:
     origin = f"{node.name}.{port.name}"
     if len(places) < port.size:
         origin = labels(origin, port.shape)[places[0][2]]
-    return Signal(label, shape, port.unit, start, at, port.draw, port.description or _description(node, port), origin)
+    unit, description = units.get((node.name, port.name)), port.description or _description(node, port)
+    return Signal(label, shape, unit, start, at, port.draw, description, origin)
 
 
 def _description(node: Node, port: Port) -> str:
@@ -269,24 +305,34 @@ def _description(node: Node, port: Port) -> str:
 
 
 def _tunables(schedule: Schedule, alone: bool) -> Iterator[Tunable]:
-    """Find the parameters that are settings of their blocks, under the same name and with the same value.
-
-    Others are computed from several settings at once, such as the matrices of a controller: none of them can be changed alone.
-    """
     for i, (node, definition) in enumerate(zip(schedule.nodes, schedule.definitions, strict=True)):
-        if definition is None or not is_dataclass(node.block) or node.name == OUTSIDE:
+        if definition is None or node.name == OUTSIDE:
             continue
-        settings = {f.name for f in fields(node.block)}
-        for name, value in definition.parameters.items():
-            array = np.asarray(value, dtype=np.float64)
-            if name in settings and np.isfinite(array).all() and _alike(getattr(node.block, name), array):
-                label = name if alone else f"{node.name}.{name}"
-                about = f"{name} of {type(node.block).__name__}"
-                yield Tunable(label, array.shape, tuple(array.ravel().tolist()), i, name, about)
+        for setting in settings_of(node.block, definition, schedule.step * node.every):
+            label = setting.name if alone else f"{node.name}.{setting.name}"
+            whole = {each[0][0] for each in setting.places}
+            name = min(whole)
+            size = np.size(definition.parameters[name])
+            is_whole = setting.places == tuple(((name, e),) for e in range(size))
+            yield Tunable(
+                label, setting.shape, setting.start, i, name if is_whole else None, setting.description, setting.name,
+                setting.places,
+            )  # fmt: skip
 
 
-def _alike(setting: object, parameter: Floats) -> bool:
-    try:
-        return np.array_equal(np.asarray(setting, dtype=np.float64), parameter)
-    except (TypeError, ValueError):
-        return False
+def _with_names(program: Program, given: Sequence[tuple[str, str]]) -> Program:
+    """Return the program with names for all signals and parameters that FMI and C allow; those that were given stay."""
+    for name, what in given:
+        check(name, what)
+    groups = program.inputs, program.outputs, program.tunables
+    everything = [each for group in groups for each in group]
+    # What was given keeps its name, then what is legal as it is, and the others make way.
+    fixed = {name for name, _ in given}
+    names_now = [each.name for each in everything]
+    order = sorted(
+        range(len(everything)), key=lambda i: (names_now[i] not in fixed, legal(names_now[i]) != names_now[i])
+    )
+    names = dict(zip(order, unique((everything[i].name, everything[i].shape) for i in order), strict=True))
+    renamed = iter([replace(each, name=names[i]) for i, each in enumerate(everything)])
+    inputs, outputs, tunables = (tuple(islice(renamed, len(group))) for group in groups)
+    return replace(program, inputs=inputs, outputs=outputs, tunables=tunables)  # type: ignore[arg-type]
