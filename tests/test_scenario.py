@@ -343,6 +343,9 @@ def test_every_setting_of_every_kind_can_be_written_in_toml():
             if field.init and _writable(hints[field.name]) is type(None) and not _dataclasses(hints[field.name]):
                 unsaid.add(f"{cls.__name__}.{field.name}")
     assert unsaid == {"Sensors.function"}
+    arguments = get_type_hints(controllers.design)
+    del arguments["plant"], arguments["return"]
+    assert all(_writable(hint) is not type(None) or _dataclasses(hint) for hint in arguments.values())
     assert set(tomllib.loads(CAR)) == {
         "simulation", "plant", "noise", "sensors", "faults", "reference", "model", "controller",
     }  # fmt: skip
@@ -488,3 +491,85 @@ def test_what_has_a_kind_is_a_table(write, old, new, words):
     assert old in ACTIVE
     with pytest.raises(ScenarioError, match=re.escape(words)):
         load_scenario(write(text=ACTIVE.replace(old, new)))
+
+
+SERVO = shipped_scenarios()["position_servo"].read_text()
+
+
+def test_a_controller_is_designed_for_the_plant_of_the_file():
+    """What is measured and actuated, and how well, is said once; the rest are the arguments of the function."""
+    scenario = load_scenario("position_servo")
+    wanted = controllers.design(
+        fmus.path("PositionServo"), measured="angle", actuated="voltage", sensors=2, sensor_std=0.01, noise={"load": 0.02},
+        acceptable_error=0.1, acceptable_control=5.0, u_min=-12.0, u_max=12.0,
+    )  # fmt: skip
+    np.testing.assert_array_equal(scenario.controller.model.A, wanted.model.A)
+    np.testing.assert_array_equal(scenario.controller.regulator.gain, wanted.regulator.gain)
+    result = scenario.simulate(duration=3.0, engine="interpreted")
+    assert result["plant.angle"][-1] == pytest.approx(0.5, abs=0.05)  # the first sensor says 1 since t = 2 s
+    np.testing.assert_allclose(result["controller.fault_probability"][-1], [1.0, 0.0], atol=0.01)
+
+
+LINEAR = """
+[simulation]
+duration = 1
+dt = 0.05
+[plant]
+A = [[0, 1], [0, -1]]
+B = [[0], [1]]
+C = [[1, 0]]
+dt = 0
+control = "u"
+measured = "y"
+[reference]
+kind = "Constant"
+value = 0.2
+[controller]
+kind = "Design"
+"""
+
+
+@pytest.mark.parametrize(
+    ("more", "covariance"),
+    [
+        ("", [1e-4]),
+        ("sensor_std = 0.3\n[sensors]\ncount = 2\nstd = 1", [0.09, 0.09]),
+        ("[sensors]\ncount = 3\nstd = [1, 2, 3]", [1.0, 4.0, 9.0]),
+        ("sensor_std = 2\n[sensors]\ncount = 2\ncovariance = [[1, 0.5], [0.5, 1]]", [4.0, 4.0]),
+        ("[sensors]\ncount = 2\nstd = 2\nmatrix = [[1], [1]]", [4.0, 4.0]),
+    ],
+)
+def test_a_design_knows_the_sensors_of_the_file(write, more, covariance):
+    model = load_scenario(write(text=LINEAR + more)).controller.model
+    np.testing.assert_allclose(np.diag(model.sensor_covariance), covariance, rtol=1e-12)
+    assert float(model.step) == 0.05
+
+
+@pytest.mark.parametrize(
+    ("more", "error", "said"),
+    [
+        ("measured = 'y'", ScenarioError, "'controller.measured' is said by [plant] and [sensors] already"),
+        ("sensor_stdd = 1", ScenarioError, "'controller' has the unknown key 'sensor_stdd'; did you mean 'sensor_std'"),
+        ("goal = true", ScenarioError, "'controller.goal' is true; it must be a text in quotes"),
+        ("goal = 'z'", UnknownNameError, "'controller': "),
+        ("u_min = 3\nu_max = 2", ModelError, "'controller': u_min [3.0] lies above u_max [2.0]"),
+        ("precision = 'x'", ScenarioError, "'controller.precision' is 'x'; it must be a table such as"),
+        ("[model]\nA = [[1]]", ScenarioError, "'model' is not for kind = 'design', which makes its model of the plant"),
+        ("[sensors]\nmatrix = [[2]]", ScenarioError, "'controller' cannot be a design, for [sensors] has a matrix"),
+        (
+            "[sensors]\ncovariance = [[2]]",
+            ScenarioError,
+            "'controller' lacks 'sensor_std', for [sensors] has a covariance",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_design_is_said_with_its_place(write, more, error, said):
+    with pytest.raises(error, match=re.escape(f"car.toml: {said}")):
+        load_scenario(write(text=LINEAR + more))
+
+
+def test_a_design_is_among_the_kinds_of_controllers(write):
+    with pytest.raises(ScenarioError, match="did you mean 'design'"):
+        load_scenario(write(text=LINEAR.replace('"Design"', '"desing"')))
+    with pytest.raises(ScenarioError, match="'UnbiasedActiveInference', 'design'"):
+        load_scenario(write(text=LINEAR.replace('kind = "Design"', "")))

@@ -139,16 +139,15 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
             raise root.error(f"lacks the section [{name}]; a scenario needs {', '.join(f'[{r}]' for r in REQUIRED)}.")
     simulation: Simulation = build(Simulation, content["simulation"], root / "simulation")
     plant, wiring = sections.plant(content["plant"], root / "plant", file.absolute().parent)
+    sensors = sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None
     return Scenario(
         path=file,
         simulation=simulation,
         plant=plant,
         wiring=wiring,
-        controller=sections.controller(
-            content["controller"], content.get("model"), root / "controller", root, simulation
-        ),
+        controller=sections.controller(content, root, simulation, plant, wiring, sensors),
         reference=sections.reference(content["reference"], root / "reference"),
-        sensors=sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None,
+        sensors=sensors,
         faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],
         noise=sections.noise(content["noise"], root / "noise") if "noise" in content else {},
         input_faults=sections.input_faults(content["input_faults"], root / "input_faults")

@@ -5,10 +5,11 @@ So a new fault, source or learner, and a new setting of an old one, can be used 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
+from inspect import signature
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -19,13 +20,13 @@ from bayesftc.scenario._place import Place
 SCALARS = {float: "number", int: "whole number", str: "text in quotes", bool: "true or false"}
 
 
-def build(cls: type[Any], table: object, place: Place, *, given: Mapping[str, Any] | None = None) -> Any:
-    """Return an instance of a dataclass made from a table of the file.
+def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mapping[str, Any] | None = None) -> Any:
+    """Return an instance of a dataclass, or what a function returns, made from a table of the file.
 
     Parameters
     ----------
-    cls : type
-        The dataclass; the names and types of its fields are the schema.
+    cls : type or function
+        The dataclass, or the function; the names and types of its fields or arguments are the schema.
     table : object
         What stands in the file.
     place : Place
@@ -42,11 +43,11 @@ def build(cls: type[Any], table: object, place: Place, *, given: Mapping[str, An
     """
     given = dict(given or {})
     entries = as_table(table, place)
-    known = {f.name: f for f in fields(cls) if f.init and f.name not in given}
+    known = {name: required for name, required in _settings(cls).items() if name not in given}
     hints = get_type_hints(cls)
     place.refuse_unknown(entries, known)
     values = {name: convert(value, hints[name], place / name) for name, value in entries.items()}
-    missing = [name for name, field in known.items() if _is_required(field) and name not in values]
+    missing = [name for name, required in known.items() if required and name not in values]
     if missing:
         wanted = _wanted(hints[missing[0]])
         raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs; add {missing[0]} = ... ({wanted}).")
@@ -54,8 +55,10 @@ def build(cls: type[Any], table: object, place: Place, *, given: Mapping[str, An
         return cls(**values, **given)
 
 
-def choose(classes: Collection[type[Any]], table: object, place: Place) -> tuple[type[Any], dict[str, Any]]:
-    """Return the class that the key ``kind`` names (``"Freeze"`` or ``"freeze"``), and the rest of the table."""
+def choose(
+    classes: Collection[Callable[..., Any]], table: object, place: Place
+) -> tuple[Callable[..., Any], dict[str, Any]]:
+    """Return the class or function that the key ``kind`` names (``"Freeze"`` or ``"freeze"``), and the rest of the table."""
     rest = dict(as_table(table, place))
     names = {cls.__name__: cls for cls in classes}
     if "kind" not in rest:
@@ -118,8 +121,11 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
     return TypeAdapter(hint)
 
 
-def _is_required(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
+def _settings(cls: Callable[..., Any]) -> dict[str, bool]:
+    """Return the names of a dataclass's fields, or of a function's arguments, and whether they are required."""
+    if isinstance(cls, type):
+        return {f.name: f.default is MISSING and f.default_factory is MISSING for f in fields(cls) if f.init}
+    return {name: p.default is p.empty for name, p in signature(cls).parameters.items()}
 
 
 def _folded(name: str) -> str:

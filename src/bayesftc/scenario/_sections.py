@@ -137,19 +137,37 @@ def input_faults(table: object, place: Place) -> dict[str, list[faults.Fault]]:
     return {name: fault_list(value, place / name) for name, value in as_table(table, place).items()}
 
 
-def controller(table: object, model: object, place: Place, root: Place, simulation: Simulation) -> Block:
-    """Return the controller of ``[controller]`` with the model of ``[model]``, None if the file has no such section."""
-    cls, rest = choose(CONTROLLERS, table, place)
-    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+def controller(
+    content: Mapping[str, Any],
+    root: Place,
+    simulation: Simulation,
+    plant: Block,
+    wiring: Wiring,
+    sensors: Sensors | None,
+) -> Block:
+    """Return the controller of ``[controller]``: with the model of ``[model]`` if the file has one, or designed for the plant."""
+    from bayesftc.controllers import design
+
+    place = root / "controller"
+    cls, rest = choose((*CONTROLLERS, design), content["controller"], place)
+    known = {f.name: f for f in fields(cls)} if isinstance(cls, type) else {}  # type: ignore[arg-type]
+    if simulation.dt is not None and ("dt" in known or cls is design) and "model" not in content:
+        rest.setdefault("dt", simulation.dt)
+    if cls is design:
+        from bayesftc.scenario._design import designed
+
+        if "model" in content:
+            raise (root / "model").error(
+                "is not for kind = 'design', which makes its model of the plant; leave it out."
+            )
+        return designed(rest, place, plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors)
     given: dict[str, Any] = {}
-    if model is not None:
-        given["model"] = _model(model, root / "model", simulation)
+    if "model" in content:
+        given["model"] = _model(content["model"], root / "model", simulation)
     elif "model" in known and known["model"].default is MISSING:
         raise root.error(
             f"lacks the section [model], which {cls.__name__} needs; add [model] with A, B, C, ... below it."
         )
-    elif "dt" in known and simulation.dt is not None:
-        rest.setdefault("dt", simulation.dt)
     return build(cls, rest, place, given=given)  # type: ignore[no-any-return]
 
 
