@@ -65,6 +65,8 @@ def compiler_command(target: Platform | None) -> list[str]:
         for name in ("cc", "gcc", "clang"):
             if shutil.which(name) is not None:
                 return [name]
+    elif target is not None:
+        return cross_command(target)
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc", *(["-target", target.zig_target] if target else [])]
     where = target.fmi3 if target else "this machine"
@@ -74,8 +76,40 @@ def compiler_command(target: Platform | None) -> list[str]:
     )
 
 
+def cross_command(target: Platform) -> list[str]:
+    """Return the command of ``ziglang`` that compiles for a platform, the same on every machine.
+
+    Parameters
+    ----------
+    target : Platform
+        The platform to compile for, this machine's or another.
+
+    Returns
+    -------
+    list of str
+        Program and first arguments.
+
+    Raises
+    ------
+    CompilerError
+        If ``ziglang`` is not installed.
+    """
+    if importlib.util.find_spec("ziglang") is None:
+        raise CompilerError(
+            f"Binaries for {target.name} are made by the package ziglang, which is not installed; "
+            "pip install 'bayesftc[export]'."
+        )
+    return [sys.executable, "-m", "ziglang", "cc", "-target", target.zig_target]
+
+
 def compile_library(
-    folder: Path, sources: Sequence[str], library: Path, target: Platform, libraries: Sequence[str] = ()
+    folder: Path,
+    sources: Sequence[str],
+    library: Path,
+    target: Platform,
+    libraries: Sequence[str] = (),
+    *,
+    portable: bool = False,
 ) -> None:
     """Compile sources into a shared library.
 
@@ -92,6 +126,9 @@ def compile_library(
         The platform to compile for.
     libraries : sequence of str
         System libraries to link.
+    portable : bool
+        Whether ``ziglang`` is to compile also for this machine's own platform: for old systems, and with the same bytes
+        wherever it runs.
 
     Raises
     ------
@@ -99,12 +136,13 @@ def compile_library(
         If there is no compiler or it fails; the message ends with what it said.
     """
     command = [
-        *compiler_command(target),
+        *(cross_command(target) if portable else compiler_command(target)),
         *FLAGS,
         "-I.",
         *sources,
         "-o",
-        str(library),
+        # Seen from the folder, where it can be: macOS's libraries have the path within them.
+        str(library.relative_to(folder) if library.is_relative_to(folder) else library),
         *(f"-l{name}" for name in libraries),
     ]
     _run(command, folder, sources)

@@ -2,21 +2,21 @@
 
 import hashlib
 import importlib.util
-import os
-import tempfile
+import secrets
 import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bayesftc.fmus import _description2, _description3, _xml
+from bayesftc.fmus._binaries import binaries
 from bayesftc.fmus._catalogue import FMI_VERSIONS, check_version, file_name
-from bayesftc.fmus._compiler import CompilerError, compile_library
+from bayesftc.fmus._compiler import CompilerError
 from bayesftc.fmus._header import config_header
-from bayesftc.fmus._platforms import Platform, host
+from bayesftc.fmus._platforms import Platform
 from bayesftc.fmus.spec import Model
 
-__all__ = ["FMI_VERSIONS", "CompilerError", "build_fmu", "own_files"]
+__all__ = ["FMI_VERSIONS", "CompilerError", "build_fmu", "fmu_files", "own_files", "write_zip"]
 
 _C_FOLDER = Path(__file__).resolve().parent / "c"
 _FMI_HEADERS = {
@@ -93,20 +93,38 @@ def own_files(model: Model, *, fmi: str) -> dict[str, bytes]:
     return _with_token(model, fmi, "{" + str(uuid.UUID(bytes=digest.digest()[:16], version=5)) + "}")
 
 
-def _compiled(model: Model, files: Mapping[str, bytes], fmi: str, target: Platform) -> dict[str, bytes]:
-    folder_name = target.fmi2 if fmi == "2.0" else target.fmi3
-    with tempfile.TemporaryDirectory(prefix="bayesftc-") as scratch:
-        folder = Path(scratch)
-        for name, content in files.items():
-            (folder / Path(name).name).write_bytes(content)
-        library = folder / f"{model.name}{target.suffix}"
-        compile_library(folder, _compiled_sources(model, fmi), library, target, model.libraries)
-        return {f"binaries/{folder_name}/{library.name}": library.read_bytes()}
+def fmu_files(model: Model, *, fmi: str, platforms: Sequence[Platform] | None = None) -> dict[str, bytes]:
+    """Return all files of an FMU, compiled ones too.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    fmi : {"2.0", "3.0"}
+        Version of the standard.
+    platforms : sequence of Platform, optional
+        Platforms to compile for, by ``ziglang``; by default this machine's, by its own compiler where there is one.
+
+    Returns
+    -------
+    dict
+        Name in the FMU to content.
+
+    Raises
+    ------
+    ValueError
+        If the version is not known.
+    CompilerError
+        If no C compiler is found or it fails.
+    """
+    files = {**own_files(model, fmi=fmi), **_fmi_headers(fmi)}
+    sources = {Path(name).name: content for name, content in files.items() if name.startswith("sources/")}
+    return files | binaries(model.name, sources, _compiled_sources(model, fmi), model.libraries, fmi, platforms)
 
 
-def _write_zip(path: Path, files: Mapping[str, bytes]) -> None:
+def write_zip(path: Path, files: Mapping[str, bytes]) -> None:
     """Write a zip whose bytes depend on the content only, and put it in place at once."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}.tmp")
     try:
         with zipfile.ZipFile(temporary, "x", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
             for name, content in sorted(files.items()):
@@ -132,7 +150,7 @@ def build_fmu(model: Model, folder: Path, *, fmi: str = "2.0", platforms: Sequen
     fmi : {"2.0", "3.0"}
         Version of the standard.
     platforms : sequence of Platform, optional
-        Platforms to compile for; this machine's by default.
+        Platforms to compile for, by ``ziglang``; by default this machine's, by its own compiler where there is one.
 
     Returns
     -------
@@ -146,11 +164,8 @@ def build_fmu(model: Model, folder: Path, *, fmi: str = "2.0", platforms: Sequen
     CompilerError
         If no C compiler is found or it fails.
     """
-    files = {**own_files(model, fmi=fmi), **_fmi_headers(fmi)}
-    sources = {name: content for name, content in files.items() if name.startswith("sources/")}
-    for target in platforms if platforms is not None else (host(),):
-        files.update(_compiled(model, sources, fmi, target))
+    files = fmu_files(model, fmi=fmi, platforms=platforms)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / file_name(model.name, fmi)
-    _write_zip(path, files)
+    write_zip(path, files)
     return path
