@@ -28,6 +28,7 @@ from .errors import (
     UnconnectedInputError as UnconnectedInputError,
     UnknownNameError as UnknownNameError,
 )
+from .export import export_c as export_c, export_fmu as export_fmu
 from .faults import (
     FAULTS as FAULTS,
     Bias as Bias,
@@ -63,3 +64,4 @@ from .sources import (
 )
 from .ssp import open_ssp as open_ssp, save_ssp as save_ssp
 from .state_space import StateSpace as StateSpace
+from .verification import Deviation as Deviation, Verification as Verification, verify_fmu as verify_fmu

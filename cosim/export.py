@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -12,11 +13,12 @@ from typing import Literal
 from bayesftc.cosim._export.c_file import write_c
 from bayesftc.cosim._export.dependencies import feeding, keeps_state_in_outputs
 from bayesftc.cosim._export.fmu import model_of
+from bayesftc.cosim._export.platforms import platforms_of
 from bayesftc.cosim._export.program import Program, program_of
 from bayesftc.cosim._opening import Names
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import BayesFTCError, FMUError, ModelError, ResultFileError
 
 
 def export_fmu(
@@ -39,11 +41,14 @@ def export_fmu(
     exported : Block or Diagram
         What to export.
     path : str or path
-        The file to write; its stem becomes the model's name.
+        The file to write; its stem becomes the model's name. What was there is replaced when all is done.
     fmi : {"2.0", "3.0"}
         Version of the standard. Vectors are arrays in FMI 3, and one variable for each element in FMI 2: ``y[0]``, ``y[1]``.
     platforms : sequence of str, optional
-        For which the FMU gets binaries, besides its C sources; by default this machine's.
+        For which the FMU gets binaries, besides its C sources: ``"linux-x86_64"``, ``"linux-aarch64"``, ``"windows-x86_64"``,
+        ``"macos-x86_64"``, ``"macos-aarch64"``, or ``"all"``. What is named is compiled by ``ziglang``
+        (``pip install 'bayesftc[export]'``) for old systems (glibc 2.17, macOS 11), to the same bytes on any machine. By default
+        this machine's, by its own C compiler where there is one.
     blocks : sequence of str, optional
         Names of the blocks of a diagram that become one FMU; by default all. An FMU cannot be among them.
     inputs, outputs : sequence of str or mapping of str to str, optional
@@ -69,16 +74,139 @@ def export_fmu(
         If a step function cannot become C; the sentence names the line.
     ModelError
         If something in it is an FMU or calls back into Python, or the settings do not fit.
-    """
-    from bayesftc.fmus.build import build_fmu
+    FMUError
+        If there is no C compiler for a platform, or it fails.
+    ResultFileError
+        If the file cannot be written.
 
-    target = Path(path)
+    Examples
+    --------
+    >>> import tempfile
+    >>> from bayesftc import cosim
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = cosim.export_fmu(cosim.Saturation(-1.0, 1.0), f"{folder}/limit.fmu", dt=0.01)
+    ...     print(cosim.FMU(path))
+    <FMU limit.fmu, co-simulation, timing='sampled': u -> y>
+    """
+    from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
+
+    target = _file(path)
+    if fmi not in FMI_VERSIONS:
+        raise ModelError(f"export_fmu has fmi={fmi!r}; it must be one of {', '.join(map(repr, FMI_VERSIONS))}.")
+    if timing not in (None, "plant", "sampled"):
+        raise ModelError(f"export_fmu has timing={timing!r}; it must be 'plant' or 'sampled'.")
+    wanted = platforms_of(platforms)
     program = program_of(exported, name=target.stem, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
-    model = model_of(program, write_c(program), _timing(program, timing), description)
-    with tempfile.TemporaryDirectory(prefix="bayesftc-", dir=target.parent) as scratch:
-        built = build_fmu(model, Path(scratch), fmi=fmi)
-        built.replace(target)
+    with _staged(target.parent) as scratch:
+        try:
+            model = model_of(program, write_c(program), _timing(program, timing), description)
+            build_fmu(model, scratch, fmi=fmi, platforms=wanted).replace(target)
+        except RuntimeError as error:  # no compiler, one that fails, or no platform that is known
+            raise FMUError(f"{target} cannot be built: {error}") from error
+        except ValueError as error:  # what FMI does not allow, such as names
+            if isinstance(error, BayesFTCError):
+                raise
+            raise ModelError(f"{target} cannot be written: {error}") from error
     return target
+
+
+def export_c(
+    exported: Block | Diagram,
+    folder: str | PathLike[str],
+    *,
+    name: str | None = None,
+    blocks: Sequence[str] | str | None = None,
+    inputs: Names | None = None,
+    outputs: Names | None = None,
+    dt: float | str | Fraction | None = None,
+) -> tuple[Path, Path]:
+    """Write a block, or some blocks of a diagram, as C99 that needs nothing but the mathematics of the C library.
+
+    The step is three functions: ``<name>_init`` once, then at each step ``<name>_evaluate``, from the inputs at that time to the
+    outputs at that time, and ``<name>_advance``. They allocate nothing; all that they remember lies in one structure, whose
+    size is known when it is compiled. Compile it with ``-ffp-contract=off`` for the bits that Python has.
+
+    Parameters
+    ----------
+    exported : Block or Diagram
+        What to export.
+    folder : str or path
+        Where ``<name>.c`` and ``<name>.h`` are written; what was there under these names is replaced.
+    name : str, optional
+        What types and functions begin with; by default the block's name.
+    blocks : sequence of str, optional
+        Names of the blocks of a diagram that become one step; by default all. An FMU cannot be among them.
+    inputs, outputs : sequence of str or mapping of str to str, optional
+        The signals that the outside sees, as of `export_fmu`.
+    dt : float, str or Fraction, optional
+        The sample time of a block that has none of its own.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The C file and its header.
+
+    Raises
+    ------
+    KernelError
+        If a step function cannot become C; the sentence names the line.
+    ModelError
+        If something in it is an FMU or calls back into Python, or the settings do not fit.
+    ResultFileError
+        If the files cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from bayesftc import cosim
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = cosim.export_c(cosim.Saturation(-1.0, 1.0), folder, name="limit", dt=0.01)
+    ...     print([file.name for file in files])
+    ['limit.c', 'limit.h']
+    """
+    target = _folder(folder)
+    program = program_of(exported, name=name, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
+    written = write_c(program)
+    files = {f"{written.name}.c": written.source, f"{written.name}.h": written.header}
+    with _staged(target) as scratch:
+        for file, text in files.items():
+            (scratch / file).write_text(text, encoding="utf-8", newline="\n")
+        for file in files:
+            (scratch / file).replace(target / file)
+    source, header = (target / file for file in files)
+    return source, header
+
+
+def _file(path: str | PathLike[str]) -> Path:
+    """Return the FMU's path, in a folder that is there."""
+    target = Path(path).expanduser()
+    if target.suffix.lower() != ".fmu":
+        raise ResultFileError(
+            f"{path} does not end in .fmu, by which other tools know an FMU; call it {target.stem}.fmu."
+        )
+    if target.is_dir():
+        raise ResultFileError(f"{target} is a folder; give the FMU another name.")
+    return _folder(target.parent) / target.name
+
+
+def _folder(folder: str | PathLike[str]) -> Path:
+    target = Path(folder).expanduser()
+    if not target.is_dir():
+        what = "is no folder, but a file" if target.exists() else "does not exist"
+        raise ResultFileError(f"Nothing can be written into {target}: it {what}; make the folder, or choose another.")
+    return target
+
+
+@contextmanager
+def _staged(folder: Path) -> Iterator[Path]:
+    """Give a folder beside the files to be, so that each appears under its name only when it is whole."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=".bayesftc-", dir=folder) as scratch:
+            yield Path(scratch)
+    except OSError as error:
+        raise ResultFileError(
+            f"Nothing can be written into {folder}: {error.strerror or error}; choose another folder."
+        ) from None
 
 
 def _timing(program: Program, asked: Literal["plant", "sampled"] | None) -> Literal["plant", "sampled"]:

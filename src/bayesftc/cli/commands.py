@@ -20,6 +20,20 @@ app = typer.Typer(
 )
 
 
+class Timing(StrEnum):
+    """When the outputs of an FMU hold."""
+
+    plant = "plant"
+    sampled = "sampled"
+
+
+class Form(StrEnum):
+    """What is exported."""
+
+    fmu = "fmu"
+    c = "c"
+
+
 class Engine(StrEnum):
     """What a run is computed with."""
 
@@ -104,6 +118,88 @@ def inspect(
         from bayesftc.cli.inspect import inspect_fmu
 
         inspect_fmu(fmu, validate=validate, json=json, everything=everything)
+
+
+@app.command()
+def export(
+    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a shipped one.")],
+    block: Annotated[
+        list[str],
+        typer.Option(
+            "--block", "-b", help="A block of its loop, as controller; several become one.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The FMU; of C the folder. By default named after the block."),
+    ] = None,
+    form: Annotated[Form, typer.Option("--format", help="An FMU, or C without FMI for firmware.")] = Form.fmu,
+    fmi: Annotated[
+        str | None, typer.Option(help="Version of FMI: 2.0 (the default) or 3.0.", show_default=False)
+    ] = None,
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(help="With a binary for this one, as windows-x86_64; several, or all. By default this machine's."),
+    ] = None,
+    timing: Annotated[
+        Timing | None, typer.Option(help="When the outputs hold; by default what fits the block.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Write blocks of a scenario as an FMU that needs no Python, or as C."""
+    with guarded(debug):
+        from bayesftc.cli.export import export_scenario
+
+        when = timing.value if timing else None
+        export_scenario(
+            scenario, block, out, form=form.value, fmi=fmi, platforms=platform or (), timing=when, quiet=quiet
+        )
+
+
+@app.command()
+def verify(
+    fmu: Annotated[Path, typer.Argument(help="An FMU, of bayesftc export or of any tool with the same names.")],
+    against: Annotated[
+        str, typer.Option(metavar="SCENARIO", help="The scenario whose blocks it is to do the work of.")
+    ],
+    block: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--block", "-b", help="The block that it stands for; by default the one that it was exported from."
+        ),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds, instead of the scenario's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all noise, instead of the scenario's.")] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            help="Largest difference, by the largest value of a signal. 0: the same numbers; 1e-9 is usual where exp, log or "
+            "sin come from another C library."
+        ),
+    ] = 0.0,
+    timing: Annotated[Timing | None, typer.Option(help="When its outputs hold; by default what it says.")] = None,
+    isolate: Annotated[bool, typer.Option("--isolate", help="Run the FMU in a process of its own.")] = False,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Run an FMU beside the blocks that it was exported from, with noise and faults, and print the differences."""
+    with guarded(debug):
+        from bayesftc.cli.verify import verify_scenario
+
+        verify_scenario(
+            fmu,
+            against,
+            block or (),
+            duration=duration,
+            seed=seed,
+            tolerance=tolerance,
+            timing=timing.value if timing else None,
+            isolate=isolate,
+            json=json,
+            quiet=quiet,
+        )
 
 
 @app.command()
