@@ -128,7 +128,13 @@ FLAGS = (
 
 
 class Compiled:
-    """The C of a program, compiled: makes a step at each call, as `Block.online` does."""
+    """The C of a program, compiled: makes a step at each call, as `Block.online` does.
+
+    Attributes
+    ----------
+    state : ndarray
+        The program's structure: memory, parameters, time of the first step, number of steps.
+    """
 
     def __init__(self, folder, compiler, exported, **settings):
         self.program = program_of(exported, **settings)
@@ -142,16 +148,26 @@ class Compiled:
         assert made.returncode == 0, made.stderr
         library = ctypes.CDLL(str(folder / f"{name}.so"))
         self._functions = [getattr(library, f"{name}_{part}") for part in ("init", "evaluate", "advance")]
+        self.begin()
+
+    def begin(self):
+        """Go back to the beginning."""
         tuned = sum(len(t.start) for t in self.program.tunables)
         self.state = np.full(self.file.memory + tuned + 2, np.nan)
         self._in = np.zeros(max(sum(len(s.places) for s in self.program.inputs), 1))
         self._out = np.zeros(max(sum(len(s.places) for s in self.program.outputs), 1))
         self._call(0)
 
+    @property
+    def parameters(self):
+        """The numbers of all tunables, one after the other, as a view."""
+        return self.state[self.file.memory : -2]
+
     def _call(self, which, *arrays):
         self._functions[which](*(ctypes.c_void_p(array.ctypes.data) for array in (self.state, *arrays)))
 
-    def __call__(self, **inputs):
+    def evaluate(self, **inputs):
+        """Return the outputs, flat."""
         values = [np.ravel(inputs.get(s.name, s.start)) for s in self.program.inputs]
         self._in[: sum(map(len, values))] = np.concatenate([np.zeros(0), *values])
         self._call(1, self._in, self._out)
@@ -159,13 +175,34 @@ class Compiled:
         for signal in self.program.outputs:
             found[signal.name] = self._out[at : at + len(signal.places)].copy()
             at += len(signal.places)
+        return found
+
+    def __call__(self, **inputs):
+        found = self.evaluate(**inputs)
         self._call(2)
         return found
 
 
+@pytest.fixture(scope="session")
+def compiled_blocks():
+    """Return those of `BLOCKS` that have been compiled, by their identity."""
+    return {}
+
+
 @pytest.fixture
-def compiled(tmp_path, c_compiler):
-    return lambda exported, **settings: Compiled(tmp_path, c_compiler, exported, **settings)
+def compiled(tmp_path, c_compiler, compiled_blocks):
+    """Return what compiles a block, or makes a compiled one of `BLOCKS` begin again."""
+
+    def make(exported, **settings):
+        if not any(exported is block for block in BLOCKS.values()):
+            return Compiled(tmp_path, c_compiler, exported, **settings)
+        key = id(exported), repr(settings)
+        if key not in compiled_blocks:
+            compiled_blocks[key] = Compiled(tmp_path, c_compiler, exported, **settings)
+        compiled_blocks[key].begin()
+        return compiled_blocks[key]
+
+    return make
 
 
 @pytest.fixture

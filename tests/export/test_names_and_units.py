@@ -1,0 +1,91 @@
+"""What an exported FMU calls its signals, and in which units they are."""
+
+from itertools import pairwise
+
+import fmpy
+import pytest
+from fmpy.validation import validate_fmu
+
+from bayesftc import cosim
+from bayesftc.cosim._export.names import legal, unique
+from bayesftc.cosim._export.program import program_of
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("plant.v", "plant.v"),
+        ("u[0,1]", "u[0,1]"),
+        ("größe-1.y[2]", "groesse_1.y[2]"),
+        ("Δφ", "deltaphi"),
+        ("1st.y", "_1st.y"),
+        ("車.y", "_.y"),
+        ("a.[0]", "a._[0]"),
+        ("é", "e"),
+    ],
+)
+def test_names_that_fmi_does_not_allow_are_spelt_otherwise(name, expected):
+    assert legal(name) == expected
+    assert legal(expected) == expected
+
+
+def test_no_two_are_the_same_to_fmi_or_c():
+    wanted = [("a.b", ()), ("a_b", ()), ("a", (2,)), ("a_0_", ()), ("time", ()), ("int", ()), ("int_", ())]
+    assert unique(wanted) == ["a.b", "a_b_2", "a", "a_0__2", "time_2", "int", "int__2"]
+
+
+def strange():
+    diagram = cosim.Diagram(0.1)
+    nodes = [diagram.add(cosim.Gain(2.0), name) for name in ("größe-1", "groesse_1", "車", "車2")]
+    for one, other in pairwise(nodes):
+        diagram.connect(one["y"], other["u"])
+    return diagram
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_a_diagram_of_strange_names_is_valid(fmi, tmp_path, c_compiler):
+    path = str(cosim.export_fmu(strange(), tmp_path / "Strange.fmu", fmi=fmi))
+    assert validate_fmu(path) == []
+    variables = fmpy.read_model_description(path).modelVariables
+    outputs = [v.name for v in variables if v.causality == "output"]
+    assert outputs == ["groesse_1.y_2", "groesse_1.y", "_.y", "_2.y"]
+    assert cosim.FMU(path).port("groesse_1.y")
+
+
+def test_a_name_that_is_given_must_be_legal():
+    with pytest.raises(cosim.ModelError, match=r"The output of what is exported cannot be called 'größe'; FMI allows"):
+        program_of(strange(), outputs={"車.y": "größe"})
+    given = program_of(strange(), outputs={"車.y": "groesse_1.gain"})
+    assert [s.name for s in given.outputs] == ["groesse_1.gain"]
+    assert [t.name for t in given.tunables][:4] == [
+        "groesse_1.gain_3",
+        "groesse_1.offset_2",
+        "groesse_1.gain_2",
+        "groesse_1.offset",
+    ]
+
+
+def test_units_travel_along_connections():
+    diagram = cosim.Diagram(0.1)
+    v = diagram.add(cosim.Constant(1.0, unit="m/s"), "v")
+    sensors = diagram.add(cosim.Sensors(count=2), "sensors")
+    fault = diagram.add(cosim.Bias(magnitude=1.0, channels=2), "fault")
+    gain = diagram.add(cosim.Gain([[1.0, 2.0]]), "gain")
+    force = diagram.add(cosim.Gain(1.0, input_unit="N"), "force")
+    diagram.connect(v["y"], sensors["u"])
+    diagram.connect(sensors["y"], fault["u"])
+    diagram.connect(fault["y"], gain["u"])
+    diagram.connect(gain["y"][0], force["u"])
+    alone = program_of(diagram, blocks="gain")
+    assert [(s.name, s.unit) for s in (*alone.inputs, *alone.outputs)] == [("u", "m/s"), ("y", "N")]
+    both = program_of(diagram, blocks=["sensors", "fault"])
+    assert {s.name: s.unit for s in both.outputs} == {"sensors.y": "m/s", "fault.y": "m/s", "fault.active": None}
+
+
+def test_where_units_meet_nothing_is_said():
+    diagram = cosim.Diagram(0.1)
+    v, x = diagram.add(cosim.Constant(1.0, unit="m/s"), "v"), diagram.add(cosim.Constant(1.0, unit="m"), "x")
+    gain = diagram.add(cosim.Gain([[1.0, 2.0]]), "gain")
+    diagram.connect(v["y"], gain["u"][0])
+    diagram.connect(x["y"], gain["u"][1])
+    assert [s.unit for s in program_of(diagram, blocks="gain").inputs] == [None]
