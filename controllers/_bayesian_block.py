@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector, check_choice, frozen
+from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim.block import Block, Floats
 from bayesftc.cosim.errors import ModelError
@@ -140,7 +141,7 @@ class BayesianBlock(Block, ABC):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``y`` and ``goal``."""
-        return Port("y", (self.model.sensors,)), Port("goal", (self.goals,))
+        return port("y", (self.model.sensors,)), port("goal", (self.goals,))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -159,7 +160,7 @@ class BayesianBlock(Block, ABC):
             "precision": (m,),
             "beta": (m,),
         }
-        return (*(Port(name, shape) for name, shape in shapes.items()), Port("fault_probability", (m,)))
+        return (*(port(name, shape) for name, shape in shapes.items()), port("fault_probability", (m,)))
 
     @abstractmethod
     def _learner(self) -> Learner:

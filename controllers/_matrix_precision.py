@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.controllers._linalg import cholesky, cholesky_semidefinite
+from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import ERROR_CAP, RATE_FLOOR
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.ops import either, maximum, select, sqrt
@@ -150,7 +151,7 @@ def report_wishart(memory, settings, nominal, first, outputs):
 def wishart_ports(sensors: int) -> tuple[Port, ...]:
     """Return the ports for the moments of the distribution."""
     names = ("scale", "mean", "mode", "variance")
-    return (Port("precision_degrees_of_freedom"), *(Port(f"precision_{name}", (sensors, sensors)) for name in names))
+    return (port("precision_degrees_of_freedom"), *(port(f"precision_{name}", (sensors, sensors)) for name in names))
 
 
 def prior_memory(degrees: float, inverse_scale: Floats) -> Floats:

@@ -15,6 +15,7 @@ from bayesftc.controllers._curvature import check_stable, curvature_of_belief, c
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
 from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once
 from bayesftc.controllers._measured import jacobian_of, measured, nominal_covariance, weights_of
+from bayesftc.controllers._ports import port
 from bayesftc.controllers._trial import try_out
 from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
@@ -169,7 +170,7 @@ class UnbiasedActiveInference(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``y`` and ``goal``."""
-        return Port("y", (self._sensors,)), Port("goal", (self._dimensions[1],))
+        return port("y", (self._sensors,)), port("goal", (self._dimensions[1],))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -182,7 +183,7 @@ class UnbiasedActiveInference(Block):
         shapes: dict[str, tuple[int, ...]] = {"u": (p,), "x_hat": (n,), "innovation": (m,), "R": (m, m)}
         shapes |= dict.fromkeys(("precision", "beta", "fault_probability"), (m,))
         shapes |= {"free_energy": (), "eps_x": (n,), "eps_u": (p,)}
-        return tuple(Port(name, shape) for name, shape in shapes.items())
+        return tuple(port(name, shape) for name, shape in shapes.items())
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -14,6 +14,7 @@ from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers._filter import innovate, predict
 from bayesftc.controllers._linalg import apply
+from bayesftc.controllers._ports import port
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
 from bayesftc.cosim.block import Block, Definition, Floats
@@ -135,7 +136,9 @@ class StateEstimator(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``y`` and ``u``."""
-        return Port("y", (self.model.sensors,)), Port("u", (self.model.controls,), default=0.0, feedthrough=False)
+        return port("y", (self.model.sensors,)), port(
+            "u", (self.model.controls,), default=0.0, feedthrough=False, known=True
+        )
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -145,8 +148,8 @@ class StateEstimator(Block):
     @property
     def _own_outputs(self) -> tuple[Port, ...]:
         n, m = self.model.states, self.model.sensors
-        each = tuple(Port(name, (m,)) for name in ("innovation", "precision", "beta", "fault_probability"))
-        return Port("x_hat", (n,)), Port("P", (n, n)), Port("R", (m, m)), *each
+        each = tuple(port(name, (m,)) for name in ("innovation", "precision", "beta", "fault_probability"))
+        return port("x_hat", (n,)), port("P", (n, n)), port("R", (m, m)), *each
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

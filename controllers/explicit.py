@@ -12,12 +12,12 @@ import numpy as np
 
 from bayesftc.controllers._checks import as_number, check_number
 from bayesftc.controllers._linalg import cholesky
+from bayesftc.controllers._ports import port
 from bayesftc.controllers.gamma import GammaPrecision
 from bayesftc.controllers.precision import Learner, PrecisionLearner
 from bayesftc.controllers.threshold import ChebyshevThreshold, FittedThreshold
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import both, maximum, minimum, select, sqrt
-from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import whole_steps
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ class ExplicitDetection(PrecisionLearner):
             _table([wrapped.memory, wrapped.memory], np.zeros(2 * len(groups) + m)),
             _table([wrapped.settings], np.concatenate(own)),
             work=wrapped.work + 2,
-            ports=(*wrapped.ports, Port("detected", (m,))),
+            ports=(*wrapped.ports, port("detected", (m,))),
             report=report,
         )
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from bayesftc.controllers._checks import check_choice, check_flags, check_number
+from bayesftc.controllers._ports import port
 from bayesftc.controllers._rate import Calibration, RateLearner, probability_map
 from bayesftc.controllers.precision import ERROR_CAP, NAN, RATE_FLOOR, Learner
 from bayesftc.cosim.errors import ModelError
@@ -48,7 +49,7 @@ MOMENTS = ("shape", "rate", "mean", "mode", "variance")
 
 def moment_ports(sensors: int) -> tuple[Port, ...]:
     """Return the ports for the moments of one distribution for each sensor."""
-    return tuple(Port(f"precision_{name}", (sensors,)) for name in MOMENTS)
+    return tuple(port(f"precision_{name}", (sensors,)) for name in MOMENTS)
 
 
 def report_gamma(memory, settings, nominal, first, outputs):

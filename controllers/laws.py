@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_matrix, as_numbers, as_vector
+from bayesftc.controllers._ports import port
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import both, either, maximum, minimum, select
@@ -139,12 +140,12 @@ class Proportional(ControlLaw):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``x_hat`` and ``goal``."""
-        return Port("x_hat", (self._states,)), Port("goal", (self.goals,))
+        return port("x_hat", (self._states,)), port("goal", (self.goals,))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``u``."""
-        return (Port("u", (self.controls,)),)
+        return (port("u", (self.controls,)),)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

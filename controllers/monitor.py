@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._ports import port
 from bayesftc.controllers.residuals import INNOVATION, feature_names
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
@@ -101,13 +102,13 @@ class FaultMonitor(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """The features, and ``innovation``."""
-        ports = tuple(Port(name, (self.sensors,)) for name in self.features)
-        return ports if INNOVATION in self.features else (*ports, Port(INNOVATION, (self.sensors,), default=0.0))
+        ports = tuple(port(name, (self.sensors,)) for name in self.features)
+        return ports if INNOVATION in self.features else (*ports, port(INNOVATION, (self.sensors,), default=0.0))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Outputs ``fault_probability`` and ``fault``."""
-        return Port("fault_probability", (self.sensors,)), Port("fault", (self.sensors,))
+        return port("fault_probability", (self.sensors,)), port("fault", (self.sensors,))
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

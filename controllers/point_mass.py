@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from bayesftc.controllers._checks import check_choice, check_number
+from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import exp, log, maximum, minimum, select
-from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
@@ -117,7 +117,7 @@ class PointMassPrecision(PrecisionLearner):
         m, most = model.sensors, 1.0 / self.variance_bound
         start = float(np.clip(1.0, self.lower_bound, most))
         step = _learner(descend_log if self.parameterization == "exponential" else descend)
-        ports = tuple(Port(f"precision_{name}", (m,)) for name in ("mean", "mode", "variance"))
+        ports = tuple(port(f"precision_{name}", (m,)) for name in ("mean", "mode", "variance"))
         settings = np.array([self.rate, self.lower_bound, most])
         return Learner(step, np.full(m, start), settings, ports=ports, report=report_point_mass)
 

@@ -11,10 +11,10 @@ import numpy as np
 from bayesftc.controllers import _posterior
 from bayesftc.controllers._checks import check_flags, check_number
 from bayesftc.controllers._linalg import cholesky, solve_columns
+from bayesftc.controllers._ports import port
 from bayesftc.controllers._posterior import errors_after, prepare
 from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
 from bayesftc.cosim.ops import maximum, minimum, select, sqrt
-from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -144,7 +144,7 @@ class StudentTUpdate(PrecisionLearner):
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
         m, settings = model.sensors, np.array([self.joint, self.degrees_of_freedom], dtype=np.float64)
-        step, ports = _student_learner(int(self.iterations)), (Port("precision_weight", (m,)),)
+        step, ports = _student_learner(int(self.iterations)), (port("precision_weight", (m,)),)
         return Learner(step, np.ones(m), settings, _posterior.WORK + 1, ports, report_weights)
 
     @property
@@ -179,7 +179,7 @@ class WeightedLikelihood(PrecisionLearner):
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
         m, settings = model.sensors, np.array([self.joint, self.c], dtype=np.float64)
-        return Learner(learn_weighted, np.ones(m), settings, 3, (Port("precision_weight", (m,)),), report_weights)
+        return Learner(learn_weighted, np.ones(m), settings, 3, (port("precision_weight", (m,)),), report_weights)
 
     @property
     def why_no_probability(self) -> str | None:

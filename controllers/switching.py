@@ -16,13 +16,13 @@ from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags
 from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, as_process_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
+from bayesftc.controllers._ports import port
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
 from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
 from bayesftc.controllers.process_modes import PROCESS_MODES, NoisierProcess
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
@@ -158,16 +158,16 @@ class SwitchingPrecision(PrecisionLearner):
         process_modes = self._acting(model)
         layout = self._layout(model, width, settings_width, process_modes)
         learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout)
-        ports = [Port("mode_probability", (m, 1 + len(self.modes)))]
-        ports += [Port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
-        ports.append(Port("log_density"))
+        ports = [port("mode_probability", (m, 1 + len(self.modes)))]
+        ports += [port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
+        ports.append(port("log_density"))
         if layout is None:
             return Learner(learn, np.array([*memory, 0.0, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
         if layout.actuator_modes:
-            ports.append(Port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
-            ports += [Port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
+            ports.append(port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
+            ports += [port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
         if layout.process_modes:
-            ports.append(Port("process_mode_probability", (2 + layout.process_modes,)))
+            ports.append(port("process_mode_probability", (2 + layout.process_modes,)))
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
         settings += [step, *actuator_settings(self.actuator_modes, model)]
         settings += [value for mode in process_modes for value in mode.settings(step)]

@@ -157,7 +157,10 @@ class StateSpace(Block):
             feeds = [self.feedthrough] * len(names)
         else:
             feeds = [name in self.feedthrough for name in names]
-        ports = [Port(name, feedthrough=feed, default=0.0) for name, feed in zip(names, feeds, strict=True)]
+        said = "Input of the system"
+        ports = [
+            Port(name, feedthrough=feed, default=0.0, description=said) for name, feed in zip(names, feeds, strict=True)
+        ]
         if self.process_noise is not None:
             ports.append(Port(NOISE, (self._states,), feedthrough=False, draw="normal"))
         return tuple(ports)
@@ -165,7 +168,7 @@ class StateSpace(Block):
     @property
     def outputs(self) -> tuple[Port, ...]:
         """A scalar port for each output signal."""
-        return tuple(Port(name) for name in self._names[1])
+        return tuple(Port(name, description="Output of the system") for name in self._names[1])
 
     @property
     def sample_time(self) -> Fraction | None:

@@ -1,7 +1,8 @@
 """Step functions run on sets: each number is what it was computed from, and an operation unites its operands.
 
-A number that is known stays a number, so that `select` and a factor of zero drop what they drop whenever the step function runs
-(for finite numbers: zero times a missing sample is missing).
+A number that is known stays a number, so that `select` and a factor of zero among the parameters drop what they drop whenever
+the step function runs (for finite numbers: zero times a missing sample is missing). A zero in the text of the step function
+drops nothing: it is there just to hand on that something is missing.
 """
 
 from __future__ import annotations
@@ -54,11 +55,11 @@ class Origins:
         return Origins(self.of | other.of) if isinstance(other, Origins) else self
 
     def _times(self, other: Any) -> Any:
-        return 0.0 if not isinstance(other, Origins) and other == 0 else self._with(other)
+        return other if type(other) is np.float64 and other == 0.0 else self._with(other)
 
     def _into(self, other: Any) -> Any:
         """Return a number divided by this one."""
-        return 0.0 if other == 0 else self
+        return other if type(other) is np.float64 and other == 0.0 else self
 
     def _alone(self) -> Origins:
         return self

@@ -4,8 +4,11 @@ import ctypes
 import subprocess
 
 import control
+import fmpy
 import numpy as np
 import pytest
+from fmpy import fmi2, fmi3
+from fmpy.fmi1 import FMICallException
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._export.c_file import write_c
@@ -103,6 +106,9 @@ BLOCKS = {
         inner_steps=2,
     ),
     "PID": controllers.PID(1.0, states=2, derivative_gain=0.1, integral_gain=0.5, u_max=3.0),
+    "monitor": controllers.FaultMonitor(
+        2, ("beta", "precision"), 0.4, controllers.LogisticMap((1.0, 2.0), (0.0, 0.5), (1.0, 2.0), -1.0)
+    ),
     "estimator": controllers.StateEstimator(MODEL, precision=controllers.GammaPrecision()),
 }
 """Every kind of block, learner, fault and law."""
@@ -225,3 +231,80 @@ def random_inputs():
         return values
 
     return inputs
+
+
+class Instance:
+    """An instance of an exported FMU behind fmpy's own objects, by the names of the block's signals; keeps its log."""
+
+    def __init__(self, path, folder):
+        self.description = fmpy.read_model_description(str(path))
+        self.three = self.description.fmiVersion.startswith("3")
+        self.log = []
+        self._references, self.size = {}, {}
+        for variable in self.description.modelVariables:
+            name = variable.name.partition("[")[0]
+            self._references.setdefault(name, []).append(variable.valueReference)
+            lengths = [int(dimension.start) for dimension in variable.dimensions]
+            self.size[name] = self.size.get(name, 0) + int(np.prod(lengths))
+        self.fmu = (fmi3.FMU3Slave if self.three else fmi2.FMU2Slave)(
+            guid=self.description.guid,
+            unzipDirectory=str(folder),
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
+            instanceName="it",
+        )
+        if self.three:
+            self.fmu.instantiate(logMessage=lambda _, status, category, line: self.log.append(line.decode()))
+        else:
+            callbacks = fmi2.fmi2CallbackFunctions()
+            callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda *given: self.log.append(given[-1].decode()))
+            self.fmu.instantiate(callbacks=callbacks)
+
+    def begin(self, start=0.0, stop=None, **values):
+        self.set(**values)
+        self.enter(start, stop)
+        self.fmu.exitInitializationMode()
+        return self
+
+    def enter(self, start=0.0, stop=None):
+        if not self.three:
+            self.fmu.setupExperiment(startTime=start, stopTime=stop)
+        self.fmu.enterInitializationMode(**({"startTime": start, "stopTime": stop} if self.three else {}))
+
+    def set(self, **values):
+        set_ = self.fmu.setFloat64 if self.three else self.fmu.setReal
+        for name, value in values.items():
+            set_(self._references[name], np.ravel(value).tolist())
+
+    def get(self, name):
+        if self.three:
+            return np.array(self.fmu.getFloat64(self._references[name], self.size[name]))
+        return np.array(self.fmu.getReal(self._references[name]))
+
+    def step(self, k, h, start=0.0, **inputs):
+        self.set(**inputs)
+        self.fmu.doStep(start + k * h, h)
+
+    def refused(self, call):
+        """Return the one line that is logged by a call that fails."""
+        before = len(self.log)
+        with pytest.raises(FMICallException) as caught:
+            call(self)
+        assert caught.value.status == 3
+        assert len(self.log) == before + 1
+        return self.log[-1]
+
+
+@pytest.fixture
+def instance(tmp_path):
+    """Return what makes instances of an FMU; all are freed in the end."""
+    made = []
+
+    def make(path):
+        folder = tmp_path / f"unpacked {len(made)}"
+        fmpy.extract(str(path), str(folder))
+        made.append(Instance(path, folder))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.fmu.freeInstance()

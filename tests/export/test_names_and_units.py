@@ -6,7 +6,8 @@ import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
+from bayesftc.cosim._export.dependencies import feeding_elements
 from bayesftc.cosim._export.names import legal, unique
 from bayesftc.cosim._export.program import program_of
 
@@ -89,3 +90,14 @@ def test_where_units_meet_nothing_is_said():
     diagram.connect(v["y"], gain["u"][0])
     diagram.connect(x["y"], gain["u"][1])
     assert [s.unit for s in program_of(diagram, blocks="gain").inputs] == [None]
+
+
+def test_every_port_says_what_it_is(block):
+    for port in (*block.inputs, *block.outputs):
+        assert port.description or port.draw, port.name
+
+
+def test_what_only_tells_that_something_is_missing_counts():
+    monitor = controllers.FaultMonitor(2, ("beta",), 0.5, controllers.LogisticMap((1.0,), (0.0,), (1.0,), -1.0))
+    fed = feeding_elements(program_of(monitor, dt=0.1))["fault_probability"]
+    assert [{"innovation[0]", "beta[0]"} <= of and "beta[1]" not in of for of in fed] == [True, False]
