@@ -5,13 +5,14 @@ from __future__ import annotations
 import ast
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from bayesftc.cosim import ops
 from bayesftc.cosim._export.context import Context
-from bayesftc.cosim._export.kinds import FLOAT, INT, NATURAL, Array, Constant, Kind, Number, joined
-from bayesftc.cosim._export.values import ATOM, PRODUCT, SUM, UNARY, Value, constant, enclosed
+from bayesftc.cosim._export.kinds import BOOL, FLOAT, INT, NATURAL, Array, Constant, Kind, Number, joined
+from bayesftc.cosim._export.values import ATOM, PRODUCT, SUM, UNARY, Value, as_float, as_whole, constant, enclosed
 
 _ARITHMETIC: dict[type[ast.operator], tuple[str, int, Callable[[Any, Any], Any]]] = {
     ast.Add: ("+", SUM, operator.add),
@@ -21,6 +22,7 @@ _ARITHMETIC: dict[type[ast.operator], tuple[str, int, Callable[[Any, Any], Any]]
     ast.FloorDiv: ("op_quotient", ATOM, operator.floordiv),
     ast.Mod: ("op_remainder", ATOM, operator.mod),
 }
+_TRUTH = "counts with truth values alone, of which NumPy makes no numbers; use ops.select, ops.both or ops.either"
 
 
 class Arithmetic(Context):
@@ -29,7 +31,15 @@ class Arithmetic(Context):
     def get_Constant(self, node: ast.Constant) -> Value:
         if not isinstance(node.value, int | float):
             self.refuse(node, f"uses {node.value!r}, which is no number")
-        return constant(node.value)
+        return self.known(node, node.value)
+
+    def known(self, node: ast.AST, value: Any) -> Value:
+        """Return a value that is known now, if a number of C can hold it."""
+        if isinstance(value, np.generic) and not isinstance(value, float | np.bool_ | np.int64):
+            self.refuse(node, f"uses a number of the type {type(value).__name__}; take a plain Python number")
+        if isinstance(value, int | np.integer) and not -(2**63) < value < 2**63:
+            self.refuse(node, f"uses the whole number {value}, for which 64 bits are too few; write it with a point")
+        return constant(value)
 
     def get_Name(self, node: ast.Name) -> Value:
         name = node.id
@@ -39,9 +49,11 @@ class Arithmetic(Context):
         if kind is not None:
             if isinstance(kind, Constant):
                 return constant(kind.value)
-            return Value(self.local(name), kind, root=self.roots.get(name, name if name in self.arguments else None))
+            if isinstance(kind, Array):
+                return Value(self.local(name), kind, roots=self.roots.get(name, frozenset({name})))
+            return Value(self.local(name), kind)
         if name in self.names:
-            return constant(self.names[name])
+            return self.known(node, self.names[name])
         self.refuse(node, f"uses {name!r} before it has a value")
 
     def get_Attribute(self, node: ast.Attribute) -> Value:
@@ -70,20 +82,22 @@ class Arithmetic(Context):
             self.refuse(node, "takes a slice; write a loop over its elements")
         owner, *indices = self.values([node.value, *nodes])
         indices = [self.whole(node, index) for index in indices]
+        if isinstance(owner.kind, Array) and any(self.number(node, index).type == "bool" for index in indices):
+            self.refuse(node, f"takes an element by a truth value ({ast.unparse(node)}), which NumPy takes for a mask")
         if isinstance(owner.kind, Constant) and isinstance(owner.kind.value, tuple):
             return self._item(node, owner.kind.value, indices)
         if not isinstance(owner.kind, Array) or len(indices) > len(owner.kind.shape):
             self.refuse(node, f"takes an element of what has none there ({ast.unparse(node)})")
-        if stored and owner.root is not None:
-            self.stored.add(owner.root)
+        if stored:
+            self.stored |= owner.roots
         shape, total = owner.kind.shape, constant(0)
         for axis, length in enumerate(shape):  # as rows lie one after the other
             total = self.combine(ast.Mult(), total, constant(length))
             if axis < len(indices):
                 total = self.combine(ast.Add(), total, self._counted(node, indices[axis], length))
         if len(indices) == len(shape):
-            return Value(f"{owner.text}[{total.text}]", FLOAT, root=owner.root)
-        return Value(f"({owner.text} + {enclosed(total, SUM)})", Array(shape[len(indices) :]), root=owner.root)
+            return Value(f"{owner.text}[{total.text}]", FLOAT)
+        return Value(f"({owner.text} + {enclosed(total, SUM)})", Array(shape[len(indices) :]), roots=owner.roots)
 
     def _counted(self, node: ast.AST, index: Value, length: int) -> Value:
         """Return an index counted from the front; Python counts negative ones from the end."""
@@ -93,7 +107,7 @@ class Arithmetic(Context):
                 self.refuse(node, f"takes element {at} of {length}")
             return constant(at % length)
         if self.number(node, index).natural:
-            return index
+            return as_whole(index)
         return Value(f"op_index({index.text}, {length})", NATURAL)
 
     def _item(self, node: ast.AST, values: tuple[Any, ...], indices: Sequence[Value]) -> Value:
@@ -117,12 +131,10 @@ class Arithmetic(Context):
         if isinstance(node.op, ast.Invert):
             self.refuse(node, f"has an operation ({ast.unparse(node)}) that C is not written for")
         if isinstance(value.kind, Constant):
-            return constant(-value.kind.value if isinstance(node.op, ast.USub) else +value.kind.value)
-        return (
-            replace(value, kind=kind)
-            if isinstance(node.op, ast.UAdd)
-            else Value(f"-{enclosed(value, ATOM)}", kind, UNARY)
-        )
+            return self.known(node, -value.kind.value if isinstance(node.op, ast.USub) else +value.kind.value)
+        if self.number(node, value) == BOOL:
+            self.refuse(node, _TRUTH)
+        return value if isinstance(node.op, ast.UAdd) else Value(f"-{enclosed(value, ATOM)}", kind, UNARY)
 
     def get_BinOp(self, node: ast.BinOp) -> Value:
         if type(node.op) not in _ARITHMETIC:
@@ -139,17 +151,20 @@ class Arithmetic(Context):
         one, other = self.number(node, left), self.number(node, right)
         if isinstance(left.kind, Constant) and isinstance(right.kind, Constant):
             try:
-                return constant(fold(left.kind.value, right.kind.value))
-            except ZeroDivisionError:
-                self.refuse(node, "divides one plain number by another, which is zero")
+                return self.known(node, fold(left.kind.value, right.kind.value))
+            except (ZeroDivisionError, OverflowError) as error:
+                self.refuse(node, f"computes with plain numbers what has no result ({error})")
+        if one.type == other.type == "bool":
+            self.refuse(node, _TRUTH)
         whole = "float" not in {one.type, other.type}
-        natural = one.natural and other.natural
+        left, right = (as_whole(left), as_whole(right)) if whole else (as_float(left), as_float(right))
+        natural = all(number.natural or number.type == "bool" for number in (one, other))
         if isinstance(op, ast.FloorDiv | ast.Mod):
             if not whole:
                 self.refuse(node, "uses // or % on numbers that are not whole; use ops.floor")
             return Value(f"{sign}({left.text}, {right.text})", NATURAL if natural else INT)
         if isinstance(op, ast.Div):
-            left = Value(f"(double){enclosed(left, UNARY)}", FLOAT, UNARY) if whole else left
+            left, right = as_float(left), as_float(right)
         elif whole:
             for known, rest in ((left, right), (right, left)):  # what indices are full of
                 value = known.kind.value if isinstance(known.kind, Constant) else None

@@ -16,7 +16,7 @@ from bayesftc.cosim._opening import OUTSIDE
 from bayesftc.cosim.block import argument_names
 from bayesftc.cosim.schedule import Call
 
-_PARTS = ("inputs", "outputs", "parameters", "init", "evaluate", "advance")
+_PARTS = ("inputs", "outputs", "parameters", "init", "step", "evaluate", "advance")
 _VARIABLES = ("c", "u", "y", "m", "k", "t", "i", "j", "initial")
 _FILL = (
     "for (size_t i = 0; i < sizeof initial / sizeof *initial; ++i) {",
@@ -25,6 +25,33 @@ _FILL = (
     "    }",
     "}",
 )
+_CAREFUL = """\
+#ifdef __FAST_MATH__
+#error "Compile without -ffast-math: a NaN is a missing sample, and sums are made in the order that is written."
+#endif
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+/* Every product and sum is rounded by itself; and gcc 12 takes 0.0 - n for -n where n cannot be a negative zero. */
+#pragma GCC optimize("fp-contract=off", "rounding-math")
+#endif"""
+_HOW = """\
+/* {name}: a step every {step} s.
+ *
+ *     static {name} c;
+ *     {name}_inputs u;
+ *     {name}_outputs y;
+ *
+ *     {name}_init(&c);
+ *     every {step} s: fill u, then {name}_step(&c, &u, &y), then use y
+ *
+ * A step computes the outputs at this time from the inputs at this time, and moves on. Where the outputs are needed before
+ * the state may move on, call {name}_evaluate and then {name}_advance, which are the two halves of a step.
+ * All memory is in the structure: nothing is allocated, there are no global variables, and several can run side by side.
+ * A NaN among the inputs is a missing sample. Arrays lie row by row.
+ * For the digits of the original the compiler must not fuse products and sums (-ffp-contract=off; gcc and clang are told
+ * so in the file itself) nor reorder them (never -ffast-math), and doubles must be computed as such.
+ */"""
 
 
 @dataclass(frozen=True)
@@ -62,7 +89,7 @@ def write_c(program: Program) -> CFile:
         evaluate.append("(void)u;")
     advance = [*_phase(program, layout, functions, schedule.advance), "c->step += 1.0;"]
     runs = layout.runs()
-    init = ["memset(c->memory, 0, sizeof c->memory);"]
+    init = ["for (size_t i = 0; i < sizeof c->memory / sizeof *c->memory; ++i) {", "    c->memory[i] = 0.0;", "}"]
     init += [line for line in _FILL if runs]
     init += [f"c->parameters.{member(t)}[{e}] = {literal(v)};" for t in program.tunables for e, v in enumerate(t.start)]
     read = words("\n".join([*evaluate, *advance]))
@@ -76,16 +103,23 @@ def write_c(program: Program) -> CFile:
     source = [
         f"/* {name}: {name}.h says how to use it. */",
         "#include <math.h>",
+        "#include <stddef.h>",
         "#include <stdint.h>",
-        "#include <string.h>",
         "",
         f'#include "{name}.h"',
+        "",
+        _CAREFUL,
         "",
         "\n\n".join([*(text for text, _ in tables), *_initial(runs), functions.text([*evaluate, *advance])]),
         "",
         *_function(f"void {name}_init({name} *c)", {}, [*init, "c->start = 0.0;", "c->step = 0.0;"]),
         *_function(f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y)", known, evaluate),
         *_function(f"void {name}_advance({name} *c)", known, advance),
+        *_function(
+            f"void {name}_step({name} *c, const {name}_inputs *u, {name}_outputs *y)",
+            {},
+            [f"{name}_evaluate(c, u, y);", f"{name}_advance(c);"],
+        ),
     ]
     size = len(layout.initial)
     return CFile(
@@ -132,28 +166,55 @@ def _function(head: str, known: dict[str, str], lines: Sequence[str]) -> list[st
 def _header(program: Program, name: str, memory: int) -> str:
     guard = f"{name.upper()}_H"
     lines = [
-        f"/* {name}: a step every {program.step} s. Call {name}_init once; then at each step {name}_evaluate with the",
-        f" * inputs at this time, which gives the outputs at this time, and {name}_advance. */",
+        _HOW.format(name=name, step=program.step),
         f"#ifndef {guard}",
         f"#define {guard}",
+        "",
+        *_sizes(program, name, memory),
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
         "",
         *_structure(f"{name}_inputs", program.inputs),
         *_structure(f"{name}_outputs", program.outputs),
         *(_structure(f"{name}_parameters", program.tunables) if program.tunables else []),
         "typedef struct {",
-        f"    double memory[{memory}];",
+        f"    double memory[{name.upper()}_MEMORY];",
         *([f"    {name}_parameters parameters; /* may be changed between steps */"] if program.tunables else []),
         "    double start; /* time of the first step in seconds */",
         "    double step;  /* how many have been made */",
         f"}} {name};",
         "",
         f"void {name}_init({name} *c);",
+        f"void {name}_step({name} *c, const {name}_inputs *u, {name}_outputs *y);",
         f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y);",
         f"void {name}_advance({name} *c);",
+        "",
+        "#ifdef __cplusplus",
+        "}",
+        "#endif",
         "",
         "#endif",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _sizes(program: Program, name: str, memory: int) -> list[str]:
+    """Return how many numbers each array has, and the step, as constants."""
+    groups = (("IN", program.inputs), ("OUT", program.outputs), ("PARAMETER", program.tunables))
+    sizes = [(f"{what}_{member(s)}", len(s.start)) for what, group in groups for s in group]
+    if len({title.upper() for title, _ in sizes}) == len(sizes):  # y and Y may be two
+        sizes = [(title.upper(), size) for title, size in sizes]
+    step = program.step
+    return [
+        f"#define {name.upper()}_SECONDS ({step.numerator}.0 / {step.denominator}.0) /* from step to step */",
+        "",
+        "enum {",
+        *(f"    {name.upper()}_{title} = {size}," for title, size in sizes),
+        f"    {name.upper()}_MEMORY = {memory}",
+        "};",
+        "",
+    ]
 
 
 def _structure(title: str, members: Sequence[Signal | Tunable]) -> list[str]:

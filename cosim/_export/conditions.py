@@ -10,7 +10,21 @@ from typing import Any
 from bayesftc.cosim import ops
 from bayesftc.cosim._export.arithmetic import Arithmetic
 from bayesftc.cosim._export.kinds import BOOL, FLOAT, Constant, Number, joined
-from bayesftc.cosim._export.values import AND, ATOM, CHOICE, EQUAL, OR, ORDER, SUM, UNARY, Value, constant, enclosed
+from bayesftc.cosim._export.values import (
+    AND,
+    ATOM,
+    CHOICE,
+    EQUAL,
+    OR,
+    ORDER,
+    SUM,
+    UNARY,
+    Value,
+    as_float,
+    as_kind,
+    constant,
+    enclosed,
+)
 
 _COMPARISONS: dict[type[ast.cmpop], tuple[str, int, Callable[[Any, Any], Any]]] = {
     ast.Lt: ("<", ORDER, operator.lt),
@@ -49,27 +63,31 @@ class Conditions(Arithmetic):
     def get_Compare(self, node: ast.Compare) -> Value:
         if any(type(op) not in _COMPARISONS for op in node.ops):
             self.refuse(node, f"has a comparison ({ast.unparse(node)}) that C is not written for")
+        if any(self.calls(later) for later in node.comparators[1:]):
+            self.refuse(node, "calls a function behind a second comparison; call it in a line before")
         values = self.values([node.left, *node.comparators])
         found = []
         for op, left, right in zip(node.ops, values, values[1:], strict=False):
             sign, level, fold = _COMPARISONS[type(op)]
-            self.number(node, left), self.number(node, right)
+            types = {self.number(node, left).type, self.number(node, right).type}
             if isinstance(left.kind, Constant) and isinstance(right.kind, Constant):
                 found.append(constant(bool(fold(left.kind.value, right.kind.value))))
             else:
+                if "float" in types:
+                    left, right = as_float(left), as_float(right)
                 found.append(Value(f"{enclosed(left, SUM)} {sign} {enclosed(right, SUM)}", BOOL, level))
         return _all(found)
 
     def get_BoolOp(self, node: ast.BoolOp) -> Value:
-        for part in node.values:
-            if self.number(part, self.value(part)).type != "bool":
-                self.refuse(node, "takes a number out of 'and' or 'or'; use ops.select")
-        return self._logic(node)
+        return self._logic(node, chosen=True)
 
-    def _logic(self, node: ast.BoolOp) -> Value:
+    def _logic(self, node: ast.BoolOp, *, chosen: bool = False) -> Value:
+        """Return what and and or make of truth values; `chosen` where one of their operands itself is wanted."""
         if any(self.calls(part) for part in node.values[1:]):
             self.refuse(node, "calls a function within 'and' or 'or'; call it in a line before")
-        parts = [self.truth(part) for part in node.values]
+        parts = [self.value(part) if chosen else self.truth(part) for part in node.values]
+        if any(self.number(node, part).type != "bool" for part in parts):
+            self.refuse(node, "takes a number out of 'and' or 'or'; use ops.select")
         return _all(parts) if isinstance(node.op, ast.And) else _any(parts)
 
     def get_IfExp(self, node: ast.IfExp) -> Value:
@@ -82,6 +100,7 @@ class Conditions(Arithmetic):
         kind = joined(one.kind, other.kind)
         if not isinstance(kind, Number):
             self.refuse(node, "chooses between what are no numbers")
+        one, other = as_kind(one, kind), as_kind(other, kind)
         return Value(f"{enclosed(test, OR)} ? {enclosed(one, OR)} : {enclosed(other, OR)}", kind, CHOICE)
 
     def get_UnaryOp(self, node: ast.UnaryOp) -> Value:
@@ -94,14 +113,16 @@ class Conditions(Arithmetic):
 
     def operation(self, node: ast.Call, name: str) -> Value:
         """Return the result of an operation."""
-        conditions = len(node.args) if name in {"both", "either", "negate"} else int(name == "select")
-        found = self.values(node.args)
+        operands = self.in_order(node, getattr(ops, name))
+        conditions = len(operands) if name in {"both", "either", "negate"} else int(name == "select")
+        found = [operand if isinstance(operand, Value) else constant(operand) for operand in operands]
         values = [self._true(node, value) for value in found[:conditions]] + found[conditions:]
         for value in values:
             self.number(node, value)
         known = [value.kind.value for value in values if isinstance(value.kind, Constant)]
         if len(known) == len(values):
             return constant(getattr(ops, name)(*known).item())
+        values[conditions:] = map(as_float, values[conditions:])
         if name in {"both", "either"}:
             return _all(values) if name == "both" else _any(values)
         if name == "negate":

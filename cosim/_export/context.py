@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from bayesftc.cosim import ops
 from bayesftc.cosim._export.kinds import Array, Constant, Kind, Number, as_number
 from bayesftc.cosim._export.source import place
-from bayesftc.cosim._export.values import ATOM, Value
+from bayesftc.cosim._export.values import ATOM, Value, constant
 from bayesftc.cosim.errors import KernelError
 
 if TYPE_CHECKING:
@@ -45,13 +45,14 @@ class Context:
         self.functions, self.function, self.arguments, self.names = functions, function, arguments, names
         self.kinds: dict[str, Kind] = {}  # of variables that C has, too
         self.constants: dict[str, Value] = {}  # variables that are known now
-        self.roots: dict[str, str | None] = {}
+        self.roots: dict[str, frozenset[str]] = {}
         self.stored: set[str] = set()  # arguments whose elements are assigned
         self.called: set[str] = set()  # names of the file that no variable may hide
-        self.renamed: set[str] = set()
+        self.spelled: dict[str, str] = {}  # what its names are called in C
         self.lines: list[str] = []
         self.depth = 1
         self.temporaries = 0
+        self.kept: set[str] = set()  # names of numbers that Python has no name for
 
     def refuse(self, node: ast.AST, what: str) -> NoReturn:
         """Raise the error that this line cannot become C."""
@@ -63,28 +64,49 @@ class Context:
 
     def local(self, name: str) -> str:
         """Return what a variable is called in C."""
-        plain = self.functions.allowed(name)
-        return f"{plain}_" if name in self.renamed else plain
+        return self.spelled.get(name, name)
+
+    def spell(self, names: Iterable[str]) -> None:
+        """Choose what variables are called in C: no two alike, and none like what the function calls."""
+        self.spelled, taken = {}, set(self.called)
+        for name in sorted(set(names)):
+            plain = self.functions.allowed(name)
+            while plain in taken:
+                plain += "_"
+            taken.add(plain)
+            self.spelled[name] = plain
 
     def new(self, prefix: str) -> str:
         """Return a name for something that Python has no name for."""
-        self.temporaries += 1
-        return f"{prefix}_{self.temporaries}"
+        taken = self.called | set(self.spelled.values())
+        while True:
+            self.temporaries += 1
+            if (name := f"{prefix}_{self.temporaries}") not in taken:
+                return name
 
     def temporary(self, value: Value) -> Value:
         """Return the value kept in a variable of its own, so that what comes later does not change it."""
-        if isinstance(value.kind, Constant | Array):
+        if isinstance(value.kind, Constant):
             return value
         name = self.new("t")
+        if isinstance(value.kind, Array):
+            self.emit(f"{self.pointer(value.roots)}{name} = {value.text};")
+            return replace(value, text=name, level=ATOM)
+        self.kept.add(name)
         self.emit(f"const {value.kind.c} {name} = {value.text};")
         return replace(value, text=name, level=ATOM)
+
+    def pointer(self, roots: frozenset[str]) -> str:
+        """Return the declaration, up to its name, of what never points elsewhere: to read only, or to store, too."""
+        return "double *const " if roots <= self.stored else "const double *const "
 
     def values(self, nodes: Sequence[ast.expr]) -> list[Value]:
         """Return the values of expressions, each as it was when Python would have come to it."""
         found = []
         for i, node in enumerate(nodes):
             value = self.value(node)
-            found.append(self.temporary(value) if any(self.calls(later) for later in nodes[i + 1 :]) else value)
+            kept = not isinstance(value.kind, Array) and any(self.calls(later) for later in nodes[i + 1 :])
+            found.append(self.temporary(value) if kept else value)
         return found
 
     def value(self, node: ast.expr) -> Value:
@@ -107,6 +129,19 @@ class Context:
         if self.number(node, value).type == "float":
             self.refuse(node, f"counts with what is no whole number ({ast.unparse(node)})")
         return value
+
+    def in_order(self, node: ast.Call, function: FunctionType) -> list[Value]:
+        """Return the arguments of a call in the function's own order, defaults filled in, computed in the order of the call."""
+        names = list(function.__code__.co_varnames[: function.__code__.co_argcount])
+        defaults = function.__defaults__ or ()
+        if any(isinstance(a, ast.Starred) for a in node.args) or any(k.arg is None for k in node.keywords):
+            self.refuse(node, "calls with a star; write the arguments one by one")
+        named = [*names[: len(node.args)], *(str(keyword.arg) for keyword in node.keywords)]
+        found = dict(zip(names[len(names) - len(defaults) :], map(constant, defaults), strict=True))
+        if len(node.args) > len(names) or len(set(named)) < len(named) or set(named) | set(found) != set(names):
+            self.refuse(node, f"calls {function.__name__!r} with other arguments than it has ({', '.join(names)})")
+        found |= zip(named, self.values([*node.args, *(k.value for k in node.keywords)]), strict=True)
+        return [found[name] for name in names]
 
     def calls(self, node: ast.expr) -> bool:
         """Return whether an expression calls anything that may write into arrays."""

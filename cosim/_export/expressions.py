@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 from types import FunctionType
-from typing import Any
 
 from bayesftc.cosim._export.conditions import Conditions
 from bayesftc.cosim._export.context import OPERATIONS
@@ -35,32 +34,17 @@ class Expressions(Conditions):
             return self.operation(node, OPERATIONS[function])
         if not isinstance(function, FunctionType):
             self.refuse(node, f"calls {ast.unparse(node.func)!r}, which is no step function")
-        given = self._bound(node, function)
-        values = iter(self.values([a for a in given if isinstance(a, ast.expr)]))
-        arguments = [next(values) if isinstance(a, ast.expr) else constant(a) for a in given]
+        arguments = self.in_order(node, function)
         written = self.functions.require(function, [as_number(a.kind) or a.kind for a in arguments])
         self.called.add(written.name)
         texts = []
         for argument, name in zip(arguments, written.arguments, strict=True):
             if name in written.passed:
                 texts.append(argument.text)
-            if name in written.stored and argument.root is not None:
-                self.stored.add(argument.root)
+            if name in written.stored:
+                self.stored |= argument.roots
         text = f"{written.name}({', '.join(texts)})"
         if written.returns is None or not wanted:
             self.emit(f"{text};")
             return None
         return self.temporary(Value(text, written.returns))
-
-    def _bound(self, node: ast.Call, function: FunctionType) -> list[Any]:
-        """Return the arguments of a call in the function's own order, defaults filled in."""
-        names = list(function.__code__.co_varnames[: function.__code__.co_argcount])
-        defaults = function.__defaults__ or ()
-        if any(isinstance(a, ast.Starred) for a in node.args) or any(k.arg is None for k in node.keywords):
-            self.refuse(node, "calls with a star; write the arguments one by one")
-        found: dict[str, Any] = dict(zip(names[len(names) - len(defaults) :], defaults, strict=True))
-        found |= dict(zip(names, node.args, strict=False))
-        found |= {str(keyword.arg): keyword.value for keyword in node.keywords}
-        if set(found) != set(names) or len(node.args) > len(names):
-            self.refuse(node, f"calls {function.__name__!r} with other arguments than it has ({', '.join(names)})")
-        return [found[name] for name in names]

@@ -34,7 +34,7 @@ def tree_of(function: FunctionType) -> ast.FunctionDef:
     found = tree.body[0]
     if not isinstance(found, ast.FunctionDef):
         raise KernelError(f"Step function {where(function)} cannot become C as it stands: define it with def.")
-    if found.args.vararg or found.args.kwarg:
+    if found.args.vararg or found.args.kwarg or found.args.kwonlyargs:
         raise KernelError(f"Step function {where(function)} takes a starred argument; write the arguments one by one.")
     ast.increment_lineno(tree, first - 1 if first else 0)
     if not _alike(found, function.__code__):
@@ -115,6 +115,23 @@ def _counter(loop: ast.AST) -> str:
 
 def _named(tree: ast.AST, name: str) -> list[ast.Name]:
     return [n for n in ast.walk(tree) if isinstance(n, ast.Name) and n.id == name]
+
+
+def within_block(tree: ast.FunctionDef) -> set[str]:
+    """Return the variables that are assigned in one statement and read only by those that follow it in the same block."""
+    found = set()
+    for node in ast.walk(tree):
+        for body in (getattr(node, "body", None), getattr(node, "orelse", None)):
+            if not isinstance(body, list):
+                continue
+            for i, statement in enumerate(body):
+                if not isinstance(statement, ast.Assign | ast.AnnAssign):
+                    continue
+                for name in stores(statement):
+                    later = {id(n) for following in body[i + 1 :] for n in _named(following, name)}
+                    if all(id(n) in later or isinstance(n.ctx, ast.Store) for n in _named(tree, name)):
+                        found.add(name)
+    return found
 
 
 def ends(body: Sequence[ast.stmt]) -> bool:

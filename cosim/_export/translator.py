@@ -14,9 +14,9 @@ from types import FunctionType
 from typing import TYPE_CHECKING
 
 from bayesftc.cosim._export.expressions import Expressions
-from bayesftc.cosim._export.kinds import INT, NATURAL, Constant, Kind, Number, Record, as_number, joined
-from bayesftc.cosim._export.source import counters, ends, jumps, stores, tree_of
-from bayesftc.cosim._export.values import Value, constant
+from bayesftc.cosim._export.kinds import INT, NATURAL, Array, Constant, Kind, Number, Record, as_number, joined
+from bayesftc.cosim._export.source import counters, ends, jumps, stores, tree_of, within_block
+from bayesftc.cosim._export.values import Value, as_float, as_kind, as_whole, constant
 from bayesftc.cosim._fingerprint import references
 
 if TYPE_CHECKING:
@@ -32,32 +32,35 @@ class Translator(Expressions):
 
     def __init__(self, functions: Functions, function: FunctionType, kinds: Sequence[Kind]):
         self.tree = tree_of(function)
-        arguments = dict(zip((a.arg for a in self.tree.args.args), kinds, strict=True))
+        listed = self.tree.args.posonlyargs + self.tree.args.args
+        arguments = dict(zip((a.arg for a in listed), kinds, strict=True))
         super().__init__(functions, function, arguments, dict(references(function)))
         assigned = stores(self.tree)
         self.counters = counters(self.tree)
         self.once = {name for name in assigned if assigned.count(name) == 1} - set(arguments) - self.counters
         #: Names whose values do not change while a loop runs whose bounds they stand in.
         self.steady = self.counters | self.once | (set(arguments) - set(assigned))
+        self.fresh = within_block(self.tree) & self.once
         self.declared: dict[str, Kind] = {}
         self.returns: Kind | None = None
+        self.nothing = False
 
     def translate(self) -> None:
         """Find the lines of C, the kinds of the variables and what the function returns."""
         before = None
-        while before != (self.declared, self.returns, self.renamed):
-            before = dict(self.declared), self.returns, set(self.renamed)
-            self.kinds, self.constants, self.roots = {}, {}, {}
-            self.lines, self.depth, self.temporaries = [], 1, 0
+        while before != (known := self._known()):
+            before = known
+            self.kinds = {name: kind for name, kind in self.declared.items() if name in self.arguments}
+            self.constants, self.lines, self.depth, self.temporaries, self.kept = {}, [], 1, 0, set()
+            self.spell((*self.arguments, *stores(self.tree)))
             self.block(self.tree.body)
-            hidden = {
-                self.functions.allowed(name) for name in (*self.arguments, *self.declared, *self.counters)
-            } & self.called
-            self.renamed |= {
-                name for name in (*self.arguments, *stores(self.tree)) if self.functions.allowed(name) in hidden
-            }
-        if self.returns is not None and not ends(self.tree.body):
+        if self.returns is not None and (self.nothing or not ends(self.tree.body)):
             self.refuse(self.tree, "returns something on one way and nothing on another; end it with a return")
+
+    def _known(self) -> tuple[object, ...]:
+        """Return all that a reading finds out for the next one."""
+        sets = frozenset(self.stored), frozenset(self.called)
+        return dict(self.declared), self.returns, dict(self.roots), *sets
 
     def block(self, body: Sequence[ast.stmt]) -> None:
         """Write statements."""
@@ -95,26 +98,32 @@ class Translator(Expressions):
         self.call(node.value, wanted=False)
 
     def do_Return(self, node: ast.Return) -> None:
-        if node.value is None:
+        if node.value is None or (isinstance(node.value, ast.Constant) and node.value.value is None):
+            self.nothing = True
             self.emit("return;")
             return
         kind: Kind
         if isinstance(node.value, ast.Tuple):
             values = self.values(node.value.elts)
             kind = Record(tuple(replace(self.number(node, value), natural=False) for value in values))
-            text = f"({kind.c}){{ {', '.join(value.text for value in values)} }}"
+            held = self.new("t")
+            texts = (as_kind(value, item).text for value, item in zip(values, kind.items, strict=True))
+            self.emit(f"const {kind.c} {held} = {{ {', '.join(texts)} }};")
+            value = Value(held, kind)
         else:
             value = self.value(node.value)
-            kind, text = self.number(node, value), value.text
+            kind = value.kind if isinstance(value.kind, Record) else self.number(node, value)
         both = joined(self.returns, kind) if self.returns is not None else kind
         if both is None:
             self.refuse(node, "returns values of different kinds; return the same everywhere")
         self.returns = both
-        self.emit(f"return {text};")
+        self.emit(f"return {as_kind(value, both).text};")
 
     # Assignments
 
     def do_Assign(self, node: ast.Assign) -> None:
+        for target in node.targets:
+            self._plain(target)
         if len(node.targets) > 1:
             value = self.temporary(self.value(node.value))
             for target in node.targets:
@@ -122,13 +131,29 @@ class Translator(Expressions):
         elif isinstance(node.targets[0], ast.Tuple):
             self._assign_all(node, node.targets[0])
         else:
-            self.assign(node.targets[0], self.value(node.value))
+            self.assign(node.targets[0], self._unnamed(self.value(node.value)))
+
+    def _unnamed(self, value: Value) -> Value:
+        """Return what the line before did nothing but name, without that line: it gets a better name."""
+        begin = f"const {getattr(value.kind, 'c', '')} {value.text} = "
+        if value.text not in self.kept or not self.lines or not self.lines[-1].lstrip().startswith(begin):
+            return value
+        return replace(value, text=self.lines.pop().lstrip().removeprefix(begin).removesuffix(";"))
+
+    def _plain(self, target: ast.expr) -> None:
+        """Refuse to store where only a call tells: Python makes it behind those of the value."""
+        if self.calls(target):
+            self.refuse(
+                target, f"calls a function to find where to store ({ast.unparse(target)}); call it in a line before"
+            )
 
     def do_AnnAssign(self, node: ast.AnnAssign) -> None:
+        self._plain(node.target)
         if node.value is not None:
             self.assign(node.target, self.value(node.value))
 
     def do_AugAssign(self, node: ast.AugAssign) -> None:
+        self._plain(node.target)
         target = ast.parse(ast.unparse(node.target), mode="eval").body
         changed = ast.copy_location(ast.BinOp(target, node.op, node.value), node)
         self.assign(node.target, self.value(ast.fix_missing_locations(changed)))
@@ -159,7 +184,7 @@ class Translator(Expressions):
             if not isinstance(element.kind, Number):
                 self.refuse(target, "stores into a whole row or a tuple; store number by number, in a loop")
             self.number(target, value)
-            self.emit(f"{element.text} = {value.text};")
+            self.emit(f"{element.text} = {as_float(value).text};")
             return
         if not isinstance(target, ast.Name):
             self.refuse(target, "assigns to what is neither a name nor an element of an array")
@@ -170,18 +195,27 @@ class Translator(Expressions):
         if isinstance(value.kind, Constant) and as_number(value.kind) is None:
             self.refuse(target, f"assigns {name!r} more than once, and once what is no number; take two names")
         kind = as_number(value.kind) or value.kind
-        self._declare(target, name, kind)
-        self.roots[name] = value.root
-        self.emit(f"{self.local(name)} = {value.text};")
+        if isinstance(kind, Array):
+            own = frozenset({name} if name in self.arguments else ())
+            self.roots[name] = self.roots.get(name, own) | value.roots
+        held = self._declare(target, name, kind)
+        text = as_kind(value, held).text
+        start = ""
+        if name in self.fresh:
+            start = self.pointer(self.roots[name]) if isinstance(held, Array) else f"const {getattr(held, 'c', '')} "
+        self.emit(f"{start}{self.local(name)} = {text};")
 
-    def _declare(self, node: ast.AST, name: str, kind: Kind) -> None:
+    def _declare(self, node: ast.AST, name: str, kind: Kind) -> Kind:
         """Take a variable to hold this kind, too."""
         if name in self.arguments:
             self.declared.setdefault(name, self.arguments[name])
         both = joined(self.declared.get(name, kind), kind)
-        if both is None or (name in self.arguments and both != self.arguments[name]):
+        if both is None or (
+            name in self.arguments and getattr(both, "c", "") != getattr(self.arguments[name], "c", "")
+        ):
             self.refuse(node, f"keeps values of different kinds in {name!r}; take two names")
         self.declared[name] = self.kinds[name] = both
+        return both
 
     # Branches and loops
 
@@ -211,7 +245,7 @@ class Translator(Expressions):
         if not isinstance(node.target, ast.Name) or not isinstance(call, ast.Call) or not self._is_range(call):
             self.refuse(node, "loops over what is no range; write for i in range(n)")
         name = node.target.id
-        bounds = [self.whole(call, value) for value in self.values(call.args)]
+        bounds = [as_whole(self.whole(call, value)) for value in self.values(call.args)]
         begin, end, by = (constant(0), *bounds, constant(1)) if len(bounds) == 1 else (*bounds, constant(1))[:3]
         if not isinstance(by.kind, Constant) or not by.kind.value:
             self.refuse(node, "has a loop whose step is not known beforehand; write the step as a number")
@@ -239,7 +273,7 @@ class Translator(Expressions):
             self.kinds[name] = kind
         else:
             self._declare(node, name, kind)
-            self.emit(f"{self.local(name)} = {counter};")
+            self.emit(f"{self.local(name)} = {as_kind(Value(counter, kind), self.kinds[name]).text};")
         self.block(node.body)
         self.depth -= 1
         self.emit("}")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from bayesftc.cosim._export.kinds import Constant, Kind, as_number
+from bayesftc.cosim._export.kinds import BOOL, FLOAT, NATURAL, Constant, Kind, Number, as_number
 
 ATOM, UNARY, PRODUCT, SUM, ORDER, EQUAL, AND, OR, CHOICE = range(9)
 """How tightly an operator binds, as C has it."""
@@ -24,14 +24,14 @@ class Value:
         What it is.
     level : int
         How tightly its outermost operator binds.
-    root : str or None
-        Of an array, the argument whose numbers it is part of.
+    roots : frozenset of str
+        Of an array, the arguments whose numbers it may be part of.
     """
 
     text: str
     kind: Kind
     level: int = ATOM
-    root: str | None = None
+    roots: frozenset[str] = frozenset()
 
 
 def literal(value: Any) -> str:
@@ -42,8 +42,8 @@ def literal(value: Any) -> str:
     if isinstance(value, int):
         return str(value) if abs(value) < 2**31 else f"INT64_C({value})"
     if math.isnan(value):
-        return "NAN"
-    return repr(value) if math.isfinite(value) else ("INFINITY" if value > 0 else "-INFINITY")
+        return "(double)NAN"
+    return repr(value) if math.isfinite(value) else ("HUGE_VAL" if value > 0 else "-HUGE_VAL")
 
 
 def constant(value: Any) -> Value:
@@ -52,7 +52,31 @@ def constant(value: Any) -> Value:
     if as_number(kind) is None:
         return Value("", kind)
     text = literal(value)
-    return Value(text, kind, UNARY if text.startswith("-") else ATOM)
+    return Value(text, kind, UNARY if text.startswith(("-", "(")) else ATOM)
+
+
+def as_float(value: Value) -> Value:
+    """Return a number as a double."""
+    if isinstance(value.kind, Constant):
+        return constant(float(value.kind.value))
+    kind = as_number(value.kind)
+    if kind is None or kind.type == "float":
+        return value
+    return Value(f"(double){enclosed(value, UNARY)}", FLOAT, UNARY)
+
+
+def as_whole(value: Value) -> Value:
+    """Return a truth value as a whole number of 64 bits, which it is when Python counts with it; others as they are."""
+    if isinstance(value.kind, Constant):
+        return constant(int(value.kind.value)) if isinstance(value.kind.value, bool) else value
+    return Value(f"(int64_t){enclosed(value, UNARY)}", NATURAL, UNARY) if value.kind == BOOL else value
+
+
+def as_kind(value: Value, kind: Kind) -> Value:
+    """Return a value as what is to hold it."""
+    if kind == FLOAT:
+        return as_float(value)
+    return as_whole(value) if isinstance(kind, Number) and kind.type == "int" else value
 
 
 def enclosed(value: Value, level: int) -> str:
