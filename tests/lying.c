@@ -31,7 +31,7 @@
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
        STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES,
-       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE };
+       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -212,6 +212,9 @@ STATUS GET(COMPONENT c, VALUES)
             case CRASH_IN_GET: crash(); break;
             case ENDLESS_IN_GET: for_ever(); break;
             }
+        }
+        if (mode == WRITES_TOO_MUCH) {
+            y[1] = 7.0;
         }
     }
     return status;

@@ -246,6 +246,18 @@ ARRAY = '<Float64 name="y" valueReference="5" causality="output"><Dimension valu
 
 
 @pytest.mark.parametrize(
+    ("lie", "words"),
+    [
+        (-1.0, "has not written 'steps', 'flag_out', 'mode_out' of 'b': its binary and its model description"),
+        (-2.0, "writes beyond the memory that it is given for 'count_out' of 'b'"),
+    ],
+)
+def test_whole_numbers_that_are_not_written_are_no_zeros(breadth, lie, words):
+    with pytest.raises(FMUError, match=re.escape(words)):
+        alone(FMU(breadth("2"), parameters={"lie": lie}), 0.1).simulate(0.1, engine="interpreted")
+
+
+@pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         (

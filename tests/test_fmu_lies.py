@@ -78,6 +78,14 @@ def test_outputs_that_are_never_written(lying, fmi, isolate):
     path, ways = lying(fmi)
     error = stopped(path, ways["WRITES_NOTHING"], isolate, error=FMUError)
     assert "says that it has given its outputs, but has not written 'v' of 'car'" in str(error)
+
+
+@EVERYWHERE
+def test_what_is_written_beyond_the_outputs(lying, fmi, isolate):
+    """It would be another block's value, or break the heap."""
+    path, ways = lying(fmi)
+    error = stopped(path, ways["WRITES_TOO_MUCH"], isolate, error=FMUError)
+    assert "The FMU 'CruiseControl' writes beyond the memory that it is given for 'v' of 'car'" in str(error)
     assert str(error).endswith("Export it again.")
 
 

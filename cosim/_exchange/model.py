@@ -18,6 +18,7 @@ from bayesftc.cosim._exchange.words import ITERATIONS
 from bayesftc.cosim._exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.groups import element_names
+from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.messages import Messages
 from bayesftc.cosim._fmi.states import SavedState, States
@@ -133,7 +134,9 @@ class ExchangeModel:
             if self.nx != self._declared and not any(v.dimensions for v in self.info.states):
                 raise StopError(f"Its binary has {self.nx} continuous states, its model description {self._declared}")
             self.nz = library.size(self.component, "indicators", self.info.indicators)
-            self.places = np.zeros(max(self.nx, 1))  # without states, a constant stands for them in an integrator
+            self.places = Guarded(
+                max(self.nx, 1), np.dtype(np.float64)
+            ).values  # without states, a constant stands for them in an integrator
             self.x = self.places[: self.nx]
             self.x.view(np.int64)[:] = UNWRITTEN
             self._iterate()

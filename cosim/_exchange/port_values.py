@@ -9,6 +9,7 @@ import numpy as np
 from bayesftc.cosim._exchange.library import ModelLibrary
 from bayesftc.cosim._fmi.description import FMUVariable
 from bayesftc.cosim._fmi.groups import element_names, groups
+from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.refusals import function_of, misfit
 from bayesftc.cosim.block import Floats
@@ -69,6 +70,10 @@ class PortValues:
             if unfit >= 0:
                 raise StopError(self.misfit(unfit, is_input=False))
             self._check(group.begin, status, is_input=False)
+
+    def beyond(self, component: int) -> str | None:
+        """Return which outputs the FMU has written beyond the memory that it was given for them, or None."""
+        return beyond(self.groups[1], component, self._elements[1])
 
     def _check(self, begin: int, status: int, *, is_input: bool) -> None:
         if status > 1 or status < 0:

@@ -1,4 +1,4 @@
-"""Whether a model exchange FMU gives what it says it has given: zeros would look like values."""
+"""Whether a model exchange FMU gives what it says it has given, and no more: zeros would look like values."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim._exchange.port_values import StopError
+from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError
@@ -20,7 +21,7 @@ UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
 
 
 def check_written(model: ExchangeModel) -> None:
-    """Refuse an FMU that says OK and does not write; its states have been read, into an array of `UNWRITTEN`.
+    """Refuse an FMU that says OK and does not write, or writes too much.
 
     Raises
     ------
@@ -29,17 +30,27 @@ def check_written(model: ExchangeModel) -> None:
     """
     outputs = model.ports.names[1]
     reads: list[tuple[int, Callable[[Floats], None], Sequence[str]]] = [
+        (model.nx, lambda array: model.read("get_states", array), ["its continuous states"]),
         (model.nx, lambda array: model.read("get_derivatives", array), ["the derivatives of its states"]),
         (model.nz, lambda array: model.read("get_indicators", array), ["its event indicators"]),
         (len(outputs), model.read_outputs, [f"the output {name!r}" for name in outputs]),
     ]
-    missing = ["its continuous states"] if (model.x.view(np.int64) == UNWRITTEN).any() else []
+    missing = []
     for size, read, names in reads:
-        values = np.full(size, UNWRITTEN, dtype=np.int64)
+        guarded = Guarded(size, np.dtype(np.int64))
+        values = guarded.values
+        values[:] = UNWRITTEN
         try:
             read(values.view(np.float64))
         except (CallError, StopError):
             continue  # the run will say so
+        too_far = model.ports.beyond(model.component)
+        if too_far or not guarded.intact:
+            raise FMUError(
+                f"The FMU {model.library.description.name!r} writes beyond the memory that it is given for "
+                f"{too_far or names[0]} ({model.name!r}), where it would damage what belongs to others: its binary and its model "
+                "description do not agree. Export it again."
+            )
         bad = np.flatnonzero(values == UNWRITTEN)
         if len(bad):
             missing.append(names[min(int(bad[0]), len(names) - 1)])

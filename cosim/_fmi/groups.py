@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._fmi.description import FMUVariable
+from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim.block import Floats
 
 VALUES2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
@@ -131,7 +132,8 @@ class Group:
         self.name, self.function, self.kind, self.major = name, function, kind, major
         self.begin, self.size, self.read, self.clocks = begin, size, read, clocks
         self.references = np.array(references, dtype=np.uint32)
-        self.buffer = np.zeros(max(size, 1), dtype=kind.dtype)
+        self.guarded = Guarded(max(size, 1), kind.dtype)
+        self.buffer = self.guarded.values
         self.mine = slice(begin, begin + size)
 
     def place(self) -> tuple[int, int, int, int]:
@@ -201,6 +203,15 @@ class Group:
                 return -1
             kept &= values == before
         return self.begin + int(np.argmax(kept)) if kept.any() else -1
+
+    def alone(self, reference: int, size: int) -> Group:
+        """Return a group of one of the variables alone."""
+        return Group(self.name, self.function, self.kind, self.major, [reference], 0, size)
+
+    def exceeds(self, component: int) -> bool:
+        """Return whether the FMU writes beyond the memory that it is given for the group."""
+        self._call(component)
+        return not self.guarded.intact
 
     def changed(self, component: int, inputs: Floats) -> tuple[int, bool]:
         """Return FMI's status, and whether discrete inputs are others than the instance has."""

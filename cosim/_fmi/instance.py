@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.groups import Group, element_names, groups
+from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError, Library
 from bayesftc.cosim._fmi.messages import STATUS, Messages
 from bayesftc.cosim._fmi.refusals import function_of, misfit
@@ -133,19 +134,36 @@ class Instance(StepFunctions):
             )
 
     def _check_written(self) -> None:
-        """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values."""
+        """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values; or too much.
+
+        Compiled runs have it write among the values of other blocks, so that an array of more elements must be seen here.
+        """
         names = [name for name, _ in self._elements[1]]
         values = np.full(len(names), _UNWRITTEN, dtype=np.int64)
         if not names or self._read(values.view(np.float64)):
             return  # the run will say so
-        missing = [name for name, bits in zip(names, values, strict=True) if bits == _UNWRITTEN]
-        if missing:
-            self.close()
-            raise FMUError(
-                f"The FMU {self._library.description.name!r} says that it has given its outputs, but has not written "
-                f"{', '.join(map(repr, missing[:3]))}{' and more' if missing[3:] else ''} of {self._name!r}: its binary and its "
-                "model description do not agree. Export it again."
+        outputs = self._groups[1]
+        too_far = beyond(outputs, self._component, self._elements[1])
+        if too_far:
+            self._refuse(
+                f"writes beyond the memory that it is given for {too_far} of {self._name!r}, where it would damage what "
+                "belongs to others"
             )
+        missing = [name for name, bits in zip(names, values, strict=True) if bits == _UNWRITTEN]
+        unwritten = [group.unwritten(self._component) for group in outputs if group.kind.code]
+        missing += [names[place] for place in unwritten if place >= 0]
+        if missing:
+            self._refuse(
+                f"says that it has given its outputs, but has not written {', '.join(map(repr, missing[:3]))}"
+                f"{' and more' if missing[3:] else ''} of {self._name!r}"
+            )
+
+    def _refuse(self, what: str) -> None:
+        self.close()
+        raise FMUError(
+            f"The FMU {self._library.description.name!r} {what}: its binary and its model description do not agree. Export "
+            "it again."
+        )
 
     @property
     def can_save(self) -> bool:

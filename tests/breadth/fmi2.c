@@ -60,6 +60,8 @@ int fmi2SetInteger(void *c, const unsigned *r, size_t n, const int *v)
 
 int fmi2GetInteger(void *c, const unsigned *r, size_t n, int *v)
 {
+    if (((Plant *)c)->r[LIE] == -1.0) { return OK; } /* and writes nothing */
+    if (((Plant *)c)->r[LIE] == -2.0 && r[n - 1] == COUNT_OUT) { v[n] = 7; } /* and writes too much */
     for (size_t i = 0; i < n; i++) { v[i] = ((Plant *)c)->i[r[i] == STEPS ? STEPS : r[i] - 1]; }
     return OK;
 }

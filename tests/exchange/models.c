@@ -19,7 +19,8 @@
  *   stack    x' = 1; three time events at `at`, one after the other, counted by n
  *   blank    says OK and does not write, by `what`: 1 outputs, 2 derivatives, 3 states, 4 event indicators; 5: its state is NaN,
  *            6: so is the time of its next event, 7: it is minus infinity,
- *            8: its state jumps to infinity at 0.5, 9: the output n, a whole number, is not written
+ *            8: its state jumps to infinity at 0.5, 9: the output n, a whole number, is not written;
+ *            writes too much: 11 outputs, 12 derivatives, 13 states, 14 event indicators
  *   count    has two states where its description has one (FMI 3)
  *   slide    a mass on a belt, held by a spring: it sticks until x = Fs and slips until its speed v is that of the belt
  *   scale    x' = -x; at 0.5 x becomes 1e-6 and, unless `quiet`, says that its nominal value is that, too
@@ -127,7 +128,7 @@ static int derivatives(Instance *m, double *dx) {
     case EDGE: dx[0] = v[4]; break;
     case FINE: dx[0] = -v[6]; break;
     case WILD: if (v[10] == 1 && v[0] < 0.05) return say(m, 2, "too far"); dx[0] = -v[6]; break;
-    case BLANK: if (v[10] != 2) dx[0] = 1; break;
+    case BLANK: if (v[10] != 2) dx[0] = 1; if (v[10] == 12) dx[1] = 1; break;
     case SLIDE: dx[0] = v[1]; dx[1] = s->flag ? 0 : v[12] - v[0]; break;
     case SCALE: dx[0] = -v[0]; break;
     case TUNED: dx[0] = -v[25] * v[0]; break;
@@ -150,7 +151,7 @@ static int reached(Instance *m, double *z) {
         if (v[10] == 0 && v[0] < 0.05) return say(m, 2, "too far");
         z[0] = v[10] == 2 && v[0] < 0.05 ? NAN : v[0] - 0.1;
         break;
-    case BLANK: if (v[10] != 4) z[0] = 1; break;
+    case BLANK: if (v[10] != 4) z[0] = 1; if (v[10] == 14) z[1] = 1; break;
     case SLIDE: z[0] = m->s.flag ? 1 : v[10] - v[1]; z[1] = m->s.flag ? v[11] - v[0] : 1; break;
     }
     return 0;
@@ -258,6 +259,7 @@ static int completed(Instance *m, int *enter, int *terminate) {
 static int read_states(Instance *m, double *x, size_t n) {
     if (m->s.model != BLANK || m->s.v[10] != 3) memcpy(x, m->s.v, n * sizeof(double));
     if (m->s.model == BLANK && m->s.v[10] == 5) x[0] = NAN;
+    if (m->s.model == BLANK && m->s.v[10] == 13) x[n] = 1;
     if (m->s.model == BLANK && m->s.v[10] == 8 && m->s.t >= 0.5) x[0] = INFINITY;
     return 0;
 }
@@ -295,6 +297,7 @@ static int places(Instance *m, unsigned reference, char kind) {
             j++; \
         } \
     } \
+    if (M->s.model == BLANK && M->s.v[10] == 11 && j) x[j] = 1; \
     return j == given ? 0 : say(M, 3, #name ": a number of values that does not fit"); \
 }
 #define SET(name, kinds, given) { \

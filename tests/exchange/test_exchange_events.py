@@ -184,6 +184,16 @@ def test_what_is_not_written_is_no_zero(built, fmi, what, missing):
         alone(built("blank", fmi), 0.1, parameters={"what": what}).simulate(1, engine="interpreted")
 
 
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize(
+    ("what", "which"),
+    [(11, "'x'"), (12, "the derivatives of its states"), (13, "its continuous states"), (14, "its event indicators")],
+)
+def test_what_is_written_beyond_the_memory_for_it(built, fmi, what, which):
+    with pytest.raises(FMUError, match=rf"'blank' writes beyond the memory that it is given for {which} \('p'\)"):
+        alone(built("blank", fmi), 0.1, parameters={"what": what}).simulate(1, engine="interpreted")
+
+
 def test_a_binary_with_another_number_of_states(built):
     with pytest.raises(FMUError, match="Its binary has 2 continuous states, its model description 1"):
         alone(built("count", "3.0"), 0.1).simulate(1, engine="interpreted")
