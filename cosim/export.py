@@ -18,7 +18,7 @@ from bayesftc.cosim._export.program import Program, program_of
 from bayesftc.cosim._opening import Names
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram
-from bayesftc.cosim.errors import BayesFTCError, FMUError, ModelError, ResultFileError
+from bayesftc.cosim.errors import FMUError, ModelError, ResultFileError
 
 
 def export_fmu(
@@ -103,10 +103,6 @@ def export_fmu(
             build_fmu(model, scratch, fmi=fmi, platforms=wanted).replace(target)
         except RuntimeError as error:  # no compiler, one that fails, or no platform that is known
             raise FMUError(f"{target} cannot be built: {error}") from error
-        except ValueError as error:  # what FMI does not allow, such as names
-            if isinstance(error, BayesFTCError):
-                raise
-            raise ModelError(f"{target} cannot be written: {error}") from error
     return target
 
 

@@ -153,7 +153,9 @@ def _meant(fmu: FMU, diagram: Diagram, blocks: Sequence[str] | str | None) -> tu
     fitting = [node.name for node in candidates if _fits(fmu, node)]
     if len(fitting) == 1:
         return (fitting[0],)
-    why = f"{' and '.join(fitting)} have its inputs and outputs" if fitting else "no block has its inputs and outputs"
+    why = "no block has its inputs and outputs"
+    if fitting:
+        why = f"{', '.join(fitting[:-1])} and {fitting[-1]} have its inputs and outputs"
     was = f" It was exported from {' and '.join(said)}." if said else ""
     raise ModelError(
         f"Which block {_file(fmu)} stands for cannot be said: {why}.{was} Name it, blocks=... (on the command line --block); "

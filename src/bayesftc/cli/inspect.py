@@ -138,9 +138,18 @@ def _facts(path: Path, description: FMUDescription) -> list[tuple[str, str]]:
         ("default experiment", experiment),
         ("made by", description.generation_tool),
         ("timing", description.timing),
+        ("stands for", _stands_for(description)),
         ("direct feedthrough", _feedthrough(description)),
     ]
     return [(label, value) for label, value in entries if value]
+
+
+def _stands_for(description: FMUDescription) -> str:
+    """Return from which blocks of a diagram the FMU was exported."""
+    if not description.blocks:
+        return ""
+    blocks = "block" if len(description.blocks) == 1 else "blocks"
+    return f"{', '.join(description.blocks)} (bayesftc verify runs it beside the {blocks})"
 
 
 def _feedthrough(description: FMUDescription) -> str:

@@ -1,0 +1,319 @@
+"""Exported FMUs: valid, the same bits as their blocks in Python, states, reset, refusals; and how they are compared."""
+
+import ctypes
+import pickle
+import subprocess
+
+import control
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Slave
+from fmpy.validation import validate_fmu
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim.verification import deviation
+from bayesftc.examples.cruise_control.cruise_control import cruise_control
+
+MODEL = controllers.LinearModel(
+    A=[[0.95, 0.1], [0.0, 0.9]],
+    B=[[0.0], [0.1]],
+    C=[[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
+    process_covariance=np.diag([1e-4, 1e-3]),
+    sensor_covariance=[0.04, 0.09, 0.01],
+    dt="1/10",
+)
+LAW = {"control_covariance": 100.0}
+BLOCKS = {
+    "gamma": controllers.BayesianController(MODEL, precision=controllers.GammaPrecision(window=7), **LAW),
+    "PID": controllers.PID(1.0, states=2, derivative_gain=0.1, integral_gain=0.5, u_max=3.0),
+    "faults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
+    "system": cosim.StateSpace(
+        control.ss([[0.5, 0.2], [0.0, 0.9]], np.eye(2), [[1.0, 1.0]], 0, 0.1), process_noise=np.eye(2)
+    ),
+    "sine": cosim.Sine(amplitude=1.0, period=0.7),
+}
+
+
+@pytest.fixture(autouse=True)
+def _needs_a_compiler(c_compiler):
+    pass
+
+
+def surrounded(block, name="block"):
+    """Return a diagram with noise in all inputs of a block, of which each that may be missing is so now and then."""
+    diagram = cosim.Diagram("1/10")
+    node = diagram.add(block, name)
+    for port in block.inputs:
+        if port.draw is None:
+            noises = [diagram.add(cosim.Gaussian(std=1.0), f"{port.name}{i}") for i in range(port.size)]
+            outputs = [noise["y"] for noise in noises]
+            if not block.checks_finite:  # a plant takes no NaN
+                gaps = cosim.Dropout(channels=port.size, mean_time_to_fault=3.0, mean_time_to_recovery=0.5)
+                missing = diagram.add(gaps, f"gaps_{port.name}")
+                diagram.connect(outputs, missing["u"])
+                outputs = [missing["y"]]
+            diagram.connect(outputs, node[port.name])
+    return diagram
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory):
+    """Return the loop of a car under cruise control with a frozen sensor, and its controller as an FMU."""
+    loop = cruise_control(controllers.GammaPrecision(forgetting=0.95))
+    folder = tmp_path_factory.mktemp("car")
+    return loop, {
+        fmi: cosim.export_fmu(loop, folder / f"brain{fmi[0]}.fmu", blocks="controller", fmi=fmi)
+        for fmi in ("2.0", "3.0")
+    }
+
+
+@pytest.mark.parametrize(("kind", "fmi"), [*((kind, "3.0") for kind in BLOCKS), ("gamma", "2.0"), ("faults", "2.0")])
+def test_the_same_bits_as_the_block_missing_samples_and_noise_included(kind, fmi, tmp_path):
+    diagram = surrounded(BLOCKS[kind])
+    path = cosim.export_fmu(diagram, tmp_path / "one.fmu", blocks="block", fmi=fmi)
+    assert validate_fmu(str(path)) == []
+    found = cosim.verify_fmu(path, diagram, duration=15.0, seed=5, engine="interpreted")
+    assert found.agrees(), found
+    assert found.in_loop
+    assert not found.notes
+    assert {d.signal for d in found.beside} == {f"block.{port.name}" for port in BLOCKS[kind].outputs}
+    fmu = cosim.FMU(path)
+    assert fmu.timing == ("plant" if kind in {"system", "sine"} else "sampled")
+    assert {v.name.partition("[")[0] for v in fmu.description.variables if v.causality == "input"} == {
+        port.name for port in BLOCKS[kind].inputs
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_the_same_bits_over_100_000_steps_with_faults(fmi, tmp_path):
+    fault = cosim.RandomFaults(channels=2, mean_time_to_fault=20.0, mean_time_to_recovery=5.0)
+    loop = cruise_control(controllers.GammaPrecision(forgetting=0.95), fault)
+    path = cosim.export_fmu(loop, tmp_path / "brain.fmu", blocks="controller", fmi=fmi)
+    found = cosim.verify_fmu(path, loop, duration=2000.0, seed=3, engine="compiled")
+    assert found.steps == 100_001
+    assert found.agrees(), found
+
+
+def test_blocks_that_are_fused_are_one_fmu(tmp_path, car):
+    loop, _ = car
+    path = cosim.export_fmu(loop, tmp_path / "front.fmu", fmi="3.0", blocks=["freeze_0", "sensors", "controller"])
+    fmu = cosim.FMU(path)
+    assert fmu.description.blocks == ("sensors", "freeze_0", "controller")
+    assert [port.name for port in fmu.inputs] == ["sensors.u", "sensors.noise", "controller.goal"]
+    found = cosim.verify_fmu(path, loop, duration=16.0, engine="interpreted")
+    assert found.agrees(), found
+    assert found.verdict().startswith("front.fmu does what sensors, freeze_0 and controller do: the same numbers")
+
+
+def alone(path):
+    diagram = cosim.Diagram("1/50")
+    diagram.add(cosim.FMU(path), "brain")
+    return diagram
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_states_go_back_and_into_other_instances_and_reset_is_a_new_beginning(car, fmi, same_bits):
+    path = car[1][fmi]
+    names = {"2.0": ("brain.y[0]", "brain.y[1]", "brain.goal[0]"), "3.0": ("brain.y", "brain.goal")}[fmi]
+    values = {"2.0": (20.5, 19.0, 21.0), "3.0": ([20.5, 19.0], [21.0])}[fmi]
+
+    def feed(session):
+        for name, value in zip(names, values, strict=True):
+            session.set(name, value)
+
+    def same(one, other):
+        for name in one:
+            same_bits(one[name], other[name], name)
+
+    with alone(path).start(engine="interpreted") as session, alone(path).start(engine="interpreted") as second:
+        feed(session)
+        beginning = session.advance(1.0)
+        early = session.save_state()
+        ahead = session.advance(1.0)
+        late = pickle.loads(pickle.dumps(session.save_state()))
+        further = session.advance(1.0)
+        session.restore(early)
+        same(session.advance(1.0), ahead)
+        second.restore(late)
+        same(second.advance(1.0), further)
+        session.reset()
+        feed(session)
+        same(session.advance(1.0), beginning)
+        assert any(np.any(ahead[name][-1] != further[name][-1]) for name in ahead)
+
+
+def running(path, messages):
+    """Return an instance of an FMU of FMI 2 that fmpy runs, and its variables by name."""
+    description = fmpy.read_model_description(str(path))
+    folder = fmpy.extract(str(path))
+    fmu = FMU2Slave(
+        guid=description.guid,
+        unzipDirectory=folder,
+        modelIdentifier=description.coSimulation.modelIdentifier,
+        instanceName="one",
+    )
+    callbacks = fmpy.fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(
+        lambda _, name, status, category, message: messages.append(message.decode())
+    )
+    callbacks.allocateMemory = fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
+    callbacks.freeMemory = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
+    fmu.instantiate(callbacks=callbacks, loggingOn=True)
+    fmu.setupExperiment(startTime=0.0)
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    return fmu, {v.name: v.valueReference for v in description.modelVariables}
+
+
+def test_another_step_is_refused_with_a_line_in_the_log(car):
+    messages = []
+    fmu, _ = running(car[1]["2.0"], messages)
+    fmu.doStep(0.0, 0.02)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        fmu.doStep(0.02, 0.03)
+    assert any("step size 0.02999" in message and "must be 0.02" in message for message in messages), messages
+    fmu.freeInstance()
+
+
+def test_a_nan_is_a_missing_sample_to_any_importer(car):
+    fmu, number = running(car[1]["2.0"], [])
+    step = car[0]["controller"].block.online(compiled=False)
+    for k, (a, b) in enumerate([(20.0, 19.5), (np.nan, 20.5), (21.0, np.nan), (np.nan, np.nan), (20.0, 20.0)]):
+        fmu.setReal([number[n] for n in ("y[0]", "y[1]", "goal[0]")], [a, b, 22.0])
+        fmu.doStep(k * 0.02, 0.02)
+        expected = step(y=[a, b], goal=[22.0])
+        got = fmu.getReal([number[n] for n in ("u[0]", "x_hat[0]", "beta[0]", "beta[1]")])
+        np.testing.assert_array_equal(got, [*expected.u, *expected.x_hat, *expected.beta])
+    fmu.terminate()
+    fmu.freeInstance()
+
+
+# How they are compared
+
+
+def test_signals_under_new_names_are_found_again(car, tmp_path):
+    loop, _ = car
+    path = cosim.export_fmu(
+        loop,
+        tmp_path / "renamed.fmu",
+        blocks="controller",
+        inputs={"y": "speeds", "goal": "wanted"},
+        outputs={"u": "force"},
+    )
+    found = cosim.verify_fmu(path, loop, duration=8.0, engine="interpreted")
+    assert found.agrees()
+    assert [d.signal for d in found.beside] == ["controller.u"]
+    assert "the FMU does not have them: controller.x_hat, controller.P" in " ".join(found.notes)
+
+
+def test_an_fmu_that_does_otherwise_is_told(car):
+    other = cruise_control(controllers.GammaPrecision(forgetting=0.9))
+    found = cosim.verify_fmu(car[1]["2.0"], other, duration=8.0, engine="interpreted")
+    assert not found.agrees()
+    assert not found.agrees(1e-6)
+    assert found.agrees(1e6)
+    u, loop = next(d for d in found.beside if d.signal == "controller.u"), found.worst_in_loop
+    assert u.largest > 0.0
+    assert u.ulps > 1.0
+    assert 0.0 < u.time <= 8.0
+    assert loop.largest > 0.0
+    assert "does NOT do what controller does" in repr(found)
+    assert "to the tolerance of 1e+06" in found.verdict(1e6)
+
+
+def test_the_compared_numbers_are_the_true_ones():
+    time = np.array([0.0, 0.1, 0.2])
+    one = np.array([[1.0, np.nan], [2.0, np.inf], [-4.0, 0.0]])
+    assert deviation("s", time, one, one.copy()) == cosim.Deviation("s", 0.0, None, 0.0, 0.0)
+    near = one.copy()
+    near[1, 0] = np.nextafter(np.nextafter(2.0, 3.0), 3.0)
+    found = deviation("s", time, one, near)
+    assert (found.largest, found.time, found.ulps) == (2.0**-50, 0.1, 2.0)
+    assert found.relative == 2.0**-52
+    across = deviation("s", time[:1], np.array([[-5e-324]]), np.array([[5e-324]]))
+    assert across.ulps == 2.0
+    for was, now in ((1.0, np.nan), (np.nan, 1.0), (np.inf, -np.inf)):
+        assert deviation("s", time[:1], np.array([[was]]), np.array([[now]])).largest == np.inf
+
+
+def test_what_cannot_be_compared_is_a_sentence(car, tmp_path):
+    loop, paths = car
+    limit = cosim.export_fmu(cosim.Saturation(-1.0, 1.0), tmp_path / "limit.fmu", dt="1/10")
+    with pytest.raises(cosim.ModelError, match=r"Which block limit\.fmu stands for cannot be said: no block has its"):
+        cosim.verify_fmu(limit, loop, duration=1.0)
+    with pytest.raises(cosim.UnknownNameError, match="the input 'y\\[0\\]', and sensors none"):
+        cosim.verify_fmu(paths["2.0"], loop, "sensors", duration=1.0)
+    with pytest.raises(cosim.UnknownNameError, match="no block 'contoller'; did you mean 'controller'"):
+        cosim.verify_fmu(paths["2.0"], loop, "contoller", duration=1.0)
+    with pytest.raises(cosim.ModelError, match="'plant' is an FMU itself"):
+        cosim.verify_fmu(paths["2.0"], loop, ["plant"], duration=1.0)
+    two = cosim.Diagram("1/10")
+    noise = two.add(cosim.Gaussian(1.0))
+    for name, low in (("first", -1.0), ("second", -2.0)):
+        two.connect(noise["y"], two.add(cosim.Saturation(low, 1.0), name)["u"])
+    with pytest.raises(cosim.ModelError, match="first and second have its inputs and outputs"):
+        cosim.verify_fmu(limit, two, duration=1.0)
+    assert cosim.verify_fmu(limit, two, "first", duration=5.0, engine="interpreted").agrees()
+    assert not cosim.verify_fmu(limit, two, "second", duration=5.0, engine="interpreted").agrees()
+    slow = cosim.Diagram("1/5")
+    slow.connect(slow.add(cosim.Gaussian(1.0))["y"], slow.add(cosim.Saturation(-1.0, 1.0))["u"])
+    with pytest.raises(cosim.StepSizeError, match=r"limit.fmu makes steps of 0.1 s, and saturation one every 0.2 s"):
+        cosim.verify_fmu(limit, slow, duration=1.0)
+
+
+def test_without_an_output_that_others_hear_the_loop_stays_as_it_is(car, tmp_path):
+    loop, _ = car
+    path = cosim.export_fmu(loop, tmp_path / "deaf.fmu", blocks="controller", outputs=["x_hat"])
+    found = cosim.verify_fmu(path, loop, duration=2.0, engine="interpreted")
+    assert found.in_loop is None
+    assert found.agrees()
+    assert "the diagram hears controller.u[0], which the FMU does not have" in repr(found)
+
+
+def test_an_isolated_fmu_gives_the_same(car):
+    assert cosim.verify_fmu(car[1]["2.0"], car[0], duration=2.0, engine="interpreted", isolate=True).agrees()
+
+
+# What cannot be written
+
+
+def test_nothing_is_left_where_an_export_fails(tmp_path):
+    limit = cosim.Saturation(-1.0, 1.0)
+    for path, error, says in (
+        (tmp_path / "no" / "x.fmu", cosim.ResultFileError, "does not exist; make the folder"),
+        (tmp_path / "x", cosim.ResultFileError, "does not end in .fmu"),
+        (tmp_path / "file" / "x.fmu", cosim.ResultFileError, "no folder, but a file"),
+    ):
+        (tmp_path / "file").write_text("")
+        with pytest.raises(error, match=says):
+            cosim.export_fmu(limit, path, dt=0.1)
+    (tmp_path / "folder.fmu").mkdir()
+    with pytest.raises(cosim.ResultFileError, match="is a folder; give the FMU another name"):
+        cosim.export_fmu(limit, tmp_path / "folder.fmu", dt=0.1)
+    with pytest.raises(cosim.ModelError, match=r"fmi='1\.0'; it must be one of '2\.0', '3\.0'"):
+        cosim.export_fmu(limit, tmp_path / "x.fmu", dt=0.1, fmi="1.0")
+    with pytest.raises(cosim.ModelError, match="acts on the output 'y' directly"):
+        cosim.export_fmu(limit, tmp_path / "x.fmu", dt=0.1, timing="plant")
+    with pytest.raises(cosim.ModelError, match="does not know its sample time"):
+        cosim.export_c(limit, tmp_path)
+    with pytest.raises(cosim.ResultFileError, match="does not exist"):
+        cosim.export_c(limit, tmp_path / "no", dt=0.1)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.fmu"]
+
+
+def test_c_is_replaced_as_a_whole_and_compiles(tmp_path, c_compiler):
+    (tmp_path / "limit.c").write_text("old")
+    source, _ = cosim.export_c(cosim.Saturation(-1.0, 1.0), tmp_path, name="limit", dt=0.1)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["limit.c", "limit.h"]
+    subprocess.run(
+        [c_compiler, "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", source.name, "-o", "limit.so", "-lm"],
+        cwd=tmp_path,
+        check=True,
+    )
+    library = ctypes.CDLL(str(tmp_path / "limit.so"))
+    state, u, y = np.zeros(64), np.array([3.0]), np.zeros(1)
+    library.limit_init(ctypes.c_void_p(state.ctypes.data))
+    library.limit_evaluate(*(ctypes.c_void_p(array.ctypes.data) for array in (state, u, y)))
+    assert y[0] == 1.0

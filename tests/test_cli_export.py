@@ -1,0 +1,145 @@
+"""``bayesftc export`` and ``bayesftc verify``, as a new user meets them."""
+
+import json
+import zipfile
+
+import pytest
+from typer.testing import CliRunner
+
+from bayesftc.cli import app
+from bayesftc.scenario import shipped_scenarios
+
+
+@pytest.fixture
+def bayesftc_(tmp_path, monkeypatch):
+    """Run a command in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def run(*arguments):
+        return CliRunner().invoke(app, [str(a) for a in arguments], prog_name="bayesftc")
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def scenarios(tmp_path_factory):
+    """Return the shipped car, run in plain Python, and the same with another learner."""
+    folder = tmp_path_factory.mktemp("scenarios")
+    text = shipped_scenarios()["cruise_control"].read_text().replace("seed = 1", 'seed = 1\nengine = "interpreted"')
+    files = {"car": text, "other": text.replace("forgetting = 0.95", "forgetting = 0.9")}
+    assert len(set(files.values())) == 2
+    for name, content in files.items():
+        (folder / f"{name}.toml").write_text(content)
+    return folder / "car.toml", folder / "other.toml"
+
+
+def test_a_controller_leaves_and_is_verified(bayesftc_, scenarios, tmp_path, c_compiler):
+    car, other = scenarios
+    done = bayesftc_("export", car, "--block", "controller")
+    assert done.exit_code == 0, done.output
+    lines = done.output.splitlines()
+    assert lines[0].startswith("controller.fmu: FMI 2.0, ")
+    assert lines[1] == "inputs   y (2) in m/s, goal (1) in m/s"
+    assert lines[2].startswith("outputs  u (1) in N, x_hat (1), P (1x1), R (2x2)")
+    assert lines[-3] == "step     0.02 s, no other"
+    assert lines[-2].startswith("timing   sampled: ")
+    assert lines[-1] == f"Try:  bayesftc verify controller.fmu --against {car}"
+
+    done = bayesftc_("verify", "controller.fmu", "--against", car)
+    assert done.exit_code == 0, done.output
+    assert "controller.fmu beside controller of" in done.output
+    assert "1001 steps, seed 1" in done.output
+    assert "In the loop, in their place: 0 at most." in done.output
+    assert "controller.fmu does what controller does: the same numbers at all 1001 steps." in done.output
+
+    done = bayesftc_("verify", "controller.fmu", "--against", other, "--duration", 4, "--seed", 7, "--json")
+    assert done.exit_code == 19
+    found = json.loads(done.output)
+    assert (found["agrees"], found["seed"], found["steps"], found["blocks"]) == (False, 7, 201, ["controller"])
+    assert found["beside"]["controller.u"]["largest"] > 0.0
+    assert found["in_loop"]["plant.v"]["largest"] > 0.0
+    done = bayesftc_("verify", "controller.fmu", "--against", other, "--duration", 4, "--tolerance", 1e6, "--quiet")
+    assert (done.exit_code, done.output) == (0, "")
+
+    done = bayesftc_("inspect", "controller.fmu")
+    assert "stands for" in done.output
+    assert "controller (bayesftc verify runs it beside the block)" in " ".join(done.output.split())
+    assert "bayesftc verify" not in bayesftc_("inspect", "CruiseControl").output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["controller.fmu"]
+
+
+def test_several_blocks_become_one(bayesftc_, scenarios, c_compiler):
+    car, _ = scenarios
+    options = [
+        "--block",
+        "controller",
+        "-b",
+        "sensors",
+        "-b",
+        "freeze_0",
+        "-b",
+        "sensors",
+        "-o",
+        "front.fmu",
+        "--fmi",
+        "3.0",
+    ]
+    done = bayesftc_("export", car, *options)
+    assert done.exit_code == 0, done.output
+    assert "front.fmu: FMI 3.0, " in done.output
+    assert "inputs   sensors.u in m/s, sensors.noise (2), controller.goal (1)" in done.output
+    done = bayesftc_("verify", "front.fmu", "--against", car, "--duration", 8, "--isolate")
+    assert done.exit_code == 0, done.output
+    assert "what sensors, freeze_0 and controller do: the same numbers" in done.output
+
+
+def test_the_c_alone(bayesftc_, scenarios, tmp_path):
+    done = bayesftc_("export", scenarios[0], "--block", "controller", "--format", "c")
+    assert done.exit_code == 0, done.output
+    assert "controller.c and controller.h: controller_init, controller_evaluate and controller_advance." in done.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["controller.c", "controller.h"]
+    assert "void controller_init(controller *" in (tmp_path / "controller.h").read_text()
+
+
+WRONG = {
+    "a block that is not there": (5, "no block 'contoller'; did you mean 'controller'?", ("--block", "contoller")),
+    "an FMU": (9, "The block 'plant' is an FMU", ("--block", "plant")),
+    "no folder": (12, "does not exist; make the folder", ("--block", "controller", "-o", "no/brain.fmu")),
+    "another ending": (12, "call it brain.fmu", ("--block", "controller", "-o", "brain.zip")),
+    "another version": (9, "must be one of '2.0', '3.0'", ("--block", "controller", "--fmi", "1.0")),
+    "another platform": (5, "did you mean", ("--block", "controller", "--platform", "linux-x86-64")),
+    "feedthrough": (9, "acts on the output", ("--block", "controller", "--timing", "plant")),
+    "C of FMI": (
+        9,
+        "--fmi cannot be given with --format c",
+        ("--block", "controller", "--format", "c", "--fmi", "2.0"),
+    ),
+    "no block": (2, "--block", ()),
+}
+
+
+@pytest.mark.parametrize(("code", "says", "options"), WRONG.values(), ids=WRONG)
+def test_what_cannot_be_exported_is_a_sentence_and_leaves_nothing(code, says, options, bayesftc_, scenarios, tmp_path):
+    done = bayesftc_("export", scenarios[0], *options)
+    assert done.exit_code == code, done.output
+    assert says in " ".join(done.output.replace("│", " ").split())
+    assert "Traceback" not in done.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_verified_is_a_sentence(bayesftc_, scenarios, tmp_path):
+    car, _ = scenarios
+    with zipfile.ZipFile(tmp_path / "empty.fmu", "w"):
+        pass
+    for code, says, arguments in (
+        (4, "nope.fmu cannot be read", ("nope.fmu", "--against", car)),
+        (4, "empty.fmu", ("empty.fmu", "--against", car)),
+        (3, "There is no scenario 'carr'", ("empty.fmu", "--against", "carr")),
+        (9, "--tolerance is nan", ("empty.fmu", "--against", car, "--tolerance", "nan")),
+        (2, "--against", ("empty.fmu",)),
+    ):
+        done = bayesftc_("verify", *arguments)
+        assert done.exit_code == code, done.output
+        assert says in " ".join(done.output.replace("│", " ").split())
+        assert "Traceback" not in done.output
