@@ -158,6 +158,10 @@ def brief(value: object, length: int = 60) -> str:
     return text if len(text) <= length else f"{text[: length - 3]}..."
 
 
+LAX = "try it all the same with validate=False (bayesftc inspect: --no-validate)."
+"""What can be done about a file that breaks the rules of FMI or SSP."""
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the tail of a sentence about an unknown name: the near names, else all of them."""
     known = sorted(known)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.errors import UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import PortRef
 from bayesftc.cosim.schedule import Schedule
 
@@ -30,12 +30,20 @@ def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -
     ------
     UnknownNameError
         If a name or pattern matches no signal.
+    ModelError
+        If it is neither names nor patterns.
     """
+    if isinstance(record, str | PortRef):
+        record = [record]
+    if record is not None and not isinstance(record, Iterable):
+        raise ModelError(
+            f"record is {record!r}; it must be names of signals or patterns, as ['plant.*'], or None for all outputs."
+        )
     outputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.block.outputs}
     inputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.block.inputs}
     known = {**inputs, **outputs}
     chosen: list[str] = []
-    for pattern in outputs if record is None else [record] if isinstance(record, str | PortRef) else record:
+    for pattern in outputs if record is None else record:
         pattern = pattern.name if isinstance(pattern, PortRef) else str(pattern)
         matches = [pattern] if pattern in known else [name for name in outputs if fnmatchcase(name, pattern)]
         if not matches:

@@ -174,6 +174,10 @@ class Session:
             whole_steps(end * step, step, "The run's length")  # says so
         if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0):
             raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
+        if progress is not None and not callable(progress):
+            raise ModelError(
+                f"progress is {progress!r}; it must be a function that is called with step and steps, or None."
+            )
         if pace is None or self._pacer is None or self._pacer.pace != pace:
             self._pacer = None if pace is None else Pacer(pace, self._schedule.step, max(run.k, 0))
         make_room(run, end)

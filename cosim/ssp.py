@@ -8,7 +8,7 @@ from dataclasses import replace
 from fractions import Fraction
 from math import isfinite
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from stat import S_ISREG
 from typing import Literal
 
@@ -58,7 +58,7 @@ def open_ssp(
         The base step in seconds, which SSP has no word for; by default what `save_ssp` has noted, else the step size that all
         FMUs name in their default experiment.
     variant : str
-        Which ``.ssd`` of an ``.ssp`` to open.
+        Which ``.ssd`` of an ``.ssp`` to open; what it refers to is relative to it.
     isolate : bool
         Run each FMU in a process of its own (see `FMU`).
     validate : bool
@@ -97,7 +97,7 @@ def open_ssp(
     """
     path = absolute(path, "open_ssp", "an .ssp or .ssd file", SSPError)
     where, place_files, resource = _located(path, variant)
-    structure = read_structure(resource(where), where, resource, validate=validate)
+    structure = read_structure(resource(Path(where).name), where, resource, validate=validate)
     sources = {p: c.source for p, c in components(structure.system)}
     if not sources:
         raise SSPError(f"{where} of {path} has no components; there is nothing to run.")
@@ -126,7 +126,7 @@ def open_ssp(
 
 
 def _located(path: Path, variant: str) -> tuple[str, Callable[[], Path], Callable[[str], bytes]]:
-    """Return the name of the .ssd, what returns the folder that its sources are relative to, and what reads XML in it."""
+    """Return the name of the .ssd, what returns its folder, and what reads XML in it: SSP resolves sources against the .ssd."""
     if path.suffix.lower() == ".ssd":
         return path.name, lambda: path.parent, lambda name: _beside(path, name)
     archive = open_archive(path, SSP_FILE)
@@ -134,12 +134,15 @@ def _located(path: Path, variant: str) -> tuple[str, Callable[[], Path], Callabl
         known = [name for name in archive.names if name.endswith(".ssd")]
         raise SSPError(f"{path} has no {variant!r}; {did_you_mean(variant, known)}")
 
-    def resource(name: str) -> bytes:
-        if name not in archive.names:
-            raise SSPError(f"{variant} of {path} refers to {name!r}, which is not in the file.")
-        return read_entry(archive, name)
+    beside = PurePosixPath(variant).parent
 
-    return variant, lambda: extract(archive, variant) / Path(variant).parent, resource
+    def resource(name: str) -> bytes:
+        entry = str(beside / name)
+        if entry not in archive.names:
+            raise SSPError(f"{variant} of {path} refers to {entry!r}, which is not in the file.")
+        return read_entry(archive, entry)
+
+    return variant, lambda: extract(archive, variant) / beside, resource
 
 
 def _beside(path: Path, name: str) -> bytes:

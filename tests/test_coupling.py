@@ -359,12 +359,10 @@ def test_an_isolated_fmu_that_is_gone_when_it_is_saved(engine):
     with diagram.build("iterated").start(engine=engine) as session:
         session.advance(0.2)
         os.killpg(session._run.instances[1]._process._process.pid, signal.SIGKILL)
-        with pytest.raises(
-            cosim.FMUCrashed, match=r"at t = 0\.2 s \(step 4\): a state of 'one' and 'two' could not"
-        ) as caught:
+        with pytest.raises(cosim.FMUCrashed, match=r"at t = 0\.2 s \(step 4\): The FMU of 'two' ") as caught:
             session.advance(0.2)
         assert caught.value.step == 4
-        assert "The FMU of 'two'" in str(caught.value)
+        assert "saved" not in str(caught.value)
 
 
 @pytest.mark.parametrize("settings", [{}, {"step_error": 1e-4}])

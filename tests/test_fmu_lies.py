@@ -299,7 +299,7 @@ def test_value_references_that_two_variables_share(tmp_path):
         FMUError, match=r"gives 'force' and 'disturbance' one value reference, 0, so that to set one would"
     ) as e:
         cosim.FMU(rewritten("2.0", tmp_path / "two.fmu", two))
-    assert str(e.value).endswith("try it all the same with validate=False.")
+    assert str(e.value).endswith("try it all the same with validate=False (bayesftc inspect: --no-validate).")
     assert [port.name for port in cosim.FMU(tmp_path / "two.fmu", validate=False).inputs] == ["force", "disturbance"]
     with pytest.raises(
         FMUError, match=r"\"disturbance\" \(line \d+\) has the same value reference as variable \"force\""

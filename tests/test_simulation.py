@@ -108,6 +108,8 @@ def test_inputs_are_recorded_as_they_are_at_t_k(run_both):
         ({"time_limit": -1}, "time_limit is -1"),
         ({"time_limit": float("nan")}, "time_limit is nan"),
         ({"decimation": 0}, "decimation is 0"),
+        ({"record": 5}, r"record is 5; it must be names of signals or patterns"),
+        ({"progress": 5}, "progress is 5; it must be a function"),
     ],
 )
 def test_refused_options(noisy, options, sentence):

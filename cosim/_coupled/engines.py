@@ -14,7 +14,7 @@ from bayesftc.cosim._coupled import steps
 from bayesftc.cosim._coupled.groups import WORDS, Group, Part
 from bayesftc.cosim._memory import bind
 from bayesftc.cosim._state_functions import ERROR, StateFunctions
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.errors import FMUCrashed, FMUError
 from bayesftc.cosim.schedule import NOT_FINITE
 from bayesftc.cosim.timebase import show
 
@@ -82,6 +82,8 @@ class GroupRun(ABC):
         error = self._raised()
         if error is not None and not isinstance(error, FMUError):
             raise error  # Ctrl-C, say, which could not pass compiled code
+        if isinstance(error, FMUCrashed):
+            return str(error)  # whatever was asked of it
         why = str(error) if error is not None else f"it returned the status {status - steps.SAVING} of FMI."
         return f"a state of {names} could not be saved or restored: {why}"
 

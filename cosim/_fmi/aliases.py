@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.errors import LAX, FMUError
 
 if TYPE_CHECKING:
     from bayesftc.cosim._fmi.archive import Archive
@@ -30,7 +30,7 @@ def check_aliases(archive: Archive, variables: Iterable[FMUVariable]) -> None:
             if key in seen:
                 raise FMUError(
                     f"The FMU {archive.path} gives {seen[key]!r} and {variable.name!r} one value reference, "
-                    f"{variable.reference}, so that to set one would set the other. Ask its maker for a valid one, or try it all "
-                    "the same with validate=False."
+                    f"{variable.reference}, so that to set one would set the other. Ask its maker for a valid one, or "
+                    f"{LAX}"
                 )
             seen[key] = variable.name

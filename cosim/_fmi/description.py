@@ -17,7 +17,7 @@ from bayesftc.cosim._fmi.aliases import check_aliases
 from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._fmi.clocks import Clock, read_clocks
 from bayesftc.cosim._fmi.structure import check_shape, check_structure
-from bayesftc.cosim.errors import FMUError, FMUVersionError
+from bayesftc.cosim.errors import LAX, FMUError, FMUVersionError
 from bayesftc.cosim.units import BASE, Unit, UnitDefinition
 
 if TYPE_CHECKING:
@@ -289,9 +289,7 @@ def _parse(archive: Archive, validate: bool) -> ModelDescription:
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
         problems = [(" ".join(str(error).split()) or type(error).__name__).removesuffix(".")]
     more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
-    remedy = (
-        "Ask its maker for a valid one, or try it all the same with validate=False." if validate else "Export it again."
-    )
+    remedy = f"Ask its maker for a valid one, or {LAX}" if validate else "Export it again."
     raise FMUError(
         f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {'; '.join(problems[:_SHOWN])}{more}. {remedy}"
     )

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element, fromstring
 
 from bayesftc.cosim import units
 from bayesftc.cosim._zip import Kind
-from bayesftc.cosim.errors import SSPError
+from bayesftc.cosim.errors import LAX, SSPError
 from bayesftc.cosim.units import Unit
 
 NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"
@@ -207,7 +207,7 @@ class _Reader:
                 more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
                 raise SSPError(
                     f"{where} breaks the rules of SSP: {'; '.join(problems[:_SHOWN])}{more}. Ask its maker for a valid one, or "
-                    "try it all the same with validate=False."
+                    f"{LAX}"
                 )
         return root
 
