@@ -361,12 +361,18 @@ _lock = threading.RLock()
 _loaded: dict[tuple[str, bool], Library] = {}
 
 
-def binary_entry(description: FMUDescription) -> tuple[str, str]:
-    """Return the platform's name in the FMU's version of FMI, and the entry where its binary must lie."""
+def binary_entry(archive: Archive, description: FMUDescription) -> tuple[str, str]:
+    """Return the platform's name in the FMU's version of FMI, and the entry where its binary must lie.
+
+    On ARM, FMI 2.0.4 has the folders of FMI 3.0; many exporters use those of x86, and so they are looked at, too.
+    """
     import fmpy
 
-    platform = fmpy.platform if description.fmi_major == 2 else fmpy.platform_tuple
-    return platform, f"binaries/{platform}/{description.identifier}{fmpy.sharedLibraryExtension}"
+    usual, exact = fmpy.platform, fmpy.platform_tuple
+    folders = (exact,) if description.fmi_major == 3 else (exact, usual) if fmpy.architecture == "aarch64" else (usual,)
+    file = f"{description.identifier}{fmpy.sharedLibraryExtension}"
+    platform = next((folder for folder in folders if f"binaries/{folder}/{file}" in archive.names), folders[-1])
+    return platform, f"binaries/{platform}/{file}"
 
 
 def load_library(archive: Archive, description: FMUDescription, *, exchange: bool = False) -> Library:
@@ -379,7 +385,7 @@ def load_library(archive: Archive, description: FMUDescription, *, exchange: boo
     """
     with _lock:
         if (archive.digest, exchange) not in _loaded:
-            platform, entry = binary_entry(description)
+            platform, entry = binary_entry(archive, description)
             if entry in archive.names:
                 folder = extract(archive, entry)
             else:
@@ -411,6 +417,7 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
     try:
         with kept():
             if description.fmi_major == 2:
+                settings["libraryPath"] = str(folder / entry)
                 slave = (FMU2Model if exchange else FMU2Slave)(**settings)
             else:
                 slave = (FMU3Model if exchange else FMU3Slave)(**settings)

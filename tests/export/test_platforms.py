@@ -9,12 +9,13 @@ import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
 from fmpy import supported_platforms
 from fmpy.validation import validate_fmu
 
-from bayesftc import controllers, cosim
+from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim._export.platforms import platforms_of
 from bayesftc.cosim.export import export_fmu
 from bayesftc.fmus import _binaries, _compiler
@@ -103,6 +104,22 @@ def test_each_library_lies_where_importers_of_its_platform_look():
         "macos-aarch64": ("aarch64-darwin", "darwin64"),
     }.items():
         assert placed("2.0", name) == dict.fromkeys(folders, FAKE[name])
+
+
+def test_on_arm_an_fmu_of_fmi_2_is_taken_from_the_folder_for_arm(tmp_path, monkeypatch):
+    """Here with a binary of this machine in it, and in that for x86 with one that does not load."""
+    path = tmp_path / "car.fmu"
+    with zipfile.ZipFile(fmus.path("CruiseControl")) as shipped, zipfile.ZipFile(path, "w") as archive:
+        for name in shipped.namelist():
+            binary = name.startswith("binaries/")
+            archive.writestr(name, "for another processor" if binary else shipped.read(name))
+            if binary:
+                archive.writestr(f"binaries/aarch64-linux/{Path(name).name}", shipped.read(name))
+    for name, value in {"architecture": "aarch64", "platform_tuple": "aarch64-linux", "platform": "linux64"}.items():
+        monkeypatch.setattr(fmpy, name, value)
+    diagram = cosim.Diagram("1/50")
+    diagram.add(cosim.FMU(path, parameters={"v0": 5.0}), "car")
+    assert 4.0 < diagram.simulate(0.1)["car.v"][-1] < 5.0
 
 
 def slices(universal):

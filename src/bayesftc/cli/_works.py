@@ -70,7 +70,7 @@ def _flag(description: FMUDescription, name: str) -> bool:
 
 
 def _runs_here(archive: Archive, description: FMUDescription) -> Verdict:
-    platform, entry = binary_entry(description)
+    platform, entry = binary_entry(archive, description)
     what = "run on this machine"
     if entry in archive.names:
         tool = " It says that it needs the tool that made it." if _flag(description, "needsExecutionTool") else ""
