@@ -1,14 +1,17 @@
 """What several test modules share."""
 
+import ctypes
 import io
 import json
 import os
+import platform
 import re
 import shutil
 import signal
 import subprocess
 import sys
 import zipfile
+from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from threading import Timer
 
@@ -258,3 +261,16 @@ def casadi_fmu(tmp_path_factory, c_compiler):
         return target
 
     return export
+
+
+@pytest.fixture(scope="session")
+def ecos():
+    """Return Ecos, another tool that runs FMUs and SSP, written in C++: it steps all FMUs side by side."""
+    if sys.platform != "linux" or platform.machine() != "x86_64":
+        pytest.skip("ecos is there for Linux on x86-64 only")
+    try:
+        library = next(file for file in files("tbb") if file.name == "libtbb.so.12")  # which its own library looks for
+    except PackageNotFoundError:
+        pytest.skip("ecos needs the package tbb")
+    ctypes.CDLL(str(library.locate().resolve()), mode=ctypes.RTLD_GLOBAL)
+    return pytest.importorskip("ecospy")

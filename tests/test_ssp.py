@@ -1,17 +1,14 @@
 """System structures (SSP): opened as diagrams, saved for other tools, run by another tool with the same numbers."""
 
-import ctypes
 import json
 import os
 import pickle
-import platform
 import re
 import subprocess
 import sys
 import warnings
 import zipfile
 from contextlib import suppress
-from importlib.metadata import files
 
 import numpy as np
 import pytest
@@ -632,18 +629,6 @@ def test_what_cannot_be_saved(tmp_path):
     diagram.connect([a["v"], b["v"]], sum_["u"])
     diagram.connect(sum_["y"], a["force"])
     not_saved(diagram, path, "'sum' adds signals on their way to a.force")
-
-
-@pytest.fixture(scope="session")
-def ecos():
-    """Another tool that runs SSP: it steps all FMUs side by side."""
-    if sys.platform != "linux" or platform.machine() != "x86_64":
-        pytest.skip("ecos is there for Linux on x86-64 only")
-    library = next(file for file in files("tbb") if file.name == "libtbb.so.12")  # which its own library looks for
-    ctypes.CDLL(str(library.locate().resolve()), mode=ctypes.RTLD_GLOBAL)
-    import ecospy
-
-    return ecospy
 
 
 @pytest.mark.parametrize("fmi", [("2.0", "2.0"), ("2.0", "3.0")])

@@ -336,7 +336,8 @@ static int do_step(Instance *instance, const char *function, double point, doubl
         return fail(instance, "%s: the communication step size %.17g must be positive and finite.", function, h);
     }
 #ifdef MODEL_FIXED_STEP
-    if (!(fabs(h - MODEL_FIXED_STEP) <= 1e-9 * MODEL_FIXED_STEP)) {
+    /* Importers compute it as a difference of two times, too, which is rounded the more the later it is. */
+    if (!(fabs(h - MODEL_FIXED_STEP) <= 1e-9 * MODEL_FIXED_STEP + 1e-15 * fabs(time))) {
         return fail(instance, "%s: the communication step size %.17g must be %.17g, for which %s was made.", function, h,
                     MODEL_FIXED_STEP, MODEL_NAME);
     }
