@@ -34,6 +34,9 @@ _CAREFUL = """\
 #elif defined(__GNUC__)
 /* Every product and sum is rounded by itself; and gcc 12 takes 0.0 - n for -n where n cannot be a negative zero. */
 #pragma GCC optimize("fp-contract=off", "rounding-math")
+#ifndef __OPTIMIZE_SIZE__
+#pragma GCC optimize("peel-loops") /* short loops are unrolled: a fifth faster, and a fifth longer */
+#endif
 #endif"""
 _HOW = """\
 /* {name}: a step every {step} s.
