@@ -47,8 +47,9 @@ def export_fmu(
     platforms : sequence of str, optional
         For which the FMU gets binaries, besides its C sources: ``"linux-x86_64"``, ``"linux-aarch64"``, ``"windows-x86_64"``,
         ``"macos-x86_64"``, ``"macos-aarch64"``, or ``"all"``. What is named is compiled by ``ziglang``
-        (``pip install 'bayesftc[export]'``) for old systems (glibc 2.17, macOS 11), to the same bytes on any machine. By default
-        this machine's, by its own C compiler where there is one.
+        (``pip install 'bayesftc[export]'``) for old systems (glibc 2.17, macOS 11), to the same bytes on any machine; what it
+        needs for a platform it makes at the first time, which takes minutes. By default this machine's, by its own C compiler
+        where there is one.
     blocks : sequence of str, optional
         Names of the blocks of a diagram that become one FMU; by default all. An FMU cannot be among them.
     inputs, outputs : sequence of str or mapping of str to str, optional
@@ -118,9 +119,8 @@ def export_c(
 ) -> tuple[Path, Path]:
     """Write a block, or some blocks of a diagram, as C99 that needs nothing but the mathematics of the C library.
 
-    The step is three functions: ``<name>_init`` once, then at each step ``<name>_evaluate``, from the inputs at that time to the
-    outputs at that time, and ``<name>_advance``. They allocate nothing; all that they remember lies in one structure, whose
-    size is known when it is compiled. Compile it with ``-ffp-contract=off`` for the bits that Python has.
+    ``<name>_init`` is called once, ``<name>_step`` at each step, from the inputs at that time to the outputs at that time; the
+    header says more. Nothing is allocated; all that is remembered lies in one structure of known size.
 
     Parameters
     ----------

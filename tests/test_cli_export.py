@@ -97,7 +97,7 @@ def test_several_blocks_become_one(bayesftc_, scenarios, c_compiler):
 def test_the_c_alone(bayesftc_, scenarios, tmp_path):
     done = bayesftc_("export", scenarios[0], "--block", "controller", "--format", "c")
     assert done.exit_code == 0, done.output
-    assert "controller.c and controller.h: controller_init, controller_evaluate and controller_advance." in done.output
+    assert "controller.c and controller.h: controller_init, controller_step; controller.h says how" in done.output
     assert sorted(p.name for p in tmp_path.iterdir()) == ["controller.c", "controller.h"]
     assert "void controller_init(controller *" in (tmp_path / "controller.h").read_text()
 

@@ -176,9 +176,11 @@ def _counterparts(fmu: FMU, nodes: Sequence[Node], side: str) -> tuple[dict[Plac
         label: (n.name, p.name, i) for name, (n, p) in whole.items() for i, label in enumerate(labels(name, p.shape))
     }
     found: dict[Place, tuple[str, int]] = {}
-    strange = []
+    strange, said = [], fmu.description.blocks
     for port in getattr(fmu, side):
         name = fmu.description.origins.get(port.name, port.name)
+        if len(blocks) == len(said) == 1:  # a block that was exported by itself has another name here
+            name = name.removeprefix(f"{said[0]}.")
         names = (name, f"{blocks[0]}.{name}") if len(blocks) == 1 else (name,)
         meant = next((whole[n] for n in names if n in whole and whole[n][1].size == port.size), None)
         one = next((single[n] for n in names if n in single and port.size == 1), None)

@@ -208,6 +208,15 @@ def test_signals_under_new_names_are_found_again(car, tmp_path):
     assert "the FMU does not have them: controller.x_hat, controller.P" in " ".join(found.notes)
 
 
+def test_a_block_that_was_exported_by_itself_is_found_by_its_ports(car, tmp_path):
+    loop, _ = car
+    block = loop["controller"].block
+    path = cosim.export_fmu(block, tmp_path / "brain.fmu", outputs={"u": "force", "x_hat": "x_hat"})
+    found = cosim.verify_fmu(path, loop, duration=2.0, engine="interpreted")
+    assert found.blocks == ("controller",)
+    assert found.agrees(), found
+
+
 def test_an_fmu_that_does_otherwise_is_told(car):
     other = cruise_control(controllers.GammaPrecision(forgetting=0.9))
     found = cosim.verify_fmu(car[1]["2.0"], other, duration=8.0, engine="interpreted")

@@ -57,7 +57,9 @@ def export_scenario(
             )
         source, header = export_c(loop, out or Path(), name=_stem(name, chosen), blocks=chosen)
         if not quiet:
-            _say(f"{source} and {header.name}: {source.stem}_init, {source.stem}_evaluate and {source.stem}_advance.")
+            _say(
+                f"{source} and {header.name}: {source.stem}_init, {source.stem}_step; {header.name} says how to use them."
+            )
             _say(f"Try:  cc -std=c99 -O2 -ffp-contract=off -c {quote(str(source))}")
         return
     path = out or Path(f"{_stem(name, chosen)}.fmu")
