@@ -1,0 +1,169 @@
+"""Arrays of FMI 3 as vector and matrix ports, and outputs that are not what the description says; fmpy is the oracle."""
+
+import dataclasses
+import pickle
+import re
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim
+from bayesftc.cosim.errors import FMUError, SimulationError
+from bayesftc.cosim.fmu import FMU
+
+REALS3 = {"inputs": ["u"], "outputs": ["y", "total"]}
+
+
+def test_arrays_are_vector_and_matrix_ports_as_large_as_structural_parameters_say(breadth):
+    block = FMU(breadth("3"))
+    assert [(p.name, p.shape, p.default) for p in block.inputs[:2]] == [("u", (2,), (0.0, 0.0)), ("next", (), 1.0)]
+    assert block.port("numbers").default == (1.5, 2.5)
+    assert block.port("y").shape == (2,)
+    assert block.start_value("K") == ((1.0, 0.0), (0.0, 1.0))
+    three = FMU(breadth("3"), parameters={"n": 3, "x0": [1, 2, 3]})
+    assert (three.port("u").shape, three.port("y").shape, three.port("u").default) == ((3,), (3,), (0.0, 0.0, 0.0))
+    assert three.start_value("K") is None  # of another size, the FMU has values of its own
+    assert pickle.loads(pickle.dumps(three)) == three
+    assert dataclasses.replace(three, name="again").port("u").shape == (3,)
+    for values, words in (
+        ({"n": 3, "x0": [1, 2]}, "'x0' of the FMU 3.fmu is an array of shape (3,) and must be given as one"),
+        ({"K": [[1, 2], [3]]}, "shape (2, 2) and must be given as one, row by row"),
+        ({"K": [[1, 2], [3, "four"]]}, "must be a finite number, not 'four'"),
+        ({"n": 10_000}, "would have the shape (10000, 10000): more than 10,000,000 numbers"),
+        ({"n": -1}, "must be a whole number from 0 to"),
+    ):
+        with pytest.raises(FMUError, match=re.escape(words)):
+            FMU(breadth("3"), parameters=values)
+    with pytest.raises(FMUError, match=r"'y' of the FMU 3.fmu is an array of shape \(0,\), which is empty"):
+        FMU(breadth("3"), parameters={"n": 0}, outputs=["y"])
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_an_array_fmu_gives_the_numbers_of_fmpy_in_both_engines(breadth, alone, run_both, n):
+    import fmpy
+
+    K, x0, u = (
+        np.array([[1.0, 2.0, 0.5], [3.0, 4.0, -1.0], [0.0, 1.0, 2.0]])[:n, :n],
+        [1.0, -1.0, 0.5][:n],
+        [0.1, -0.2, 0.3][:n],
+    )
+    structure = {"n": n} if n != 2 else {}
+    block = FMU(breadth("3"), parameters=structure | {"K": K, "x0": x0, "u": u}, **REALS3)
+    run = run_both(alone(block, "1/64"), 1)
+    expected = np.array(x0) + np.outer(run.time, K @ u)
+    np.testing.assert_allclose(run["b.y"], expected, rtol=1e-13)
+    np.testing.assert_allclose(run["b.total"], expected.sum(axis=1), rtol=1e-12, atol=1e-13)
+    if n == 2:
+        start = {name: " ".join(map(repr, np.ravel(v).tolist())) for name, v in (("K", K), ("x0", x0), ("u", u))}
+        theirs = fmpy.simulate_fmu(
+            str(breadth("3")), stop_time=1.0, output_interval=1 / 64, start_values=start, output=["y"]
+        )["y"]
+    else:  # simulate_fmu does not configure: the same calls by hand, through fmpy's own functions
+        theirs = by_hand(breadth("3"), n, K, x0, u)
+    np.testing.assert_array_equal(np.asarray(theirs), run["b.y"])
+
+
+def by_hand(path, n, K, x0, u):
+    import fmpy
+    from fmpy.fmi3 import FMU3Slave
+
+    slave = FMU3Slave(
+        guid="{b}", unzipDirectory=fmpy.extract(str(path)), modelIdentifier="Breadth", instanceName="oracle"
+    )
+    slave.instantiate()
+    slave.enterConfigurationMode()
+    slave.setUInt64([1], [n])
+    slave.exitConfigurationMode()
+    slave.setFloat64([3], K.ravel().tolist())
+    slave.setFloat64([4], x0)
+    slave.enterInitializationMode()
+    slave.setFloat64([2], u)
+    slave.exitInitializationMode()
+    rows = [slave.getFloat64([5], nValues=n)]
+    for k in range(64):
+        slave.doStep(k / 64, 1 / 64)
+        rows.append(slave.getFloat64([5], nValues=n))
+    slave.terminate()
+    slave.freeInstance()
+    shutil.rmtree(slave.unzipDirectory)
+    return rows
+
+
+def test_arrays_of_another_exporter(alone, tmp_path, run_both):
+    builder = pytest.importorskip("pythonfmu3").FmuBuilder
+    path = builder.build_FMU(str(Path(__file__).with_name("vessel.py")), dest=str(tmp_path))
+    mix = np.array([[1.0, 2.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 3.0]])
+    values = {"mix": mix, "flow": [1, 2, 3], "valves": [True, False, True], "count": [-5, 7]}
+    block = FMU(path, parameters=values, tunable=["gain"], timing="plant")
+    assert [(p.name, p.shape) for p in block.inputs] == [
+        ("flow", (3,)),
+        ("valves", (3,)),
+        ("count", (2,)),
+        ("gain", ()),
+    ]
+    run = run_both(alone(block, 0.1, ("gain", cosim.Step(time=0.5, before=1.0, after=2.0))), 1)
+    np.testing.assert_allclose(run["b.level"][-1], 1.5 * mix @ [1, 0, 3], rtol=1e-12)
+    assert run["b.seen"][-1].tolist() == [-5.0, 7.0]
+    assert run["b.steps"].tolist() == list(range(11))
+
+
+ARRAY = '<Float64 name="y" valueReference="5" causality="output"><Dimension valueReference="1"/></Float64>'
+
+
+@pytest.mark.parametrize(
+    ("lie", "words"),
+    [
+        (-1.0, "has not written 'steps', 'flag_out', 'mode_out' of 'b': its binary and its model description"),
+        (-2.0, "writes beyond the memory that it is given for 'count_out' of 'b'"),
+    ],
+)
+def test_whole_numbers_that_are_not_written_are_no_zeros(breadth, alone, lie, words):
+    with pytest.raises(FMUError, match=re.escape(words)):
+        alone(FMU(breadth("2"), parameters={"lie": lie}), 0.1).simulate(0.1, engine="interpreted")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion valueReference="77"'),
+            "a variable 77, which it does not define",
+        ),
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion valueReference="6"'),
+            "'y' .* as large as 'k', which is 1.0",
+        ),
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion start="-5"'),
+            "'y' .* is as large as -5: that is no size",
+        ),
+        (ARRAY, ARRAY.replace('sion valueReference="1"', 'sion start="99999999999"'), "more than 10,000,000 numbers"),
+        (
+            ARRAY,
+            ARRAY.replace('sion valueReference="1"', 'sion start="5"'),
+            "fmi3GetFloat64 of 'y' and 'total' returned Error",
+        ),
+        ('start="1 0 0 1"', 'start="1 0 0"', r"'K' .* start value '1 0 0', which is no Float64 of shape \(2, 2\)"),
+        ('start="1 0 0 1"', 'start="1 a 0 1"', "start value '1 a 0 1', which is no Float64"),
+        ('<Int8 name="byte"', '<UInt16 name="byte"', "fmi3SetUInt16 of 'byte' returned Error"),
+        ('factor="1.8"', 'factor="0"', "what 'Rankine' means is not known"),
+    ],
+)
+def test_descriptions_of_arrays_that_lie_end_in_a_sentence(breadth, alone, tmp_path, old, new, words):
+    with zipfile.ZipFile(breadth("3")) as source, zipfile.ZipFile(tmp_path / "lie.fmu", "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                assert old.encode() in content
+                content = content.replace(old.encode(), new.encode())
+            target.writestr(name, content)
+
+    values = {"x0": ([1, 2], "Rankine")} if "factor" in new else {}
+    with pytest.raises((FMUError, SimulationError), match=words):
+        alone(FMU(tmp_path / "lie.fmu", parameters=values, validate=False), 0.1).simulate(0.1, engine="interpreted")

@@ -1,0 +1,120 @@
+"""FMUs with ports and parameters of every type, and with units."""
+
+import re
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim
+from bayesftc.cosim import ops
+from bayesftc.cosim.errors import FMUError, SimulationError
+from bayesftc.cosim.fmu import FMU
+
+ENGINES = ("compiled", "interpreted")
+
+
+# --- types ----------------------------------------------------------------------------------------------------------------------
+
+PAIRS = {
+    "3": {"byte": -128.0, "wide": 2.0**51, "flag": 1.0, "mode": 2.0, "single": 0.1, "word": 65535.0},
+    "2": {"count": -(2.0**31), "flag": 1.0, "mode": 2.0},
+}
+OUT = {"wide": "twice"}
+
+
+@pytest.mark.parametrize("major", "23")
+def test_values_of_every_type_go_in_and_out_exactly(breadth, alone, run_both, major):
+    sources = [(name, cosim.Constant(value)) for name, value in PAIRS[major].items()]
+    for timing in ("plant", "sampled"):
+        run = run_both(alone(FMU(breadth(major), timing=timing), 0.1, *sources), 0.5)
+        for name, value in PAIRS[major].items():
+            out = run["b." + OUT.get(name, f"{name}_out")]
+            wanted = {"single": np.float32(0.1), "wide": 2.0**52}.get(name, value)
+            assert out[-1] == wanted
+        if major == "2":
+            assert run["b.steps"].tolist() == [k + (timing == "sampled") for k in range(6)]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("major", "name", "value", "words"),
+    [
+        ("3", "byte", 128.0, "'byte' is Int8 and must be a whole number from -128 to 127"),
+        ("3", "byte", 0.5, "whole number from -128"),
+        ("3", "word", -1.0, "'word' is UInt16 and must be a whole number from 0 to 65535"),
+        ("3", "flag", 2.0, "'flag' is Boolean and must be a whole number from 0 to 1"),
+        ("3", "mode", 3.0, "'mode' is Enumeration and must be a whole number from 1 to 2"),
+        ("3", "single", 1e39, "'single' is Float32 and must be a number up to 3.40282e+38"),
+        ("3", "wide", 2.0**52, "The output 'twice' is a whole number that a double cannot hold exactly"),
+        ("3", "wide", float("inf"), "'wide' is Int64"),
+        ("2", "count", float("nan"), "'count' is Integer and must be a whole number from -2147483648 to 2147483647"),
+        ("2", "flag", 0.1, "'flag' is Boolean"),
+    ],
+)
+def test_values_that_do_not_fit_stop_the_run(breadth, alone, make_block, engine, major, name, value, words):
+    def write(y, t, value):
+        y[0] = ops.select(t < 0.25, 1.0, value[0])
+
+    source = make_block(outputs=[cosim.Port("y")], parameters={"value": value}, output=write)
+    diagram = alone(FMU(breadth(major)), 0.1, (name, source))
+    with pytest.raises(SimulationError, match=re.escape(words)) as caught:
+        diagram.simulate(1, engine=engine)
+    assert "at t = 0.3 s (step 3)" in str(caught.value) or name == "wide"
+    assert len(caught.value.result.time) == 4
+
+
+def test_parameters_of_every_type(breadth, alone):
+    block = FMU(breadth("3"), parameters={"label": "four", "mode": "on", "flag": True, "byte": -5})
+    assert block.parameters == {"label": "four", "mode": 2, "flag": True, "byte": -5}
+    run = alone(block, 0.1).simulate(0.1)
+    assert [run[f"b.{name}"][-1] for name in ("length", "mode_out", "flag_out", "byte_out")] == [4.0, 2.0, 1.0, -5.0]
+    assert FMU(breadth("3"), parameters={"mode": 2}).parameters == {"mode": 2}
+    for mode in ("onn", 3, 1.5, True):
+        with pytest.raises(FMUError, match=r"'mode' of the FMU .* must be one of 'off' \(1\), 'on' \(2\), not"):
+            FMU(breadth("3"), parameters={"mode": mode})
+
+
+# --- units ----------------------------------------------------------------------------------------------------------------------
+
+
+def test_values_with_units_become_the_variables_own(breadth):
+    block = FMU(breadth("3"), parameters={"K": ([[90, 0], [0, 180]], "deg/s"), "x0": ([0, 100], "degC")})
+    np.testing.assert_allclose(block.parameters["K"], [[100, 0], [0, 200]], rtol=1e-14)  # gradians: the FMU's own unit
+    np.testing.assert_allclose(block.parameters["x0"], [273.15, 373.15], rtol=1e-15)
+    np.testing.assert_allclose(FMU(breadth("3"), parameters={"x0": ([9, 18], "Rankine")}).parameters["x0"], [5, 10])
+    car = FMU(cosim_path(), parameters={"m": "0.1 t", "v0": "3.6 km/h", "b": (5, "kg/s")})
+    assert car.parameters == {"m": pytest.approx(100.0), "v0": pytest.approx(1.0), "b": 5.0}
+    for values, words in (
+        (
+            {"m": "100 s"},
+            "'m' of the FMU CruiseControl.fmu is in kg, and '100.0 s' cannot be brought to that: their dimensions",
+        ),
+        ({"m": (1, "blorps")}, "what 'blorps' means is not known"),
+        ({"m": "kg 100"}, "must be a finite number, not 'kg 100'"),
+    ):
+        with pytest.raises(FMUError, match=re.escape(words)):
+            FMU(cosim_path(), parameters=values)
+    with pytest.raises(FMUError, match=r"'k' of the FMU 3.fmu has no unit, and '2.0 m' has one; give a plain number"):
+        FMU(breadth("3"), parameters={"k": "2 m"})
+
+
+def test_an_fmus_own_units_count_in_connections(breadth):
+    grads = FMU(breadth("3"), inputs=[], outputs=[], tunable=[]).description.units["Grad/s"]
+    assert grads.unit.powers == {"radian": 1, "second": -1}  # to pint, this would be a giga-radian
+
+    class Wheel(cosim.Block):
+        outputs = (cosim.Port("y", unit="Grad/s", meaning=grads.unit),)
+
+        def define(self, step):
+            return cosim.Definition(output=lambda y: None)
+
+    diagram = cosim.Diagram(0.1)
+    gain = diagram.add(cosim.Gain(1.0, input_unit="deg/s"))
+    with pytest.raises(cosim.ConnectionError, match=r"in Grad/s, but .* in deg/s; put Gain\(0\.9\) between them"):
+        diagram.connect(diagram.add(Wheel())["y"], gain["u"])
+
+
+def cosim_path():
+    from bayesftc import fmus
+
+    return fmus.path("CruiseControl")
