@@ -168,6 +168,18 @@ def test_fmi_3_in_a_tool_that_knows_no_arrays(exported, ecos, readings, expected
         same_bits(np.array(rows), wanted[name], name)
 
 
+def test_an_element_is_named_once(tmp_path):
+    for names, words in (
+        ({"y": "y", "y[0]": "first"}, "'first' of what is exported is part of another one"),
+        ({"y[0]": "a", "y[1]": "a"}, "would have one name"),
+    ):
+        with pytest.raises(cosim.ModelError, match=words):
+            cosim.export_fmu(BRAIN, tmp_path / "it.fmu", inputs=names)
+    with pytest.raises(cosim.UnknownNameError, match=re.escape("no input 'y[2]'")):
+        cosim.export_fmu(BRAIN, tmp_path / "it.fmu", inputs=["y[2]"])
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_the_bits_of_python_in_fmpy(exported, instance, fmi, readings, expected, same_bits):
     it, found = instance(exported[fmi]).begin(), {name: [] for name in SHOWN}
@@ -315,6 +327,24 @@ def test_our_jacobi_mode_is_that_loop(exported, given, late, same_bits):
     brain = cosim.FMU(exported["2.0"], timing="plant", parameters=start_of(given))
     for order in (("plant", "brain"), ("brain", "plant")):
         same_bits(speeds(diagram(brain, given, order=order), "jacobi"), late)
+
+
+def test_the_loop_goes_to_another_tool_as_a_system_structure(exported, ecos, tmp_path, same_bits):
+    start = {"y[0]": V0, "y[1]": V0, "goal[0]": 22.0}
+    loop = cosim.Diagram("1/50")
+    plant = loop.add(cosim.FMU(CAR, parameters={"v0": V0}), "plant")
+    brain = loop.add(cosim.FMU(exported["2.0"], timing="plant", parameters=start), "brain")
+    for i in range(2):
+        loop.connect(plant["v"], brain[f"y[{i}]"])
+    loop.connect(brain["u[0]"], plant["force"])
+    ours = loop.build("jacobi").simulate(100 * H, engine="interpreted")["plant.v"]
+    path, found = cosim.save_ssp(loop, tmp_path / "loop.ssp"), []
+    with ecos.EcosSimulation(ssp_path=str(path), step_size=H) as simulation:
+        simulation.init(parameter_set="initialValues")
+        for _ in range(101):
+            found.append(simulation.get_real("plant::v"))
+            simulation.step()
+    same_bits(np.array(found), ours)
 
 
 def test_a_controller_that_makes_its_step_first_is_on_time(exported, given, late, same_bits):
