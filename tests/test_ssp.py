@@ -169,6 +169,17 @@ def test_systems_in_systems(tmp_path):
     check_chain(result, "left.a.v", "right.core.b.v", factor=0.5, offset=0.25)
 
 
+def test_what_a_variant_refers_to_is_relative_to_it(tmp_path):
+    """And not to the archive, in which another file may have that name."""
+    binding = '<ssd:ParameterBinding source="car.ssv"/>'
+    text = ssd(system(component("a", bindings=binding, source="CruiseControl.fmu")))
+    inside = {"other/one.ssd": text, "other/car.ssv": values(force=100), "car.ssv": values(force=7)}
+    path = packed(tmp_path, ssd(system(A)), **inside)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.write(CAR["2.0"], "other/CruiseControl.fmu")
+    assert cosim.open_ssp(path, dt=H, variant="other/one.ssd").nodes[0].block.start_value("force") == 100.0
+
+
 def test_inputs_of_the_whole_keep_their_start_values_and_can_be_connected(tmp_path):
     text = ssd(system(component("a", bindings=START), link("in", "a.force"), connectors=connected("input", "in")))
     path = packed(tmp_path, text)
