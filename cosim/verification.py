@@ -105,15 +105,20 @@ class Verification:
         first, last = ", ".join(self.blocks[:-1]), self.blocks[-1]
         what = f"what {first} and {last} do" if first else f"what {last} does"
         if all(d.largest == 0.0 for d in (*self.beside, *(self.in_loop or ()))):
-            return f"{self.path.name} does {what}: the same numbers at all {self.steps} steps."
+            return f"{self.path.name} does {what}: the same numbers at {self._at_all}."
         worst = max((*self.beside, *(self.in_loop or ())), key=lambda deviation: deviation.relative)
-        size = f"{worst.relative:.2g} of the largest value of {worst.signal}"
+        times = " times" if worst.relative > 1.0 else " of"
+        size = f"{worst.relative:.2g}{times} the largest value of {worst.signal}"
         if self.agrees(tolerance):
             return f"{self.path.name} does {what}, to the tolerance of {tolerance:g}: it differs by {size} at most."
         usual = (
             "" if worst.relative > 1e-9 else " So little is usual where exp, log or sin come from another C library."
         )
         return f"{self.path.name} does NOT do {what}: it differs by {size}.{usual}"
+
+    @property
+    def _at_all(self) -> str:
+        return "the one step that was made" if self.steps == 1 else f"all {self.steps} steps"
 
     def __repr__(self) -> str:
         return self.report()

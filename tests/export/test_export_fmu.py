@@ -11,7 +11,7 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
-from bayesftc import controllers, cosim
+from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.verification import deviation
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
@@ -105,6 +105,33 @@ def test_blocks_that_are_fused_are_one_fmu(tmp_path, car):
     found = cosim.verify_fmu(path, loop, duration=16.0, engine="interpreted")
     assert found.agrees(), found
     assert found.verdict().startswith("front.fmu does what sensors, freeze_0 and controller do: the same numbers")
+
+
+def test_blocks_of_several_rates_are_one_fmu(tmp_path):
+    diagram = cosim.Diagram("1/100")
+    noise = diagram.add(cosim.Gaussian(1.0), "noise-1")  # no name for FMI
+    limit = diagram.add(cosim.Saturation(-1.0, 1.0), "limit", every=2)
+    late = diagram.add(cosim.UnitDelay(), "late", every=3)
+    diagram.connect(noise["y"], limit["u"])
+    diagram.connect(limit["y"], late["u"])
+    for blocks in (["limit", "late"], None):
+        path = cosim.export_fmu(diagram, tmp_path / "rates.fmu", blocks=blocks)
+        found = cosim.verify_fmu(path, diagram, duration=2.0, engine="interpreted")
+        assert found.blocks == (tuple(blocks) if blocks else ("noise-1", "limit", "late"))
+        assert found.agrees(), found
+
+
+def test_a_plant_in_a_loop_with_another_fmu(tmp_path):
+    diagram = cosim.Diagram("1/50")
+    car = diagram.add(cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}), "car")
+    motor = diagram.add(cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[30.0]], 0, 0.02)), "motor")
+    diagram.connect(car["v"], motor["u"])
+    diagram.connect(motor["y"], car["force"])
+    path = cosim.export_fmu(diagram, tmp_path / "motor.fmu", blocks="motor")
+    assert cosim.FMU(path).timing == "plant"
+    found = cosim.verify_fmu(path, diagram, duration=5.0, engine="interpreted")
+    assert found.agrees(), found
+    assert {d.signal for d in found.in_loop} == {"car.v", "motor.y"}
 
 
 def alone(path):

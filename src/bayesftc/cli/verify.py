@@ -101,7 +101,6 @@ def _plain(found: Verification, name: str, tolerance: float) -> dict[str, Any]:
 
 
 def _print(found: Verification, name: str, tolerance: float) -> None:
-    typer.echo(
-        f"{found.path.name} beside {', '.join(found.blocks)} of {name}, {found.steps} steps, seed {found.seed}\n"
-    )
+    steps = f"{found.steps} step" + ("" if found.steps == 1 else "s")
+    typer.echo(f"{found.path.name} beside {', '.join(found.blocks)} of {name}, {steps}, seed {found.seed}\n")
     typer.echo(found.report(tolerance))
