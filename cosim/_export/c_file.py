@@ -105,6 +105,9 @@ def write_c(program: Program) -> CFile:
     }
     source = [
         f"/* {name}: {name}.h says how to use it. */",
+        "#if defined _MSC_VER && !defined _UCRT_NOISY_NAN",
+        "#define _UCRT_NOISY_NAN /* else NAN is no constant in the Windows SDK 10.0.26100 */",
+        "#endif",
         "#include <math.h>",
         "#include <stddef.h>",
         "#include <stdint.h>",

@@ -7,6 +7,7 @@ controller's output reaches the plant one step late. Before the first step both 
 import logging
 import re
 import shutil
+import subprocess
 import zipfile
 from xml.etree import ElementTree as ET
 
@@ -448,3 +449,52 @@ def test_initial_outputs_depend_on_what_is_declared(exported, instance, fmi):
         assert "u" in moved
         assert all(name in declared[output] for output in moved)
         it.set(**{name: np.zeros(it.size[name])})
+
+
+# The sources, by compilers other than those that the FMUs are built with.
+
+SDK = """\
+#include_next <math.h>
+#ifndef _UCRT_NOISY_NAN
+static inline float computed(void) { return 0.0f / 0.0f; }
+#undef NAN
+#define NAN (computed())
+#endif
+"""
+"""What the Windows SDK 10.0.26100 does with NAN, which C99 has as a constant."""
+
+
+def test_sources_where_nan_is_no_constant(tmp_path, c_compiler):
+    source, _ = cosim.export_c(BRAIN, tmp_path, name="brain")
+    assert re.search(r"static const .*\(double\)NAN", source.read_text(), re.S)
+    (tmp_path / "sdk").mkdir()
+    (tmp_path / "sdk" / "math.h").write_text(SDK)
+    command = [c_compiler, "-std=c99", "-D_MSC_VER=1942", "-Isdk", "-c", "brain.c"]
+    made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+
+
+@pytest.mark.parametrize("options", ["-O0", "-O3 -march=native -ffp-contract=off"])
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_the_sources_in_an_fmu_make_it_anew(
+    exported, instance, tmp_path, c_compiler, fmi, options, readings, expected, same_bits
+):
+    """As an importer does that finds no binary for its platform: all files that the description lists, and libm."""
+    folder, anew = tmp_path / "sources of it", tmp_path / "anew.fmu"
+    with zipfile.ZipFile(exported[fmi]) as old, zipfile.ZipFile(anew, "w") as new:
+        old.extractall(folder)
+        place, tag = (
+            ("modelDescription.xml", "File") if fmi == "2.0" else ("sources/buildDescription.xml", "SourceFile")
+        )
+        listed = [each.get("name") for each in ET.fromstring(old.read(place)).iter(tag)]
+        command = [c_compiler, *options.split(), "-shared", "-fPIC", *listed, "-o", "made.so", "-lm"]
+        made = subprocess.run(command, cwd=folder / "sources", capture_output=True, text=True)
+        assert made.returncode == 0, made.stderr
+        for name in old.namelist():
+            binary = name.startswith("binaries/")
+            new.writestr(name, (folder / "sources" / "made.so").read_bytes() if binary else old.read(name))
+    it, found = instance(anew).begin(), []
+    for k, (y, goal) in enumerate(zip(*readings, strict=True)):
+        it.step(k, H, y=y, goal=goal)
+        found.append(it.get("u"))
+    same_bits(np.array(found), expected["u"])
