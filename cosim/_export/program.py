@@ -188,7 +188,8 @@ def program_of(
         if definition is not None and not definition.compiled:
             raise ModelError(
                 f"The block {node.name!r} ({type(node.block).__name__}) calls back into Python, which the exported C has not; "
-                "write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False."
+                "write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False; of "
+                "classifiers take one that is linear in its features."
             )
     seen = {
         port.name if alone else f"{node.name}.{port.name}": tuple((node, port, i) for i in range(port.size))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
+from sklearn.ensemble import RandomForestClassifier
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.verification import deviation
@@ -215,6 +216,19 @@ def test_a_nan_is_a_missing_sample_to_any_importer(car):
         np.testing.assert_array_equal(got, [*expected.u, *expected.x_hat, *expected.beta])
     fmu.terminate()
     fmu.freeInstance()
+
+
+def test_a_classifier_that_is_linear_is_exported_and_another_is_refused(tmp_path):
+    residuals = np.random.default_rng(0).normal(size=(200, 1))
+    faulty = (residuals[:, 0] > 0.5).astype(int)
+    linear = controllers.FaultClassifier().fit(residuals, faulty).block(2)
+    diagram = surrounded(linear)
+    path = cosim.export_fmu(diagram, tmp_path / "linear.fmu", blocks="block")
+    found = cosim.verify_fmu(path, diagram, duration=10.0, engine="interpreted")
+    assert found.agrees(1e-12), found  # exp is in it
+    forest = controllers.FaultClassifier(RandomForestClassifier(3, random_state=0)).fit(residuals, faulty).block(2)
+    with pytest.raises(cosim.ModelError, match=r"calls back into Python, .* take one that is linear in its features"):
+        cosim.export_fmu(forest, tmp_path / "forest.fmu", dt=0.1)
 
 
 # How they are compared
