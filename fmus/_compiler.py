@@ -180,13 +180,14 @@ def compile_foreign(
 
 
 def _run(command: Sequence[str], folder: Path, sources: Sequence[str], limit: float | None = None) -> None:
+    compiler = "ziglang" if "ziglang" in command else command[0]
     try:
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=limit)
     except OSError as error:
-        raise CompilerError(f"The C compiler '{command[0]}' could not be started: {error}.") from error
+        raise CompilerError(f"The C compiler '{compiler}' could not be started: {error}.") from error
     except subprocess.TimeoutExpired:
         raise CompilerError(
-            f"The C compiler '{command[0]}' did not finish {', '.join(sources)} in {limit:g} s."
+            f"The C compiler '{compiler}' did not finish {', '.join(sources)} in {limit:g} s."
         ) from None
     if done.returncode != 0:
-        raise CompilerError(f"The C compiler '{command[0]}' refused {', '.join(sources)}:\n{done.stderr.strip()}")
+        raise CompilerError(f"The C compiler '{compiler}' refused {', '.join(sources)}:\n{done.stderr.strip()}")
