@@ -122,7 +122,7 @@ def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) 
     """
     whole = copy(diagram)
     coupling, whole._coupling = whole._coupling, None
-    outside = whole.add(_Outside(len(given)), OUTSIDE) if given else None
+    outside = whole.add(_Outside(len(given)), OUTSIDE)["y"] if given else None
     for j, (node, port, i) in enumerate(given):
         assert outside is not None
         targets = [(node.name, port.name, i)]
@@ -133,7 +133,7 @@ def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) 
                 if source.node is node and source.port.name == port.name and element == i
             ]
         for target in targets:
-            whole._sources[target] = outside["y"], j
+            whole._sources[target] = outside, j
     for name, (node, _, _) in needed(whole).items():
         raise UnconnectedInputError(
             f"The input {name} of {type(node.block).__name__} has neither a source nor a start value; name it among the inputs "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from math import isfinite, pi
+from math import isfinite, tau
 from numbers import Real
 
 import numpy as np
@@ -14,6 +14,8 @@ from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import select, sin
 from bayesftc.cosim.ports import Port
+
+TAU = tau
 
 
 def _is_finite(value: Real) -> bool:
@@ -100,8 +102,8 @@ class Ramp(Source):
         return Definition(_ramp, parameters={"slope": self.slope, "start": self.start, "offset": self.offset})
 
 
-def _sine(t, amplitude, rate, phase, offset, y):
-    y[0] = offset[0] + amplitude[0] * sin(rate[0] * t + phase[0])
+def _sine(t, amplitude, period, phase, offset, y):
+    y[0] = offset[0] + amplitude[0] * sin(TAU / period[0] * t + phase[0])
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ class Sine(Source):
         """See `Block.define`."""
         parameters = {
             "amplitude": self.amplitude,
-            "rate": 2 * pi / self.period,
+            "period": self.period,
             "phase": self.phase,
             "offset": self.offset,
         }

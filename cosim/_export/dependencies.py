@@ -65,8 +65,12 @@ def feeding_elements(program: Program) -> dict[str, tuple[frozenset[str], ...]]:
 
 
 def _named(number: object, names: list[str]) -> frozenset[str]:
-    of = origins(number)
-    return frozenset(names[i] for i in range(of.bit_length()) if of >> i & 1)
+    of, found = origins(number), []
+    while of:
+        lowest = of & -of
+        found.append(names[lowest.bit_length() - 1])
+        of ^= lowest
+    return frozenset(found)
 
 
 def keeps_state_in_outputs(program: Program) -> bool:

@@ -36,6 +36,9 @@ _TRIED = ((0.8, 0.2), (1.25, 0.7), (0.96, 0.04), (1.04, -0.2), (0.5, -0.7), (2.0
 
 _WANTED = 2
 
+_MOST = 100
+"""A setting of more numbers is data; in C it stays in a table that never changes."""
+
 _TELLING = 15
 """A first sentence with fewer characters is a unit, such as ``Seconds.``; the next one belongs to it."""
 
@@ -139,7 +142,7 @@ def _as_numbers(value: Any) -> Floats | None:
         array = np.asarray(value)
     except ValueError:  # rows of different lengths
         return None
-    if array.dtype.kind not in "iuf" or not array.size or not np.isfinite(array).any():
+    if array.dtype.kind not in "iuf" or not 0 < array.size <= _MOST or not np.isfinite(array).any():
         return None
     return array.astype(np.float64)
 
@@ -156,7 +159,7 @@ def _found(
     allowed = 0
     for factor, at_zero in _TRIED:
         new = value.copy()
-        apart = 1.0 + 1e-3 * np.arange(len(elements))  # each element gets a value of its own
+        apart = 1.0 + np.linspace(0.0, 0.01, len(elements))  # each element gets a value of its own
         old = new.ravel()[elements]
         new.ravel()[elements] = np.where(old == 0.0, at_zero, factor * old) * apart
         try:
@@ -170,12 +173,15 @@ def _found(
             return None
         changed = np.flatnonzero(then.values.view(np.int64) != now.values.view(np.int64))
         # What is the new value now, and was the old one, is this element.
-        where: dict[int, list[int]] = {int(e): [] for e in elements}
+        which = dict(zip(new.ravel()[elements].tolist(), elements.tolist(), strict=True))
+        where: dict[int, list[int]] = {e: [] for e in which.values()}
         for place in changed.tolist():
-            of = [e for e in elements.tolist() if new.ravel()[e] == then.values[place]]
-            if len(of) != 1 or value.ravel()[of[0]] != now.values[place]:
+            element = which.get(float(then.values[place]))
+            if element is None or value.ravel()[element] != now.values[place]:
                 return None
-            where[of[0]].append(place)
+            where[element].append(place)
+        if len(where) < len(elements):
+            continue  # two elements have become equal
         if not all(where.values()) or (agreed is not None and where != agreed):
             return None
         agreed, allowed = where, allowed + 1

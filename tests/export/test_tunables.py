@@ -87,6 +87,15 @@ def test_elements_that_may_not_change_leave_the_others_alone():
     assert names(law, dt=0.1) == ["gain[0,0]", "gain[1,1]", "u_max[1]"]
 
 
+def test_many_numbers_are_data():
+    (gain, _) = program_of(cosim.Gain((1.0 + np.arange(100.0).reshape(10, 10)).tolist()), dt=0.1).tunables
+    assert gain.shape == (10, 10)
+    assert gain.parameter == "gain"
+    assert names(cosim.Gain(np.ones((10, 11)).tolist()), dt=0.1) == ["offset"]
+    assert names(cosim.Table([0.0, 1.0], [0.0, 2.0], interpolate=False), dt=0.1) == ["times", "values"]
+    assert names(cosim.Saturation(-1.0, float("inf"), size=3000), dt=0.1) == ["low"]
+
+
 def pair(u, gain, twice, y):
     y[0] = gain[0] * u[0] + twice[0]
 
