@@ -1,0 +1,1 @@
+"""The cruise controller as C, in a loop as firmware has it."""
