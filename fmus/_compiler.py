@@ -15,6 +15,11 @@ from bayesftc.fmus._platforms import Platform, host
 FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared", "-s")
 
 
+_LONGEST = 900.0
+"""Seconds that a compiler may take: ziglang builds a C library first where it has none, and waits for ever for a cache that it
+cannot write."""
+
+
 class CompilerError(RuntimeError):
     """No compiler was found, or it refused the sources."""
 
@@ -145,7 +150,7 @@ def compile_library(
         str(library.relative_to(folder) if library.is_relative_to(folder) else library),
         *(f"-l{name}" for name in libraries),
     ]
-    _run(command, folder, sources)
+    _run(command, folder, sources, _LONGEST)
 
 
 def compile_foreign(
