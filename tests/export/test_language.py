@@ -141,18 +141,78 @@ def branches(u, y, x):
     y[3] = u[0] if TABLE[0] == 3 else x
 
 
-KERNELS = [numbers, operations, loops, order, rows]
+def aliases(u, y, X, k):
+    """Rows that change places, and a row taken by an index that changes in the same line."""
+    row, other = X[0], X[1]
+    row, other = other, row
+    i = 1
+    i, row = 0, X[i]
+    row[0] = row[0] + u[0]
+    other[1] = other[1] - u[1]
+    y[0], y[1], y[2], y[3] = X[0, 0], X[1, 0], X[0, 1], row[1] + other[0] + i
+
+
+def call_order(u, y, x):
+    """Calls in the order in which they are written, each made once."""
+    y[0] = returned_first(b=touched(x, 0), a=touched(x, 0, 3.0))
+    flag = touched(x, 1) > 0.0 and u[0] > 0.0
+    double = double_ = touched(x, 1)
+    touched(x, 0)
+    y[1], y[2], y[3] = x[1], (1.0 if flag else 0.0) + double * double_, minimum(x[0], b=0.5)
+    unread = touched(x, 0)  # noqa: F841
+
+
+def returned_first(a, b):
+    return forwarded(a, b)
+
+
+def forwarded(a, b):
+    return a - 3.0 * b
+
+
+def hidden_names(u, y):
+    """Names that are one in C unless they are told apart, and such as the C has itself."""
+    double, double_, t_1, t_2, größe, gru00f6u00dfe = u[0], u[1], u[2], 3.0, 4.0, 5.0
+    INT64_C, Record_ff, size_t = 1.0, 2.0, 3.0
+    first, second = returned(double, double_)
+    y[0], y[1], y[2] = first + t_1 * t_2, second + größe / gru00f6u00dfe, INT64_C + Record_ff + size_t
+    y[3] = t_1 = t_2 = touched(y, 0) * t_2
+
+
+def truth(u, y, k):
+    """Truth values that are counted with, and whole numbers that no 32 bits hold."""
+    large = (u[0] > 0) * 2147483647 + 2147483647 + k
+    y[0] = large * (u[1] > 0) + k // (3 if u[0] > 0 else -2)
+    y[1] = u[2] - (0.0 - (k - k)) + -0.0
+    y[2], y[3] = large, 9007199254740993 * u[0] + 9007199254740993
+
+
+def countdown(n):
+    total = 0.0
+    while n > -3:
+        total = total * 2.0 + TABLE[n % 3]
+        n = n - 1
+    return total
+
+
+def arguments(u, y, k):
+    """An argument that becomes another number of its kind, negative at last."""
+    y[0], y[1] = countdown(4), countdown(k)
+    y[2], y[3] = 0.0, 0.0
+
+
+KERNELS = [numbers, operations, loops, order, rows, aliases, call_order, hidden_names, truth, arguments]
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.__name__)
-def test_the_bits_of_python(kernel, compiled):
+def test_the_bits_of_python(kernel, compiled, same_bits):
     rng = np.random.default_rng(1)
     plain, c = Written(kernel).online(0.1, compiled=False), compiled(Written(kernel), dt=0.1, name=kernel.__name__)
     for _ in range(60):
         u = rng.normal(size=3).round(rng.integers(0, 3))
         with np.errstate(all="ignore"):
             expected = plain(u=u).y
-        np.testing.assert_array_equal(c(u=u)["y"], expected)
+        same_bits(c(u=u)["y"], expected)
 
 
 def test_rates_time_and_what_comes_from_outside(tmp_path, compiled):
@@ -188,6 +248,12 @@ REFUSED = {
     "row": (lambda: block_of(stores_row), "stores into a whole row or a tuple"),
     "lambda": (lambda: block_of(lambda u, y: None), "define it with def"),
     "callback": (lambda: cosim.StateSpace(NONLINEAR), "calls back into Python, which the exported C has not"),
+    "target": (lambda: block_of(calls_to_store), "calls a function to find where to store (y[place(u)])"),
+    "chain": (lambda: block_of(calls_in_chain), "calls a function behind a second comparison"),
+    "mask": (lambda: block_of(masks), "takes an element by a truth value (u[u[0] > 0.0])"),
+    "truth": (lambda: block_of(adds_truth), "counts with truth values alone, of which NumPy makes no numbers"),
+    "huge": (lambda: block_of(is_huge), "uses the whole number 9223372036854775808, for which 64 bits are too few"),
+    "twice": (lambda: block_of(names_twice), "calls 'returned' with other arguments than it has (a, b)"),
     "remainder": (lambda: block_of(float_remainder), "uses // or % on numbers that are not whole; use ops.floor"),
 }
 
@@ -229,6 +295,34 @@ def out_of_range(u, y):
 
 def stores_row(u, y, X):
     X[0] = u[0]
+
+
+def place(u):
+    return 1
+
+
+def calls_to_store(u, y):
+    y[place(u)] = u[0]
+
+
+def calls_in_chain(u, y):
+    y[0] = 1.0 if 0.0 < u[0] < largest(u) else 0.0
+
+
+def masks(u, y):
+    y[0] = u[u[0] > 0.0]
+
+
+def adds_truth(u, y):
+    y[0] = (u[0] > 0.0) + (u[1] > 0.0)
+
+
+def is_huge(u, y):
+    y[0] = u[0] * 9223372036854775808
+
+
+def names_twice(u, y):
+    y[0], y[1] = returned(u[0], 1.0, a=u[1])
 
 
 def float_remainder(u, y):
