@@ -1,6 +1,6 @@
 /* The cruise controller in a loop of C, as a timer of a microcontroller would call it; here it drives a car made of a line of C.
  *
- *     bayesftc export src/bayesftc/examples/cruise_control/cruise_control.toml --block controller --format c
+ *     bayesftc export cruise_control --block controller --format c -o .
  *     cc -std=c99 -O2 main.c controller.c -lm && ./a.out
  */
 #include <math.h>
