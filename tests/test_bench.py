@@ -10,6 +10,8 @@ from bayesftc.bench import _child, _machine, _run, plain_loop
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 
 BARS = {
+    "export.c",
+    *(f"export.{what}_{size}" for what in ("write", "compile") for size in ("1x2", "2x3")),
     "plain_loop.engine_over_c", "plain_loop.engine_over_fmpy", "plain_loop.difference",
     "coupled.engine", "coupled.difference",
     "model_exchange.free_cvode_over_fmpy", "model_exchange.driven_cvode_over_fmpy",

@@ -82,6 +82,9 @@ class Writer:
     def of(self, *choices):
         return self.random.choice(choices)
 
+    def named(self, text):
+        return text if self.keywords else text.replace("a=", "").replace("b=", "")
+
     def element(self):
         place = self.random.randint(0, 5)
         if place == 0:
@@ -110,7 +113,10 @@ class Writer:
             return f"{called}({self.of(self.number(depth - 1), self.element(), '4')})"
         if kind == 8:
             called = self.of(
-                "minimum({}, {})", "maximum({}, b={})", "select(u[1] > 0, {}, {})", "select(mixed, b={}, a={})"
+                "minimum({}, {})",
+                self.named("maximum({}, b={})"),
+                "select(u[1] > 0, {}, {})",
+                self.named("select(mixed, b={}, a={})"),
             )
             return called.format(self.number(depth - 1), self.of(self.number(depth - 1), "1", self.whole(0)))
         if kind == 9:
@@ -154,7 +160,9 @@ class Writer:
         if kind == 4:
             return f"not ({self.test(depth - 1)})"
         if kind == 5:
-            return self.of("both({}, {})", "either(a={}, b={})").format(self.test(0), self.of("flag", self.test(0)))
+            return self.of("both({}, {})", self.named("either(a={}, b={})")).format(
+                self.test(0), self.of("flag", self.test(0))
+            )
         if kind == 6:
             return f"negate({self.of(self.test(0), self.element())})"
         return self.of("flag", f"isnan({self.element()})", "FLAGS[1]", f"{sides[0]} > 0")
@@ -197,9 +205,8 @@ class Writer:
         elif kind == 8:
             self.emit(self.of("n, row = 1 - n % 2, X[n % 2]", "a = x[1] = double + 1.0", "row = other = X[k % 2]"))
         elif kind == 9:
-            self.emit(
-                f"{self.of('a, double', 'x[0], t_1')} = {self.of('pair', 'through')}({self.number(2)}, {'b=' * self.keywords}{self.number(1)})"
-            )
+            arguments = self.named(f"({self.number(2)}, b={self.number(1)})")
+            self.emit(f"{self.of('a, double', 'x[0], t_1')} = {self.of('pair', 'through')}{arguments}")
         elif kind == 10:
             self.emit(
                 self.of("put(x, n % 3)", "silent(row, n % 4 - 1)", "n = first_above(x, a) + 1", "flag = put(x, 0) > a")
