@@ -127,7 +127,7 @@ def export_c(
     exported : Block or Diagram
         What to export.
     folder : str or path
-        Where ``<name>.c`` and ``<name>.h`` are written; what was there under these names is replaced.
+        Where ``<name>.c`` and ``<name>.h`` are written, made if it is not there; what was there under these names is replaced.
     name : str, optional
         What types and functions begin with; by default the block's name.
     blocks : sequence of str, optional
@@ -160,7 +160,8 @@ def export_c(
     ...     print([file.name for file in files])
     ['limit.c', 'limit.h']
     """
-    target = _folder(folder)
+    target = Path(folder).expanduser()
+    _folder(target if target.exists() else target.parent)
     program = program_of(exported, name=name, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
     written = write_c(program)
     files = {f"{written.name}.c": written.source, f"{written.name}.h": written.header}
@@ -197,6 +198,7 @@ def _folder(folder: str | PathLike[str]) -> Path:
 def _staged(folder: Path) -> Iterator[Path]:
     """Give a folder beside the files to be, so that each appears under its name only when it is whole."""
     try:
+        folder.mkdir(exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".bayesftc-", dir=folder) as scratch:
             yield Path(scratch)
     except OSError as error:

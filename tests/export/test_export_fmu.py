@@ -349,20 +349,21 @@ def test_nothing_is_left_where_an_export_fails(tmp_path):
     with pytest.raises(cosim.ModelError, match="does not know its sample time"):
         cosim.export_c(limit, tmp_path)
     with pytest.raises(cosim.ResultFileError, match="does not exist"):
-        cosim.export_c(limit, tmp_path / "no", dt=0.1)
+        cosim.export_c(limit, tmp_path / "no" / "c", dt=0.1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.fmu"]
 
 
 def test_c_is_replaced_as_a_whole_and_compiles(tmp_path, c_compiler):
-    (tmp_path / "limit.c").write_text("old")
-    source, _ = cosim.export_c(cosim.Saturation(-1.0, 1.0), tmp_path, name="limit", dt=0.1)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["limit.c", "limit.h"]
+    folder = tmp_path / "made"
+    source, _ = cosim.export_c(cosim.Saturation(-2.0, 2.0), folder, name="limit", dt=0.1)
+    cosim.export_c(cosim.Saturation(-1.0, 1.0), folder, name="limit", dt=0.1)
+    assert sorted(p.name for p in folder.iterdir()) == ["limit.c", "limit.h"]
     subprocess.run(
         [c_compiler, "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", source.name, "-o", "limit.so", "-lm"],
-        cwd=tmp_path,
+        cwd=folder,
         check=True,
     )
-    library = ctypes.CDLL(str(tmp_path / "limit.so"))
+    library = ctypes.CDLL(str(folder / "limit.so"))
     state, u, y = np.zeros(64), np.array([3.0]), np.zeros(1)
     library.limit_init(ctypes.c_void_p(state.ctypes.data))
     library.limit_evaluate(*(ctypes.c_void_p(array.ctypes.data) for array in (state, u, y)))

@@ -60,7 +60,7 @@ def export_scenario(
             _say(
                 f"{source} and {header.name}: {source.stem}_init, {source.stem}_step; {header.name} says how to use them."
             )
-            _say(f"Try:  cc -std=c99 -O2 -ffp-contract=off -c {quote(str(source))}")
+            _say(f"Try:  cc -std=c99 -O2 -c {quote(str(source))}")
         return
     path = out or Path(f"{_stem(name, chosen)}.fmu")
     options: dict[str, Any] = {"fmi": fmi or "2.0", "timing": timing, "platforms": list(platforms) or None}
