@@ -2,6 +2,7 @@
 
 import ctypes
 import subprocess
+from pathlib import Path
 
 import control
 import fmpy
@@ -308,3 +309,15 @@ def instance(tmp_path):
     yield make
     for each in made:
         each.fmu.freeInstance()
+
+
+_LARGE = ("SwitchingPrecision", "switching alone", "nonlinear", "active inference", "StudentTUpdate", "VariationalBayesKF",
+          "WishartPrecision", "WeightedLikelihood", "ExplicitDetection", "EFFDI", "SERFDI", "lqg", "joint belief")  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """Leave large blocks to the slow tests where what is asked does not hang on size; their bits are compared always."""
+    for item in items:
+        asks = item.path.name in {"test_tunables.py", "test_dependencies.py"} or "validators" in item.name
+        if item.path.parent == Path(__file__).parent and asks and any(f"[{name}" in item.name for name in _LARGE):
+            item.add_marker(pytest.mark.slow)
