@@ -276,6 +276,7 @@ print(json.dumps(["pipeline_class" in _numba_ops.OPTIONS, {name: result[name].to
 """
 
 
+@pytest.mark.slow
 def test_a_numba_that_is_not_known_compiles_to_the_same_bits(python, tmp_path):
     (ours, known), (plain, unknown) = (
         python(f"import json{OTHER_NUMBA}", version, cache=tmp_path / version, timeout=300)

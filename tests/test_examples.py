@@ -80,6 +80,7 @@ def test_an_fmu_without_a_model(arguments, capsys):
     assert "0.999000" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_failed_engine_is_told_from_failed_sensors(capsys):
     table = actuator_faults.main(runs=4)
     for case in (("1500 N more", None), ("0.4 of the force", None)):

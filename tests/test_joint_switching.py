@@ -211,6 +211,7 @@ def test_faults_of_several_sensors_are_told_apart_and_survived(m, faults):
     assert all(error < 5 * np.sqrt(out.P[0, 0]) for error, out in zip(errors, outs, strict=True))
 
 
+@pytest.mark.slow
 def test_twenty_sensors_of_which_a_few_fail():
     rows, speeds = faulty(20, {3: ("Offset", 5), 11: ("Frozen", 10)}, steps=40)
     outs = inferred(SwitchingPrecision(), rows, m=20, noise=(1.0,))

@@ -145,6 +145,7 @@ def test_the_density_never_falls_where_nothing_is_approximated():
     assert learned.log_likelihood[-1] > learned.log_likelihood[0] + 5.0
 
 
+@pytest.mark.slow
 def test_times_and_sizes_are_found_from_a_start_that_is_wrong_by_a_factor_of_five():
     modes = (Frozen(2.0, 0.5), Offset(1.0, 1.0, jump=5.0, walk=0.0), DroppedOut(2.0, 0.5))
     runs, kinds = zip(*(broken(seed, modes, 6000) for seed in (7, 8)), strict=True)

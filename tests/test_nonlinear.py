@@ -506,6 +506,7 @@ def repeated(samples, y, k):
         y[i] = samples[k % samples.shape[0], i]
 
 
+@pytest.mark.slow
 def test_a_long_run_of_absurd_samples_leaves_covariances_positive_definite(make_block):
     """A hundred thousand steps; every hundredth belief is looked at."""
     samples = absurd(np.random.default_rng(7), 5000, 3, np.zeros(3))
