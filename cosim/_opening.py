@@ -87,8 +87,8 @@ def _hand_on(u, y):
 
 
 @dataclass(frozen=True)
-class _Outside(Block):
-    """Stands in a diagram for all that comes from outside: ``y`` is ``u``."""
+class HandOn(Block):
+    """Hands on numbers: ``y`` is ``u``. It stands in a diagram for all that comes from outside, or between FMUs."""
 
     size: int
 
@@ -122,7 +122,7 @@ def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) 
     """
     whole = copy(diagram)
     coupling, whole._coupling = whole._coupling, None
-    outside = whole.add(_Outside(len(given)), OUTSIDE)["y"] if given else None
+    outside = whole.add(HandOn(len(given)), OUTSIDE)["y"] if given else None
     for j, (node, port, i) in enumerate(given):
         assert outside is not None
         targets = [(node.name, port.name, i)]

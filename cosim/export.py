@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 from bayesftc.cosim._export.c_file import write_c
-from bayesftc.cosim._export.dependencies import feeding, keeps_state_in_outputs
 from bayesftc.cosim._export.fmu import model_of
 from bayesftc.cosim._export.platforms import platforms_of
-from bayesftc.cosim._export.program import Program, program_of
+from bayesftc.cosim._export.program import program_of
 from bayesftc.cosim._opening import Names
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram
@@ -99,8 +98,8 @@ def export_fmu(
     wanted = platforms_of(platforms)
     program = program_of(exported, name=target.stem, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
     with _staged(target.parent) as scratch:
+        model = model_of(program, write_c(program), timing, description)
         try:
-            model = model_of(program, write_c(program), _timing(program, timing), description)
             build_fmu(model, scratch, fmi=fmi, platforms=wanted).replace(target)
         except RuntimeError as error:  # no compiler, one that fails, or no platform that is known
             raise FMUError(f"{target} cannot be built: {error}") from error
@@ -205,18 +204,3 @@ def _staged(folder: Path) -> Iterator[Path]:
         raise ResultFileError(
             f"Nothing can be written into {folder}: {error.strerror or error}; choose another folder."
         ) from None
-
-
-def _timing(program: Program, asked: Literal["plant", "sampled"] | None) -> Literal["plant", "sampled"]:
-    names = {signal.name for signal in program.inputs}
-    direct = next(((output, sorted(by & names)) for output, by in feeding(program).items() if by & names), None)
-    if direct is None and not keeps_state_in_outputs(program):
-        return asked or "plant"
-    if asked == "plant":
-        why = (
-            f"the input {direct[1][0]!r} acts on the output {direct[0]!r} directly"
-            if direct
-            else "computing outputs changes a state"
-        )
-        raise ModelError(f"{program.name} cannot be exported with timing='plant': {why}; leave it 'sampled'.")
-    return "sampled"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import prod
 from types import FunctionType
 
-from bayesftc.cosim._export.functions import Functions, words, wrapped
+from bayesftc.cosim._export.functions import Functions, Written, words, wrapped
 from bayesftc.cosim._export.kinds import FLOAT, NATURAL, Array
 from bayesftc.cosim._export.layout import Layout, member
 from bayesftc.cosim._export.program import Program, Signal, Tunable
@@ -69,6 +69,8 @@ class CFile:
         Their texts.
     memory, constants : int
         How many doubles are kept from a step to the next, scratch included, and how many stand in tables.
+    changes_state : bool
+        Whether computing outputs changes the state of a block: it must then be done once a step.
     """
 
     name: str
@@ -76,6 +78,7 @@ class CFile:
     source: str
     memory: int
     constants: int
+    changes_state: bool
 
 
 def write_c(program: Program) -> CFile:
@@ -128,9 +131,13 @@ def write_c(program: Program) -> CFile:
         ),
     ]
     size = len(layout.initial)
-    return CFile(
-        name, _header(program, name, size), "\n".join(source), size, 2 * len(runs) + sum(count for _, count in tables)
+    constants = 2 * len(runs) + sum(count for _, count in tables)
+    changes_state = any(
+        written.stored & set(definition.state)
+        for call in schedule.evaluate
+        if (written := _written(program, functions, call)) and (definition := schedule.definitions[call.node])
     )
+    return CFile(name, _header(program, name, size), "\n".join(source), size, constants, changes_state)
 
 
 def _initial(runs: Sequence[tuple[int, int, float]]) -> list[str]:
@@ -142,6 +149,17 @@ def _initial(runs: Sequence[tuple[int, int, float]]) -> list[str]:
     return ["\n".join(wrapped(text))]
 
 
+def _written(program: Program, functions: Functions, call: Call) -> Written | None:
+    """Return the C of a call's step function; None where only inputs are brought."""
+    kernel = program.schedule.kernel(call)
+    if kernel is None:
+        return None
+    assert isinstance(kernel, FunctionType)
+    sections = program.schedule.slots[call.node].sections
+    kinds = [FLOAT if n == "t" else NATURAL if n == "k" else Array(sections[n][2]) for n in argument_names(kernel)]
+    return functions.require(kernel, kinds)
+
+
 def _phase(program: Program, layout: Layout, functions: Functions, calls: Iterable[Call]) -> list[str]:
     """Return the lines that make calls, and bring what they need before each."""
     lines: list[str] = []
@@ -149,14 +167,10 @@ def _phase(program: Program, layout: Layout, functions: Functions, calls: Iterab
         if program.schedule.nodes[call.node].name == OUTSIDE:
             continue
         own = [f"{layout.element(to)} = {layout.element(origin)};" for to, origin in call.gathers]
-        kernel, every = program.schedule.kernel(call), program.schedule.every(call)
-        if kernel is not None:
-            assert isinstance(kernel, FunctionType)
-            sections, names = program.schedule.slots[call.node].sections, argument_names(kernel)
-            kinds = [FLOAT if n == "t" else NATURAL if n == "k" else Array(sections[n][2]) for n in names]
-            written = functions.require(kernel, kinds)
+        written, every = _written(program, functions, call), program.schedule.every(call)
+        if written is not None:
             known = {"t": "t", "k": "k" if every == 1 else f"k / {every}"}
-            given = [known.get(n) or layout.pointer(call.node, n) for n in names if n in written.passed]
+            given = [known.get(n) or layout.pointer(call.node, n) for n in written.arguments if n in written.passed]
             own.append(f"{written.name}({', '.join(given)});")
         lines += own if every == 1 else [f"if (k % {every} == 0) {{", *(f"    {line}" for line in own), "}"]
     return lines

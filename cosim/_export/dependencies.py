@@ -11,18 +11,18 @@ from bayesftc.cosim._export.sets import Memory, Origins, origins, run
 from bayesftc.cosim._opening import OUTSIDE
 from bayesftc.cosim.ports import labels
 
+Elements = dict[str, tuple[frozenset[str], ...]]
+"""For each element of each output, the elements of inputs and parameters."""
 
-def feeding(program: Program) -> dict[str, frozenset[str]]:
+
+def feeding(program: Program, elements: Elements) -> dict[str, frozenset[str]]:
     """Return, for each output, the names of the inputs and parameters that its value at t_k is computed from."""
     given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
     whole = {element: signal.name for signal in given for element in labels(signal.name, signal.shape)}
-    return {
-        output: frozenset(whole[name] for names in elements for name in names)
-        for output, elements in feeding_elements(program).items()
-    }
+    return {output: frozenset(whole[name] for of in each for name in of) for output, each in elements.items()}
 
 
-def feeding_elements(program: Program) -> dict[str, tuple[frozenset[str], ...]]:
+def feeding_elements(program: Program) -> Elements:
     """Return, for each element of each output, the elements of inputs and parameters that its value at t_k is computed from.
 
     Step functions are run on sets. Of one that branches on data, each output is taken to depend on all that it reads. What
@@ -71,15 +71,3 @@ def _named(number: object, names: list[str]) -> frozenset[str]:
         found.append(names[lowest.bit_length() - 1])
         of ^= lowest
     return frozenset(found)
-
-
-def keeps_state_in_outputs(program: Program) -> bool:
-    """Return whether computing outputs changes the state of a block: it must then be done once a step."""
-    from bayesftc.cosim._contract import stored_into
-
-    return any(
-        kernel is not None and not stored_into(kernel.__code__).isdisjoint(definition.state)
-        for call in program.schedule.evaluate
-        if (kernel := program.schedule.kernel(call)) is not None
-        and (definition := program.schedule.definitions[call.node]) is not None
-    )

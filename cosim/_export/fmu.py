@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 from bayesftc.cosim._export.c_file import CFile
 from bayesftc.cosim._export.dependencies import feeding, feeding_elements
 from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.units import BASE, parse
 from bayesftc.fmus.spec import Model, Unit, Variable
@@ -59,7 +61,7 @@ int model_step(double *x, double h)
 """
 
 
-def model_of(program: Program, file: CFile, timing: Timing, description: str) -> Model:
+def model_of(program: Program, file: CFile, asked: Timing | None, description: str) -> Model:
     """Return the model of a program.
 
     Parameters
@@ -68,14 +70,22 @@ def model_of(program: Program, file: CFile, timing: Timing, description: str) ->
         The program.
     file : CFile
         Its C.
-    timing : {"plant", "sampled"}
-        Whether the outputs after a step are those at its end, or those that were computed from the inputs at its beginning.
+    asked : {"plant", "sampled"} or None
+        Whether the outputs after a step are those at its end, or those that were computed from the inputs at its beginning;
+        None for what fits.
     description : str
         A sentence or two for the user of the FMU.
+
+    Raises
+    ------
+    ModelError
+        If the outputs cannot be those at the end of a step.
     """
     variables = [_variable(signal, "input") for signal in program.inputs]
     given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
-    whole, single = feeding(program), feeding_elements(program)
+    single = feeding_elements(program)
+    whole = feeding(program, single)
+    timing = _timing(program, whole, asked, once=file.changes_state)
     names = {signal.name: i for i, signal in enumerate(given)}
     elements = {name: i for i, name in enumerate(n for s in given for n in labels(s.name, s.shape))}
     for signal in program.outputs:
@@ -108,6 +118,20 @@ def model_of(program: Program, file: CFile, timing: Timing, description: str) ->
         libraries=("m",),
         blocks=program.blocks,
     )
+
+
+def _timing(program: Program, fed: Mapping[str, frozenset[str]], asked: Timing | None, *, once: bool) -> Timing:
+    """Return when the outputs hold; `once` says that they must be computed once a step."""
+    inputs = {signal.name for signal in program.inputs}
+    direct = next(((output, sorted(by & inputs)) for output, by in fed.items() if by & inputs), None)
+    if direct is None and not once:
+        return asked or "plant"
+    if asked == "plant":
+        why = "computing its outputs changes a state"
+        if direct is not None:
+            why = f"the input {direct[1][0]!r} acts on the output {direct[0]!r} directly"
+        raise ModelError(f"{program.name} cannot be exported with timing='plant': {why}; leave it 'sampled'.")
+    return "sampled"
 
 
 def _variable(

@@ -175,12 +175,9 @@ def program_of(
         name: places for name, places in found.items() if np.isfinite(np.asarray(places[0][1].default or 0.0)).all()
     }
     given = _named(found, inputs, "input") if inputs is not None else usual
-    for signal, ((node, port, i), *_) in found.items():
-        if (
-            port.default is None
-            and port.draw is None
-            and (node, port, i) not in {p for ps in given.values() for p in ps}
-        ):
+    brought = {place for places in given.values() for place in places}
+    for signal, (place, *_) in found.items():
+        if place[1].default is None and place[1].draw is None and place not in brought:
             raise ModelError(f"The input {signal} has neither a source nor a start value; leave it among the inputs.")
     whole, _ = opened(part, [place for places in given.values() for place in places], "the exported blocks")
     schedule = whole.schedule

@@ -8,6 +8,7 @@ from fractions import Fraction
 from math import gcd, isclose
 from pathlib import Path
 
+from bayesftc.cosim._opening import HandOn
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.diagram import Diagram, Node, is_external
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
@@ -97,9 +98,10 @@ class StandIn:
         """Add the FMU to a diagram, fed with what was recorded or with what is live; return what hands on its outputs."""
         live = live or {}
         played = diagram.add(_Played(fed), FED)
-        gate = diagram.add(_HandedOn(len(self.into) + 1), f"{PLACED}.in")
+        # Between FMUs, so that none of them sees of another what a block would not show it.
+        gate = diagram.add(HandOn(len(self.into) + 1), f"{PLACED}.in")
         node = diagram.add(self.fmu, PLACED, self.every)
-        after = diagram.add(_HandedOn(len(self.out)), f"{PLACED}.out")
+        after = diagram.add(HandOn(len(self.out)), f"{PLACED}.out")
         for j, (place, (port, element)) in enumerate(self.into.items(), 1):
             source = live.get(place)
             diagram._sources[gate.name, "u", j] = (source[0][source[1]], source[2]) if source else (played["y"], j)
@@ -222,26 +224,3 @@ class _Played(Block):
 
     def define(self, step: Fraction) -> Definition:
         return Definition(_play, parameters={"values": self.values})
-
-
-def _hand_on(u, y):
-    for i in range(y.shape[0]):
-        y[i] = u[i]
-
-
-@dataclass(frozen=True)
-class _HandedOn(Block):
-    """Stands between FMUs, so that none of them sees of another what a block would not show it."""
-
-    size: int
-
-    @property
-    def inputs(self) -> tuple[Port, ...]:
-        return (Port("u", (self.size,), default=0.0),)
-
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        return (Port("y", (self.size,)),)
-
-    def define(self, step: Fraction) -> Definition:
-        return Definition(_hand_on)

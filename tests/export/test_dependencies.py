@@ -60,10 +60,11 @@ def assert_declared(name, before, after, outputs):
 def test_only_what_acts_is_named():
     bias = program_of(cosim.Bias(sensor=1, magnitude=1.0, stop=2.0, channels=3), dt=0.1)
     assert feeding_elements(bias)["y"] == ({"u[0]"}, {"u[1]", "start", "stop", "magnitude"}, {"u[2]"})
-    assert feeding(bias)["active"] == {"start", "stop"}
+    assert feeding(bias, feeding_elements(bias))["active"] == {"start", "stop"}
     identity = program_of(cosim.Gain([[1, 0], [0, 1]]), dt=0.1)
     assert feeding_elements(identity)["y"] == ({"u[0]", "gain[0,0]", "offset"}, {"u[1]", "gain[1,1]", "offset"})
-    assert feeding(program_of(cosim.UnitDelay(), dt=0.1))["y"] == set()
+    delay = program_of(cosim.UnitDelay(), dt=0.1)
+    assert feeding(delay, feeding_elements(delay))["y"] == set()
 
 
 @settings(max_examples=40, deadline=None)

@@ -368,3 +368,30 @@ def test_c_is_replaced_as_a_whole_and_compiles(tmp_path, c_compiler):
     library.limit_init(ctypes.c_void_p(state.ctypes.data))
     library.limit_evaluate(*(ctypes.c_void_p(array.ctypes.data) for array in (state, u, y)))
     assert y[0] == 1.0
+
+
+def count_up(x):
+    x[0] = x[0] + 1.0
+
+
+def tick(x, y):
+    count_up(x)
+    y[0] = x[0]
+
+
+class Ticker(cosim.Block):
+    """Counts its steps, in a function that its output function calls."""
+
+    outputs = (cosim.Port("y"),)
+
+    def define(self, step):
+        return cosim.Definition(tick, state={"x": 0.0})
+
+
+def test_outputs_that_change_a_state_are_computed_once_a_step(tmp_path, c_compiler):
+    with pytest.raises(cosim.ModelError, match="computing its outputs changes a state; leave it 'sampled'"):
+        cosim.export_fmu(Ticker(), tmp_path / "ticker.fmu", dt=0.1, timing="plant")
+    diagram = cosim.Diagram(0.1)
+    diagram.add(cosim.FMU(cosim.export_fmu(Ticker(), tmp_path / "ticker.fmu", dt=0.1)), "fmu")
+    run = diagram.simulate(0.4, engine="interpreted")
+    np.testing.assert_array_equal(run["fmu.y"], [1.0, 2.0, 3.0, 4.0, 5.0])

@@ -20,7 +20,6 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim._export.c_file import write_c
 from bayesftc.cosim._export.fmu import model_of
 from bayesftc.cosim._export.program import program_of
-from bayesftc.cosim.export import _timing
 from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
 
 H, STEPS, V0 = 0.02, 400, 20.0
@@ -419,7 +418,7 @@ def test_without_the_annotation_outputs_come_a_step_late(exported, fmi, fed, tmp
 def test_validators_find_nothing(block, sample_time, tmp_path):
     """fmpy's, against the schemas of the standard and by its rules: references, InitialUnknowns, units, start values."""
     program = program_of(block, name="it", dt=sample_time(block))
-    model = model_of(program, write_c(program), _timing(program, None), "")
+    model = model_of(program, write_c(program), None, "")
     for fmi in FMI_VERSIONS:
         path = build_fmu(model, tmp_path, fmi=fmi, platforms=())
         assert validate_fmu(str(path)) == []
