@@ -1,0 +1,109 @@
+"""All runs of a campaign, numbered: which point of the design and which seed each has, and how they are cut into pieces.
+
+Runs are counted point by point. A piece is what is run, sent, written and resumed as a whole: some runs in a row, of one point
+or of several. The plan depends on nothing but the campaign, so that each executor and each resumption has the same pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.block import Floats
+
+OK = "ok"
+FAILED = "failed"
+"""What the table says of a run: that it went to its end, or that it has stopped, for a reason that stands beside it."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Runs ``begin`` to ``end - 1``, the piece of number ``index``."""
+
+    index: int
+    begin: int
+    end: int
+
+    def __len__(self) -> int:
+        return self.end - self.begin
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Points, seeds and pieces of a campaign.
+
+    Attributes
+    ----------
+    points : tuple of mapping of str to object
+        For each point of the design the value of each factor.
+    seeds : tuple of tuple of int
+        For each point the seeds of its runs.
+    size : int
+        Runs of a piece; the last one may have fewer.
+    """
+
+    points: tuple[Mapping[str, Any], ...]
+    seeds: tuple[tuple[int, ...], ...]
+    size: int
+
+    @property
+    def runs(self) -> int:
+        """Number of all runs."""
+        return sum(map(len, self.seeds))
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """All pieces, in the order of their runs."""
+        begins = range(0, self.runs, self.size)
+        return tuple(Piece(i, begin, min(begin + self.size, self.runs)) for i, begin in enumerate(begins))
+
+    def of_runs(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], np.ndarray[Any, np.dtype[np.int64]]]:
+        """Return for each run the number of its point, and its seed."""
+        points = np.repeat(np.arange(len(self.seeds)), [len(own) for own in self.seeds])
+        return points, np.array([seed for own in self.seeds for seed in own], dtype=np.int64)
+
+    def groups(self, piece: Piece) -> Iterator[tuple[int, tuple[int, ...]]]:
+        """Yield for each point that has runs in a piece its number and the seeds of these runs, in order."""
+        first = 0
+        for point, own in enumerate(self.seeds):
+            begin, end = max(piece.begin - first, 0), min(piece.end - first, len(own))
+            if begin < end:
+                yield point, own[begin:end]
+            first += len(own)
+            if first >= piece.end:
+                return
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the runs of a piece have come to; each array has a row for each run.
+
+    Attributes
+    ----------
+    piece : Piece
+        Which runs.
+    metrics : mapping of str to ndarray of shape (runs,)
+        By the name of the metric; NaN for a run that has failed.
+    signals : mapping of str to ndarray of shape (runs, rows, ...)
+        What was recorded, by the name of the signal; NaN from where a run has failed.
+    status, reasons : tuple of str
+        `OK` or `FAILED`, and for those that have failed the sentence that says why (else an empty text).
+    steps : ndarray of int, of shape (runs,)
+        The last complete step of each.
+    seconds : float
+        Of computing that the piece took.
+    """
+
+    piece: Piece
+    metrics: Mapping[str, Floats]
+    signals: Mapping[str, Floats]
+    status: tuple[str, ...]
+    reasons: tuple[str, ...]
+    steps: np.ndarray[Any, np.dtype[np.int64]]
+    seconds: float
+
+
+__all__ = ["FAILED", "OK", "Outcome", "Piece", "Plan"]
