@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayesftc.cosim._export.deviations import Deviation, deviation
 from bayesftc.cosim._export.stand_in import PLACED, Place, StandIn
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import Diagram
@@ -19,31 +20,6 @@ from bayesftc.cosim.result import Result
 
 _SHORT = 20_000
 """Steps up to which the loop around an FMU takes less time in plain Python than to be compiled."""
-
-
-@dataclass(frozen=True)
-class Deviation:
-    """How far a signal of the FMU is from that of the blocks.
-
-    Attributes
-    ----------
-    signal : str
-        Its name in the diagram.
-    largest : float
-        The largest absolute difference of any element at any step; infinite where one of the two is NaN and the other is not.
-    time : float or None
-        When it is met first, in seconds; None where there is no difference.
-    ulps : float
-        That difference in units in the last place: how many doubles lie between the two, plus one.
-    relative : float
-        It, by the largest absolute value of the signal.
-    """
-
-    signal: str
-    largest: float
-    time: float | None
-    ulps: float
-    relative: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,12 +63,12 @@ class Verification:
         tolerance : float
             0 for the same numbers. Where ``exp``, ``log`` or ``sin`` come from another C library, 1e-9 is usual.
         """
-        return all(deviation.relative <= tolerance for deviation in (*self.beside, *(self.in_loop or ())))
+        return all(each.relative <= tolerance for each in self._all)
 
     @property
     def worst_in_loop(self) -> Deviation | None:
         """The largest relative deviation with the FMU in the loop."""
-        return max(self.in_loop, key=lambda deviation: deviation.relative, default=None) if self.in_loop else None
+        return max(self.in_loop or (), key=_relative, default=None)
 
     def verdict(self, tolerance: float = 0.0) -> str:
         """Return in a sentence or two whether the FMU does what the blocks do.
@@ -104,9 +80,9 @@ class Verification:
         """
         first, last = ", ".join(self.blocks[:-1]), self.blocks[-1]
         what = f"what {first} and {last} do" if first else f"what {last} does"
-        if all(d.largest == 0.0 for d in (*self.beside, *(self.in_loop or ()))):
+        if all(each.largest == 0.0 for each in self._all):
             return f"{self.path.name} does {what}: the same numbers at {self._at_all}."
-        worst = max((*self.beside, *(self.in_loop or ())), key=lambda deviation: deviation.relative)
+        worst = max(self._all, key=_relative)
         times = " times" if worst.relative > 1.0 else " of"
         size = f"{worst.relative:.2g}{times} the largest value of {worst.signal}"
         if self.agrees(tolerance):
@@ -115,6 +91,10 @@ class Verification:
             "" if worst.relative > 1e-9 else " So little is usual where exp, log or sin come from another C library."
         )
         return f"{self.path.name} does NOT do {what}: it differs by {size}.{usual}"
+
+    @property
+    def _all(self) -> tuple[Deviation, ...]:
+        return (*self.beside, *(self.in_loop or ()))
 
     @property
     def _at_all(self) -> str:
@@ -218,34 +198,44 @@ def verify_fmu(
     """
     fmu = FMU(path, timing=timing, isolate=isolate)
     stands = StandIn(fmu, diagram, blocks)
-    recorded = [*dict.fromkeys(f"{block}.{port}" for block, port, _ in (*stands.into, *stands.out))]
+    recorded = [f"{block}.{port}" for block, port, _ in (*stands.into, *stands.out)]
     shown = [f"{n.name}.{p.name}" for n in diagram.nodes for p in n.block.outputs]
     real = diagram.simulate(duration, seed=seed, engine=engine, record=[*dict.fromkeys([*recorded, *shown])])
-    around: Literal["auto", "interpreted"] = "interpreted" if len(real.time) <= _SHORT else "auto"
     fed = np.column_stack([np.zeros(len(real.time)), *(_column(real, place) for place in stands.into)])
 
     alone = Diagram(diagram.step)
     stands.place(alone, fed)
-    run = alone.simulate(duration, engine="interpreted")
-    beside = _deviations(real, {place: _column(run, (PLACED, *at)) for place, at in stands.out.items()})
+    beside = _deviations(real, _placed(alone.simulate(duration, engine="interpreted"), stands))
 
     notes = list(stands.notes)
-    deaf = stands.unheard()
     in_loop = None
-    if deaf:
+    if deaf := stands.unheard():
         notes.append(f"It cannot be put in their place: the diagram hears {deaf}, which the FMU does not have.")
     else:
+        around: Literal["auto", "interpreted"] = "interpreted" if len(real.time) <= _SHORT else "auto"
         run = stands.in_loop(fed).simulate(duration, seed=seed, engine=around)
-        placed = {place: _column(run, (PLACED, *at)) for place, at in stands.out.items()}
-        others = {
-            (node.name, port.name, i): _column(run, (node.name, port.name, i))
-            for node in diagram.nodes
-            if node.name not in stands.blocks
-            for port in node.block.outputs
-            for i in range(port.size)
-        }
-        in_loop = _deviations(real, placed | others)
+        in_loop = _deviations(real, _placed(run, stands) | _others(run, diagram, stands))
     return Verification(Path(path), stands.blocks, len(real.time), diagram.step, seed, beside, in_loop, tuple(notes))
+
+
+def _relative(each: Deviation) -> float:
+    return each.relative
+
+
+def _placed(run: Result, stands: StandIn) -> dict[Place, Floats]:
+    """Return the outputs of the FMU by the elements of the blocks that they stand for."""
+    return {place: _column(run, (PLACED, *at)) for place, at in stands.out.items()}
+
+
+def _others(run: Result, diagram: Diagram, stands: StandIn) -> dict[Place, Floats]:
+    """Return the outputs of all blocks that the FMU does not stand for."""
+    return {
+        (node.name, port.name, i): _column(run, (node.name, port.name, i))
+        for node in diagram.nodes
+        if node.name not in stands.blocks
+        for port in node.block.outputs
+        for i in range(port.size)
+    }
 
 
 def _column(result: Result, place: Place) -> Floats:
@@ -264,27 +254,6 @@ def _deviations(real: Result, values: Mapping[Place, Floats]) -> tuple[Deviation
         )
         found.append(deviation(name, real.time, expected, got))
     return tuple(found)
-
-
-def deviation(signal: str, time: Floats, expected: Floats, got: Floats) -> Deviation:
-    """Return how far apart two recordings of a signal are, with a row for each time."""
-    with np.errstate(invalid="ignore"):  # the difference of infinities
-        apart = np.abs(got - expected)
-    apart[np.isnan(apart)] = np.inf
-    apart[(got == expected) | (np.isnan(got) & np.isnan(expected))] = 0.0
-    row, column = np.unravel_index(int(np.argmax(apart)), apart.shape)
-    largest = float(apart[row, column])
-    if largest == 0.0:
-        return Deviation(signal, 0.0, None, 0.0, 0.0)
-    size = float(np.max(np.abs(expected[np.isfinite(expected)]), initial=0.0))
-    ulps = np.inf if not np.isfinite(largest) else float(_between(got[row, column], expected[row, column]))
-    return Deviation(signal, largest, float(time[row]), ulps, largest / size if size else np.inf)
-
-
-def _between(one: float, other: float) -> int:
-    """Return how many steps from a double to the next one lead from one number to another."""
-    first, second = (int(np.float64(abs(x)).view(np.int64)) * (-1 if x < 0.0 else 1) for x in (one, other))
-    return abs(first - second)
 
 
 __all__ = ["Deviation", "Verification", "verify_fmu"]

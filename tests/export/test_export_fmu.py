@@ -13,7 +13,7 @@ from fmpy.validation import validate_fmu
 from sklearn.ensemble import RandomForestClassifier
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.verification import deviation
+from bayesftc.cosim._export.deviations import deviation
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
 MODEL = controllers.LinearModel(
