@@ -1,6 +1,14 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
 from . import errors as errors, ops as ops, random as random
+from ._campaign.design import (
+    Design as Design,
+    Grid as Grid,
+    LatinHypercube as LatinHypercube,
+    Points as Points,
+    SaltelliDesign as SaltelliDesign,
+    SobolSequence as SobolSequence,
+)
 from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
 from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
