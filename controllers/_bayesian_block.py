@@ -52,11 +52,11 @@ class BayesianBlock(Block, ABC):
     goal_on: Literal["states", "outputs"] | Matrix = "states"
     goal_covariance: Matrix = 1.0
     control_covariance: Matrix | None = None
-    control_mean: float | tuple[float, ...] = 0.0
+    control_mean: float | tuple[float, ...] = field(default=0.0, metadata={"unit": "{u}"})
     belief: Literal["filtered", "joint"] = "filtered"
-    u_min: float | tuple[float, ...] = float("-inf")
-    u_max: float | tuple[float, ...] = float("inf")
-    u_rate: float | tuple[float, ...] = float("inf")
+    u_min: float | tuple[float, ...] = field(default=float("-inf"), metadata={"unit": "{u}"})
+    u_max: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}"})
+    u_rate: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}/s"})
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix = 1.0
 

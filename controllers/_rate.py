@@ -22,6 +22,15 @@ class Calibration:
 
     ``x`` is the rate relative to its prior: ``log(beta / b0)`` for ``feature="log"``, ``beta / b0`` for ``feature="linear"``.
     Made by `bayesftc.controllers.calibrate`.
+
+    Parameters
+    ----------
+    slope : float
+        Of the log-odds over x.
+    intercept : float
+        The log-odds at x = 0.
+    feature : {"log", "linear"}
+        What x is.
     """
 
     slope: float

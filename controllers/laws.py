@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from numbers import Real
 from typing import Any, ClassVar, Literal
@@ -95,8 +95,8 @@ class Proportional(ControlLaw):
 
     gain: Matrix
     states: int | None = None
-    u_min: float | Sequence[float] = float("-inf")
-    u_max: float | Sequence[float] = float("inf")
+    u_min: float | Sequence[float] = field(default=float("-inf"), metadata={"unit": "{u}"})
+    u_max: float | Sequence[float] = field(default=float("inf"), metadata={"unit": "{u}"})
 
     _kernel: ClassVar[Callable[..., None]] = _proportional
     _needs: ClassVar[int] = 1
@@ -228,9 +228,9 @@ class PID(ProportionalDerivative):
     """
 
     integral_gain: Matrix = 0.0
-    integral_limit: float | Sequence[float] = float("inf")
+    integral_limit: float | Sequence[float] = field(default=float("inf"), metadata={"unit": "{u}"})
     anti_windup: Literal["clamping", "back-calculation", "both", "none"] = "clamping"
-    tracking_time: float = 1.0
+    tracking_time: float = field(default=1.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from math import inf, isfinite, isnan
 from typing import Any, ClassVar, Literal
@@ -58,8 +58,8 @@ class Fault(Block):
     draws: ClassVar[tuple[str, ...]] = ()
 
     sensor: int = 0
-    start: float = 0.0
-    stop: float = inf
+    start: float = field(default=0.0, metadata={"unit": "s"})
+    stop: float = field(default=inf, metadata={"unit": "s"})
     mean_time_to_fault: float | None = None
     mean_time_to_recovery: float | None = None
     channels: int | None = None

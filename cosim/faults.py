@@ -11,7 +11,8 @@ To add a kind of fault you must:
 1. write in ``_fault_kernels.py`` the value that a faulty channel shows, ``value(sample, held, age, chance, noise,
    settings)``, by the rules for step functions (`Block`);
 2. write here a frozen, keyword-only dataclass derived from `Fault` whose fields, numbers all, are the settings in the
-   order in which the function finds them, with ``value = staticmethod(...)``;
+   order in which the function finds them, with ``value = staticmethod(...)``; a field's metadata has its unit, ``{u}`` that
+   of the signal;
 3. name in its ``draws`` the random numbers that it uses: ``"chance"`` (uniform in (0, 1)), ``"noise"`` (standard
    normal);
 4. override ``check`` where a setting can be wrong in other ways than not being finite;
@@ -23,7 +24,7 @@ Random, scheduled and mixed faults, both engines and scenario files then have it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from fractions import Fraction
 
 import numpy as np
@@ -47,9 +48,15 @@ class Freeze(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Stuck(Fault):
-    """The channel shows the value `at`, whatever comes in: a sensor at the end of its range, an actuator that is shut (0)."""
+    """The channel shows the value `at`, whatever comes in: a sensor at the end of its range, an actuator that is shut (0).
 
-    at: float
+    Parameters
+    ----------
+    at : float
+        What the channel shows.
+    """
+
+    at: float = field(metadata={"unit": "{u}"})
     value = staticmethod(kernels.stuck)
 
 
@@ -57,13 +64,24 @@ class Stuck(Fault):
 class Injection(Fault):
     """``magnitude + amplitude * sin(2 pi age / period + phase)`` is added.
 
-    Age and period are in seconds, the phase in radians; the age counts from the onset, in whole steps.
+    The age is in seconds and counts from the onset, in whole steps.
+
+    Parameters
+    ----------
+    magnitude : float
+        The constant part of what is added.
+    amplitude : float
+        How far the rest of it swings to either side.
+    period : float
+        Seconds. From one crest to the next.
+    phase : float
+        Radians. Where in its swing it begins.
     """
 
-    magnitude: float = 0.0
-    amplitude: float = 0.0
-    period: float = 1.0
-    phase: float = 0.0
+    magnitude: float = field(default=0.0, metadata={"unit": "{u}"})
+    amplitude: float = field(default=0.0, metadata={"unit": "{u}"})
+    period: float = field(default=1.0, metadata={"unit": "s"})
+    phase: float = field(default=0.0, metadata={"unit": "rad"})
     value = staticmethod(kernels.injected)
 
     def check(self) -> None:
@@ -75,9 +93,15 @@ class Injection(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Bias(Fault):
-    """A sensor with a constant offset, `magnitude`: from the very beginning, unless it has a start."""
+    """A sensor with a constant offset, `magnitude`: from the very beginning, unless it has a start.
 
-    magnitude: float
+    Parameters
+    ----------
+    magnitude : float
+        What is added.
+    """
+
+    magnitude: float = field(metadata={"unit": "{u}"})
     value = staticmethod(kernels.biased)
 
 
@@ -87,15 +111,26 @@ class Drift(Fault):
 
     It is ``slope * age``; the age is the number of steps since the onset times the step, so the first faulty sample is
     still right.
+
+    Parameters
+    ----------
+    slope : float
+        Per second. How fast the offset grows.
     """
 
-    slope: float
+    slope: float = field(metadata={"unit": "{u}/s"})
     value = staticmethod(kernels.drifted)
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainFault(Fault):
-    """The sample times `factor`; of an actuator, a loss of effectiveness (a factor below 1)."""
+    """The sample times `factor`; of an actuator, a loss of effectiveness (a factor below 1).
+
+    Parameters
+    ----------
+    factor : float
+        What the sample is multiplied with.
+    """
 
     factor: float
     value = staticmethod(kernels.scaled)
@@ -114,9 +149,18 @@ class Spikes(Fault):
 
     With ``random_size`` each outlier is `magnitude` times a standard normal number instead. Two numbers are drawn a
     step, a uniform and a normal one, whether there is an outlier or not. ``active`` is 1 between outliers as well.
+
+    Parameters
+    ----------
+    magnitude : float
+        Size of an outlier.
+    probability : float
+        Of an outlier at a step, from 0 to 1.
+    random_size : bool
+        Whether sizes are normal numbers.
     """
 
-    magnitude: float
+    magnitude: float = field(metadata={"unit": "{u}"})
     probability: float = 0.1
     random_size: bool = False
     value = staticmethod(kernels.spiked)
@@ -131,9 +175,15 @@ class Spikes(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseIncrease(Fault):
-    """Normal noise of standard deviation `std` on top of the sensor's own: the variances add."""
+    """Normal noise of standard deviation `std` on top of the sensor's own: the variances add.
 
-    std: float
+    Parameters
+    ----------
+    std : float
+        Standard deviation of what is added.
+    """
+
+    std: float = field(metadata={"unit": "{u}"})
     value = staticmethod(kernels.noisier)
     draws = ("noise",)
 
@@ -149,9 +199,14 @@ class NoiseGrowth(Fault):
     """Normal noise on top of the sensor's own, whose standard deviation grows by `slope` each second: a sensor that ages.
 
     The age counts from the onset, in whole steps; the variances add.
+
+    Parameters
+    ----------
+    slope : float
+        Per second. How fast the standard deviation grows.
     """
 
-    slope: float
+    slope: float = field(metadata={"unit": "{u}/s"})
     value = staticmethod(kernels.ageing)
     draws = ("noise",)
 
@@ -192,12 +247,12 @@ class RandomFaults(Fault):
         if not self.kinds or not all(isinstance(k, Fault) and not isinstance(k, RandomFaults) for k in self.kinds):
             raise ModelError("RandomFaults needs at least one kind of fault, as kinds=(Freeze(), Drift(slope=5.0)).")
         for kind in self.kinds:
-            for field in fields(Fault):
-                allowed = {field.default, self.sensor} if field.name == "sensor" else {field.default}
-                if getattr(kind, field.name) not in allowed:
+            for own in fields(Fault):
+                allowed = {own.default, self.sensor} if own.name == "sensor" else {own.default}
+                if getattr(kind, own.name) not in allowed:
                     raise ModelError(
-                        f"RandomFaults has a {type(kind).__name__} with {field.name}={getattr(kind, field.name)!r} "
-                        f"of its own; give {field.name} to RandomFaults itself, or use that {type(kind).__name__} alone."
+                        f"RandomFaults has a {type(kind).__name__} with {own.name}={getattr(kind, own.name)!r} "
+                        f"of its own; give {own.name} to RandomFaults itself, or use that {type(kind).__name__} alone."
                     )
         if self.weights is not None:
             weights = np.asarray(self.weights, float)

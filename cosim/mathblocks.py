@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from math import isfinite
 
@@ -27,13 +27,20 @@ def _gain(u, gain, offset, y):
 
 @dataclass(frozen=True)
 class Gain(Block):
-    """``y = gain @ u + offset``: a number for a scalar signal, a matrix (rows x inputs) for a vector.
+    """``y = gain @ u + offset``.
 
-    ``input_unit`` and ``output_unit`` are the ports' units, so that a Gain can convert between two.
+    Parameters
+    ----------
+    gain : float or sequence of sequence of float
+        A number for a scalar signal, a matrix (rows x inputs) for a vector.
+    offset : float
+        What is added to each element.
+    input_unit, output_unit : str or None
+        Units of the ports, so that a Gain can convert between two.
     """
 
     gain: float | Sequence[Sequence[float]]
-    offset: float = 0.0
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
     input_unit: str | None = None
     output_unit: str | None = None
 
@@ -168,10 +175,18 @@ def _saturation(u, low, high, y):
 
 @dataclass(frozen=True)
 class Saturation(Block):
-    """Limits each of the ``size`` elements of ``u`` to [low, high]; a missing sample (NaN) stays missing."""
+    """Limits each of the ``size`` elements of ``u`` to [low, high]; a missing sample (NaN) stays missing.
 
-    low: float
-    high: float
+    Parameters
+    ----------
+    low, high : float
+        Limits of each element.
+    size : int
+        Number of elements.
+    """
+
+    low: float = field(metadata={"unit": "{u}"})
+    high: float = field(metadata={"unit": "{u}"})
     size: int = 1
 
     def __post_init__(self) -> None:

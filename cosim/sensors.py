@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from fractions import Fraction
 from types import FunctionType
 from typing import Any
@@ -60,11 +60,11 @@ class Sensors(Block):
     """
 
     count: int = 1
-    std: float | Sequence[float] = 0.0
+    std: float | Sequence[float] = field(default=0.0, metadata={"unit": "{y}"})
     _: KW_ONLY
     signals: int = 1
-    bias: float | Sequence[float] = 0.0
-    resolution: float | Sequence[float] = 0.0
+    bias: float | Sequence[float] = field(default=0.0, metadata={"unit": "{y}"})
+    resolution: float | Sequence[float] = field(default=0.0, metadata={"unit": "{y}"})
     matrix: Sequence[Sequence[float]] | None = None
     function: Callable[..., None] | None = None
     covariance: Sequence[Sequence[float]] | None = None

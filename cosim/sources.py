@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from math import isfinite, tau
 from numbers import Real
@@ -47,9 +47,17 @@ def _constant(value, y):
 
 @dataclass(frozen=True)
 class Constant(Source):
-    """The same ``value`` at all times."""
+    """The same ``value`` at all times.
 
-    value: float
+    Parameters
+    ----------
+    value : float
+        What the output is.
+    unit : str or None
+        Unit of the output.
+    """
+
+    value: float = field(metadata={"unit": "{y}"})
     unit: str | None = None
 
     def __post_init__(self) -> None:
@@ -66,11 +74,21 @@ def _step(t, time, before, after, y):
 
 @dataclass(frozen=True)
 class Step(Source):
-    """`before` until `time` seconds, then `after`."""
+    """`before` until `time` seconds, then `after`.
 
-    time: float
-    after: float
-    before: float = 0.0
+    Parameters
+    ----------
+    time : float
+        Seconds. When the output changes.
+    after, before : float
+        What the output is from then on, and until then.
+    unit : str or None
+        Unit of the output.
+    """
+
+    time: float = field(metadata={"unit": "s"})
+    after: float = field(metadata={"unit": "{y}"})
+    before: float = field(default=0.0, metadata={"unit": "{y}"})
     unit: str | None = None
 
     def __post_init__(self) -> None:
@@ -87,11 +105,23 @@ def _ramp(t, slope, start, offset, y):
 
 @dataclass(frozen=True)
 class Ramp(Source):
-    """`offset` until `start` seconds, then rising by `slope` each second."""
+    """`offset` until `start` seconds, then rising by `slope` each second.
 
-    slope: float
-    offset: float = 0.0
-    start: float = 0.0
+    Parameters
+    ----------
+    slope : float
+        Per second. How fast the output rises.
+    offset : float
+        What the output is at the beginning.
+    start : float
+        Seconds. When the output begins to rise.
+    unit : str or None
+        Unit of the output.
+    """
+
+    slope: float = field(metadata={"unit": "{y}/s"})
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    start: float = field(default=0.0, metadata={"unit": "s"})
     unit: str | None = None
 
     def __post_init__(self) -> None:
@@ -108,12 +138,26 @@ def _sine(t, amplitude, period, phase, offset, y):
 
 @dataclass(frozen=True)
 class Sine(Source):
-    """``offset + amplitude * sin(2 pi t / period + phase)``, with the period in seconds and the phase in radians."""
+    """``offset + amplitude * sin(2 pi t / period + phase)``.
 
-    amplitude: float
-    period: float
-    offset: float = 0.0
-    phase: float = 0.0
+    Parameters
+    ----------
+    amplitude : float
+        How far the output swings to either side.
+    period : float
+        Seconds. From one crest to the next.
+    offset : float
+        What the output swings about.
+    phase : float
+        Radians. Where in its swing the output is at t = 0.
+    unit : str or None
+        Unit of the output.
+    """
+
+    amplitude: float = field(metadata={"unit": "{y}"})
+    period: float = field(metadata={"unit": "s"})
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    phase: float = field(default=0.0, metadata={"unit": "rad"})
     unit: str | None = None
 
     def __post_init__(self) -> None:
@@ -156,8 +200,8 @@ class Table(Source):
         Unit of the output.
     """
 
-    times: Sequence[float]
-    values: Sequence[float]
+    times: Sequence[float] = field(metadata={"unit": "s"})
+    values: Sequence[float] = field(metadata={"unit": "{y}"})
     interpolate: bool = True
     unit: str | None = None
 
@@ -202,8 +246,8 @@ class Gaussian(Block):
         Unit of the output.
     """
 
-    std: float | Sequence[float]
-    mean: float = 0.0
+    std: float | Sequence[float] = field(metadata={"unit": "{y}"})
+    mean: float = field(default=0.0, metadata={"unit": "{y}"})
     unit: str | None = None
 
     def __post_init__(self) -> None:

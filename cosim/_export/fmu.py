@@ -144,7 +144,7 @@ def _variable(
         signal.name,
         causality,
         signal.description,
-        _unit(getattr(signal, "unit", None)),
+        _unit(signal.unit),
         start=signal.start,
         variability="tunable" if causality == "parameter" else "",
         initial_dependencies=initial,

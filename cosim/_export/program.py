@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesftc.cosim._export.names import check, legal, unique
 from bayesftc.cosim._export.tunables import Element, settings_of
-from bayesftc.cosim._export.units import Units, units_of
+from bayesftc.cosim._export.units import Units, unit_of_setting, units_of
 from bayesftc.cosim._opening import OUTSIDE, Names, opened
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram, Node, is_external
@@ -85,6 +85,8 @@ class Tunable:
         What the block calls it, as ``precision.forgetting``.
     places : tuple of tuple of (str, int)
         Where each of its numbers stands among the parameters: in which, and which element of it, row by row.
+    unit : str or None
+        As the block says, or that of the port that the block names.
     """
 
     name: str
@@ -95,6 +97,7 @@ class Tunable:
     description: str = ""
     setting: str = ""
     places: tuple[tuple[Element, ...], ...] = ()
+    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,7 @@ def program_of(
         schedule,
         tuple(_signal(schedule, label, places, units) for label, places in given.items()),
         tuple(_signal(schedule, label, places, units) for label, places in shown.items()),
-        tuple(_tunables(schedule, alone)),
+        tuple(_tunables(schedule, alone, units)),
     )
     called = [(names, what) for names, what in ((inputs, "input"), (outputs, "output")) if isinstance(names, Mapping)]
     return _with_names(program, [(new, what) for names, what in called for old, new in names.items() if new != old])
@@ -302,7 +305,7 @@ def _description(node: Node, port: Port) -> str:
     return f"{port.name} of {type(node.block).__name__}"
 
 
-def _tunables(schedule: Schedule, alone: bool) -> Iterator[Tunable]:
+def _tunables(schedule: Schedule, alone: bool, units: Units) -> Iterator[Tunable]:
     for i, (node, definition) in enumerate(zip(schedule.nodes, schedule.definitions, strict=True)):
         if definition is None or node.name == OUTSIDE:
             continue
@@ -314,7 +317,7 @@ def _tunables(schedule: Schedule, alone: bool) -> Iterator[Tunable]:
             is_whole = setting.places == tuple(((name, e),) for e in range(size))
             yield Tunable(
                 label, setting.shape, setting.start, i, name if is_whole else None, setting.description, setting.name,
-                setting.places,
+                setting.places, unit_of_setting(setting.unit, node.name, units),
             )  # fmt: skip
 
 

@@ -59,6 +59,8 @@ class Setting:
         Where each of them stands among the parameters.
     description : str
         What the docstring says of it.
+    unit : str
+        What its field says of it: ``s``, or ``{u}/s`` where ``{u}`` stands for the unit of the port ``u``; empty for nothing.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Setting:
     start: tuple[float, ...]
     places: tuple[tuple[Element, ...], ...]
     description: str
+    unit: str
 
 
 def settings_of(block: Block, definition: Definition, step: Fraction) -> list[Setting]:
@@ -80,7 +83,8 @@ def settings_of(block: Block, definition: Definition, step: Fraction) -> list[Se
         if places is None or any(place in taken for each in places.values() for place in each):
             continue
         taken |= {place for each in places.values() for place in each}
-        found += _split(name, value, places, _described(type(owner), name.rpartition(".")[2]))
+        field = name.rpartition(".")[2]
+        found += _split(name, value, places, _described(type(owner), field), _measured(type(owner), field))
     return found
 
 
@@ -199,15 +203,22 @@ def _tuples(rows: Any) -> Any:
     return tuple(map(_tuples, rows)) if isinstance(rows, list) else rows
 
 
-def _split(name: str, value: Floats, places: dict[int, list[Element]], description: str) -> Iterator[Setting]:
+def _split(
+    name: str, value: Floats, places: dict[int, list[Element]], description: str, unit: str
+) -> Iterator[Setting]:
     """Yield a setting as one, or, where not all of its elements may change, those that may one by one."""
     if len(places) == value.size:
         start = tuple(value.ravel().tolist())
-        yield Setting(name, value.shape, start, tuple(tuple(places[i]) for i in range(value.size)), description)
+        yield Setting(name, value.shape, start, tuple(tuple(places[i]) for i in range(value.size)), description, unit)
         return
     names = labels(name, value.shape)
     for element, where in places.items():
-        yield Setting(names[element], (), (float(value.ravel()[element]),), (tuple(where),), description)
+        yield Setting(names[element], (), (float(value.ravel()[element]),), (tuple(where),), description, unit)
+
+
+def _measured(kind: type, name: str) -> str:
+    """Return the unit that a setting has in the metadata of its field."""
+    return next(str(field.metadata.get("unit", "")) for field in fields(kind) if field.name == name)
 
 
 def _described(kind: type, name: str) -> str:

@@ -1,7 +1,8 @@
-"""Units of a diagram's signals, also of ports that have none of their own: a connection has one unit at both of its ends."""
+"""Units of a diagram's signals, also of ports that have none of their own, and of settings that are measured in them."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 from bayesftc.cosim.diagram import Diagram
@@ -42,3 +43,9 @@ def units_of(diagram: Diagram) -> Units:
         if key not in units and len(known) == 1:
             found[key] = known.pop()
     return found
+
+
+def unit_of_setting(text: str, node: str, units: Units) -> str | None:
+    """Return the unit of a block's setting, in which ``{u}`` stands for that of its port ``u``; None where nobody knows it."""
+    ports = {port: units.get((node, port)) for port in re.findall(r"{(\w+)}", text)}
+    return re.sub(r"{(\w+)}", lambda port: str(ports[port[1]]), text) or None if all(ports.values()) else None

@@ -1,5 +1,7 @@
 """What an exported FMU calls its signals, and in which units they are."""
 
+import re
+from dataclasses import fields
 from itertools import pairwise
 
 import fmpy
@@ -10,6 +12,8 @@ from bayesftc import controllers, cosim
 from bayesftc.cosim._export.dependencies import feeding_elements
 from bayesftc.cosim._export.names import legal, unique
 from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim._export.units import unit_of_setting
+from bayesftc.cosim.units import parse
 
 
 @pytest.mark.parametrize(
@@ -92,9 +96,47 @@ def test_where_units_meet_nothing_is_said():
     assert [s.unit for s in program_of(diagram, blocks="gain").inputs] == [None]
 
 
+def test_settings_are_measured_in_what_their_fields_say():
+    diagram = cosim.Diagram(0.1)
+    v = diagram.add(cosim.Constant(1.0, unit="m/s"), "v")
+    drift = diagram.add(cosim.Drift(slope=1.0, channels=2, stop=9.0), "drift")
+    alone = diagram.add(cosim.Injection(magnitude=1.0, channels=1), "alone")
+    for i in range(2):
+        diagram.connect(v["y"], drift["u"][i])
+    units = {t.name: t.unit for t in program_of(diagram, blocks=["v", "drift", alone.name]).tunables}
+    assert units["v.value"] == "m/s"
+    assert (units["drift.slope"], units["drift.start"], units["drift.stop"]) == ("m/s/s", "s", "s")
+    assert (units["alone.magnitude"], units["alone.period"], units["alone.phase"]) == (None, "s", "rad")
+    assert unit_of_setting("{u}/s", "drift", {("other", "u"): "m"}) is None
+    assert unit_of_setting("", "drift", {}) is None
+
+
+def test_what_a_field_says_of_its_unit_is_known(block):
+    ports = {port.name: "m" for port in (*block.inputs, *block.outputs)}
+    for field in fields(block):
+        text = field.metadata.get("unit", "s")
+        unit = unit_of_setting(text, "it", {("it", port): unit for port, unit in ports.items()})
+        assert unit, f"{field.name}: {text} names a port that {type(block).__name__} has not"
+        assert parse(unit), f"{field.name}: {unit} is no unit"
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_an_fmu_tells_the_units_of_its_parameters(fmi, tmp_path, c_compiler):
+    path = cosim.export_fmu(cosim.Sine(1.0, 2.0, unit="N"), tmp_path / "Sine.fmu", fmi=fmi, dt=0.1)
+    assert validate_fmu(str(path)) == []
+    variables = fmpy.read_model_description(str(path)).modelVariables
+    said = {v.name: v.unit for v in variables if v.causality == "parameter"}
+    assert said == {"amplitude": "N", "period": "s", "offset": "N", "phase": "rad"}
+
+
 def test_every_port_says_what_it_is(block):
     for port in (*block.inputs, *block.outputs):
         assert port.description or port.draw, port.name
+
+
+def test_every_tunable_says_what_it_is(block, sample_time):
+    for tunable in program_of(block, dt=sample_time(block)).tunables:
+        assert not re.fullmatch(r"\w+ of \w+", tunable.description), f"{tunable.name} is not among its class's Parameters"
 
 
 def test_what_only_tells_that_something_is_missing_counts():
