@@ -101,6 +101,8 @@ class Conditions(Arithmetic):
         if not isinstance(kind, Number):
             self.refuse(node, "chooses between what are no numbers")
         one, other = as_kind(one, kind), as_kind(other, kind)
+        if kind.type == "int" and isinstance(one.kind, Constant) and isinstance(other.kind, Constant):
+            one = Value(f"(int64_t){enclosed(one, UNARY)}", kind, UNARY)  # C takes a choice of two literals for an int
         return Value(f"{enclosed(test, OR)} ? {enclosed(one, OR)} : {enclosed(other, OR)}", kind, CHOICE)
 
     def get_UnaryOp(self, node: ast.UnaryOp) -> Value:

@@ -187,6 +187,15 @@ def truth(u, y, k):
     y[2], y[3] = large, 9007199254740993 * u[0] + 9007199254740993
 
 
+def choices(u, y, k):
+    """Choices of whole numbers that 32 bits hold, counted with beyond them: C takes a choice of two literals for an int."""
+    y[0] = (3 if u[0] > 0 else 2) * 2000000000
+    y[1] = -(2147483647 if u[1] > 0 else -5) - 7
+    y[2] = (2147483647 if u[0] > 0 else 1) + (2147483647 if u[1] > 0 else (-4 if u[2] > 0 else 5))
+    n = (2147483647 if u[2] > 0 else -2147483647) * (3 if u[0] > 0 else 4)
+    y[3] = n // (7 if u[1] > 0 else -7) + (5 if u[2] > 0 else k)
+
+
 def countdown(n):
     total = 0.0
     while n > -3:
@@ -201,7 +210,7 @@ def arguments(u, y, k):
     y[2], y[3] = 0.0, 0.0
 
 
-KERNELS = [numbers, operations, loops, order, rows, aliases, call_order, hidden_names, truth, arguments]
+KERNELS = [numbers, operations, loops, order, rows, aliases, call_order, hidden_names, truth, choices, arguments]
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.__name__)
