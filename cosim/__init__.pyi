@@ -10,9 +10,31 @@ from ._campaign.design import (
     SobolSequence as SobolSequence,
 )
 from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
+from ._campaign.design import (
+    Design as Design,
+    Grid as Grid,
+    LatinHypercube as LatinHypercube,
+    Points as Points,
+    SobolSequence as SobolSequence,
+)
+from ._campaign.executors import Threads as Threads
+from ._campaign.factors import varied as varied
+from ._campaign.metrics import (
+    METRICS as METRICS,
+    RMSE as RMSE,
+    Final as Final,
+    LoopFigures as LoopFigures,
+    MaxAbsoluteError as MaxAbsoluteError,
+    Mean as Mean,
+    MeanAbsoluteError as MeanAbsoluteError,
+    Metric as Metric,
+    OfResult as OfResult,
+)
+from ._campaign.outcomes import CampaignResult as CampaignResult
 from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .camera import arm_with_camera as arm_with_camera, planar_arm as planar_arm, radial_distortion as radial_distortion
+from .campaign import Campaign as Campaign
 from .control_system import initial_state as initial_state
 from .coupling import Coupling as Coupling
 from .diagram import Diagram as Diagram, Node as Node
@@ -33,6 +55,7 @@ from .errors import (
     SimulationError as SimulationError,
     SSPError as SSPError,
     StepSizeError as StepSizeError,
+    StoreError as StoreError,
     UnconnectedInputError as UnconnectedInputError,
     UnknownNameError as UnknownNameError,
 )

@@ -16,6 +16,10 @@ SIGNATURE = (
     "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], int64[::1], "
     "float64[:, ::1], int64, int64, int64, int64, int64, int64, int64, int64[::1])"
 )
+MANY_SIGNATURE = (
+    "int64(int64[:, ::1], int64, int64[:, ::1], uint64[::1], uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
+    "float64[::1], int64[:, ::1], int64, int64[::1], float64[:, :, ::1], int64, int64, int64, int64, int64[::1], int64[::1])"
+)
 PHASE_SIGNATURE = "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])"
 
 
@@ -28,6 +32,19 @@ def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
         i64 = ir.IntType(64)
         function = ir.FunctionType(ir.IntType(32), [i64, i64, i64, i64, ir.DoubleType(), i64])
         return builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
+
+    return signature, codegen
+
+
+@intrinsic
+def put_back(typingctx, function, instance, state):
+    """int32 (*)(void *, void *), given as integers: FMI's function that takes an instance back to a saved state."""
+    signature = types.int32(types.int64, types.int64, types.int64)
+
+    def codegen(context, builder, sig, args):
+        i64 = ir.IntType(64)
+        kind = ir.FunctionType(ir.IntType(32), [i64, i64])
+        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
 
     return signature, codegen
 
@@ -102,6 +119,36 @@ def run(
             return k
         k += 1
         evaluate = True
+
+
+@register_jitable(error_model="numpy")
+def run_many(
+    calls, evaluations, gathers, seeds, streams, drawn, buffer, memory, initial, states, fresh, recorded, recordings, decimation,
+    end, numerator, denominator, reached, failed,
+):  # fmt: skip
+    """Make a run to t_end for each seed, from `initial` memory and the saved `states` of the FMUs; return how many are done.
+
+    Each row of `states` is the function that puts an FMU back, the instance, the state. The first run finds all as it is to be
+    if `fresh` is not 0. ``reached`` gets the last complete step of each run. It stops at the first run that fails, with
+    ``failed`` as of `run`; or, where an FMU could not be put back, with -2 less its row, and the status.
+    """
+    for i in range(seeds.size):
+        if i > 0 or fresh == 0:
+            for j in range(memory.size):
+                memory[j] = initial[j]
+            for j in range(states.shape[0]):
+                status = put_back(states[j, 0], states[j, 1], states[j, 2])
+                if status != 0:
+                    failed[0], failed[1] = -2 - j, status
+                    reached[i] = -1
+                    return i
+        reached[i] = run(
+            calls, evaluations, gathers, seeds[i], streams, drawn, buffer, memory, recorded, recordings[i], decimation,
+            0, 1, 0, end, numerator, denominator, failed,
+        )  # fmt: skip
+        if failed[0] >= 0:
+            return i
+    return seeds.size
 
 
 def empty_chunk(numbers):

@@ -151,7 +151,7 @@ def advance(
         ):
             run.k, failure = engine.advance(begin, until, first=run.k < 0)
         if changed:
-            _warn_of_arithmetic(run)
+            warn_of_arithmetic(run)
         now = time.perf_counter()
         if failure:
             reason = explain(failure, run)  # by which a failed FMU also knows what it must not be asked any more
@@ -173,7 +173,8 @@ def advance(
         begin = until
 
 
-def _warn_of_arithmetic(run: Run) -> None:
+def warn_of_arithmetic(run: Run) -> None:
+    """Warn that an FMU of a run has changed how this process computes; it was put back."""
     suspects = " or ".join(repr(run.schedule.nodes[i].name) for i in run.instances)
     warnings.warn(
         f"The FMU of {suspects} has changed how this process rounds, or makes numbers below 2.2e-308 zero, for all that is "
@@ -226,4 +227,4 @@ def failed(stopped: str, result: Result, run: Run) -> SimulationError:
     return SimulationError(stopped, result)
 
 
-__all__ = ["advance", "choose_engine", "explain", "failed", "make_room", "open_run", "place_tables"]
+__all__ = ["advance", "choose_engine", "explain", "failed", "make_room", "open_run", "place_tables", "warn_of_arithmetic"]

@@ -171,6 +171,37 @@ class Diagram:
         """Return what feeds one element of an input: the output and its element, or None."""
         return self._sources.get((node.name, port.name, element))
 
+    def rewired(self, blocks: Mapping[str, Block]) -> Diagram:
+        """Return a diagram of the same names, rates, connections and coupling, made of these blocks; built if this one is.
+
+        Parameters
+        ----------
+        blocks : mapping of str to Block
+            A block for each name; ports that are connected must be there with the same sizes.
+
+        Raises
+        ------
+        ConnectionError
+            If a block does not fit where the one of its name was.
+        """
+        other = Diagram(self.step)
+        for name, node in self._nodes.items():
+            other.add(blocks[name], name, node.every)
+        for (target, port, element), (source, taken) in self._sources.items():
+            ends = []
+            for name, wanted in ((source.node.name, source.port), (target, self._nodes[target].block.port(port))):
+                new = next((p for p in (*blocks[name].outputs, *blocks[name].inputs) if p.name == wanted.name), None)
+                if new is None or new.size != wanted.size:
+                    raise ConnectionError(
+                        f"{type(blocks[name]).__name__} cannot stand where {name!r} does: the port {wanted.name!r} of size "
+                        f"{wanted.size}, which is connected, {'is not there' if new is None else f'has size {new.size}'}."
+                    )
+                ends.append(other[name][wanted.name])
+            other._sources[target, port, element] = ends[0], taken
+        if self._coupling is not None:
+            other.build(self._coupling)
+        return other
+
     def build(self, coupling: Coupling | Method | None = None, **settings: Any) -> Diagram:
         """Check the diagram, fix the order of its blocks and freeze it; `simulate` does this by itself.
 

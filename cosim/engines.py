@@ -175,6 +175,56 @@ class CompiledEngine:
             return int(last), None
         return int(last), self._failure(failed, int(last) + (failed[0] < len(run.schedule.evaluate)))
 
+    def advance_many(
+        self,
+        seeds: np.ndarray[Any, np.dtype[np.uint64]],
+        initial: Floats,
+        states: np.ndarray[Any, np.dtype[np.int64]],
+        recordings: Floats,
+        reached: np.ndarray[Any, np.dtype[np.int64]],
+        end: int,
+        *,
+        fresh: bool,
+    ) -> tuple[int, Failure | None]:
+        """Make a whole run for each seed, each from the same beginning, in one compiled call.
+
+        Parameters
+        ----------
+        seeds : ndarray of shape (runs,)
+            Of the runs, one after the other.
+        initial : ndarray
+            Memory as each run finds it.
+        states : ndarray of shape (instances, 3)
+            How each FMU is put back to its beginning: the address of the function, of the instance and of the state.
+        recordings : ndarray of shape (runs, rows, recorded)
+            Filled; of a run that fails only up to its last complete step.
+        reached : ndarray of shape (runs,)
+            Filled with the last complete step of each run.
+        end : int
+            The last step of a run.
+        fresh : bool
+            Whether memory and FMUs stand at the beginning already.
+
+        Returns
+        -------
+        done : int
+            How many runs have come to their end before one failed.
+        failure : Failure or None
+            Why the next one has failed. Its `node` is -1 where an FMU could not be put back.
+        """
+        run, step = self._run, self._run.schedule.step
+        failed = np.array([-1, 0], dtype=np.int64)
+        done = compiled_many()(
+            self._calls, len(run.schedule.evaluate), self._gathers, seeds, self._streams, self._drawn, self._buffer, run.memory,
+            initial, states, int(fresh), run.recorded, recordings, run.decimation, end, step.numerator, step.denominator,
+            reached, failed,
+        )  # fmt: skip
+        if failed[0] == -1:
+            return int(done), None
+        if failed[0] < 0:
+            return int(done), Failure(-1, -1, int(failed[1]))
+        return int(done), self._failure(failed, int(reached[done]) + (failed[0] < len(run.schedule.evaluate)))
+
     def evaluate(self, k: int) -> Failure | None:
         """See `Engine.evaluate`."""
         return self._phase(0, len(self._run.schedule.evaluate), k)
@@ -203,6 +253,15 @@ def compiled_loop() -> Any:
     from bayesftc.cosim._compiler import compile_function
 
     return compile_function(_loop.run, _loop.SIGNATURE)
+
+
+@cache
+def compiled_many() -> Any:
+    """Return the compiled loop over many runs."""
+    from bayesftc.cosim import _loop
+    from bayesftc.cosim._compiler import compile_function
+
+    return compile_function(_loop.run_many, _loop.MANY_SIGNATURE)
 
 
 @cache

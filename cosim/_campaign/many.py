@@ -1,0 +1,302 @@
+"""Many runs of one diagram: the engine is set up once, and compiled code goes from run to run without Python in between.
+
+Each run begins with the same memory and with FMUs that are put back to how they were after initialization, which takes a
+hundredth of the time of making new ones. Where an FMU cannot be put back, or does not repeat itself when it is, each run gets new
+instances.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim._fmi.embedded import interrupts
+from bayesftc.cosim._fmi.surroundings import kept
+from bayesftc.cosim._isolation.spares import Spares
+from bayesftc.cosim._isolation.turns import one_processor
+from bayesftc.cosim._running import BREATH, advance, choose_engine, explain, open_run, warn_of_arithmetic
+from bayesftc.cosim._state_functions import StateFunctions
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.engines import CompiledEngine, Engine, Run
+from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.recording import Selection
+from bayesftc.cosim.schedule import NOT_FINITE, Schedule
+
+ROOM = 4_000_000
+"""Bytes of the recordings of the runs that are made in one call: as much as stays in a processor's cache."""
+Wanted = Callable[[], bool]
+_STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
+
+
+class StoppedFromOutside(Exception):
+    """Whoever wanted the runs does not want them any more."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some runs; each array has a row for each.
+
+    Attributes
+    ----------
+    recording : ndarray of shape (runs, rows, recorded)
+        NaN from where a run has failed. It is overwritten by the next block.
+    steps : ndarray of int of shape (runs,)
+        The last complete step.
+    reasons : tuple of str
+        Why a run has failed, as a sentence; an empty text for those that have not.
+    """
+
+    recording: Floats
+    steps: np.ndarray[Any, np.dtype[np.int64]]
+    reasons: tuple[str, ...]
+
+
+class ManyRuns:
+    """Runs of one diagram, of the same length and with the same recording; `close` frees its FMUs.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        What to run.
+    selection : Selection
+        What to record.
+    steps : int
+        Length of each run in base steps.
+    decimation : int
+        Every how many steps are recorded.
+    time_limit : float, optional
+        Seconds of computing after which a run is stopped; it has failed then.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        selection: Selection,
+        steps: int,
+        decimation: int = 1,
+        time_limit: float | None = None,
+    ):
+        self._schedule, self._selection, self._steps, self._decimation = schedule, selection, steps, decimation
+        self._limit = time_limit
+        self._spares, self._stack = Spares(), ExitStack()
+        self._run: Run
+        self._engine: Engine
+        self._initial: Floats
+        self._states: np.ndarray[Any, np.dtype[np.int64]] | None = None
+        self._free: list[tuple[int, int, ctypes.c_int64]] = []
+        self._opened = False  # there are FMUs and an engine
+        self._fresh = False  # and they stand at the beginning of a run
+        self._repeats: bool | None = None  # whether FMUs that are put back give the same bits once more
+        self._pace = 0.0  # seconds that a run takes
+        rows = steps // decimation + 1
+        self._buffer = np.empty((0, rows, len(selection.places)))
+        self._few = max(1, ROOM // max(8 * rows * len(selection.places), 1))
+
+    def run(self, seeds: Sequence[int], wanted: Wanted = lambda: True) -> Iterator[Block]:
+        """Make a run for each seed; yield them some at a time, in order.
+
+        Parameters
+        ----------
+        seeds : sequence of int
+            One for each run.
+        wanted : callable
+            Asked about twenty times a second whether to go on.
+
+        Raises
+        ------
+        StoppedFromOutside
+            If it is not wanted to go on.
+        """
+        done = 0
+        while done < len(seeds):
+            if not wanted():
+                raise StoppedFromOutside
+            few = self._how_many(len(seeds) - done)
+            block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), wanted, more=len(seeds) > 1)
+            done += len(block.steps)
+            yield block
+
+    def close(self) -> None:
+        """Free the FMUs and end their processes."""
+        self._shut()
+        self._spares.close()
+
+    def _how_many(self, left: int) -> int:
+        if self._pace == 0.0:
+            return 1
+        return max(1, min(left, self._few, int(BREATH / self._pace)))
+
+    def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], wanted: Wanted, *, more: bool) -> Block:
+        """Make the first of some runs, or all."""
+        try:
+            self._ready(more=more)
+        except BayesFTCError as error:  # an FMU that refuses its parameters, say
+            return self._nothing(str(error))
+        began = time.perf_counter()
+        if self._goes_from_run_to_run and self._pace < BREATH and (self._limit is None or self._pace < self._limit):
+            block = self._compiled(seeds)
+        else:
+            block = self._single(int(seeds[0]), wanted)
+        self._pace = (time.perf_counter() - began) / len(block.steps)
+        if more and self._repeats is None and not block.reasons[0]:
+            self._repeats = self._once_more(int(seeds[0]), block.recording[0])
+        return block
+
+    @property
+    def _goes_from_run_to_run(self) -> bool:
+        return isinstance(self._engine, CompiledEngine)
+
+    def _ready(self, *, more: bool) -> None:
+        """Have FMUs and an engine; with `more` such that further runs can begin as the first one does."""
+        if self._opened and (self._fresh or self._states is not None):
+            return
+        self._shut()
+        with self._spares.lent():
+            self._run = open_run(self._schedule, self._stack, 0, self._selection, self._steps, self._decimation)
+        self._engine = choose_engine("auto", self._run)
+        self._opened = self._fresh = True
+        self._initial = self._run.memory.copy()
+        if more and self._repeats is not False and all(i.can_save for i in self._run.instances.values()):
+            self._states = self._saved()
+
+    def _saved(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """Save each FMU's state; return how compiled code puts them back."""
+        rows = []
+        for instance in self._run.instances.values():
+            addresses = getattr(instance, "state_functions", None)
+            if addresses is None:
+                functions = StateFunctions(instance)
+                self._stack.callback(functions.take)  # and so keep it alive
+                addresses = functions.addresses
+            component, save, restore, free = addresses
+            place = ctypes.c_int64(0)
+            status = _STATE(save)(component, ctypes.addressof(place))
+            if status:
+                self._repeats = False
+                break
+            self._free.append((free, component, place))
+            rows.append((restore, component, place.value))
+        return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
+
+    def _compiled(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
+        engine, run = self._engine, self._run
+        assert isinstance(engine, CompiledEngine)
+        if self._states is None:
+            seeds = seeds[:1]
+        states = np.empty((0, 3), dtype=np.int64) if self._states is None else self._states
+        recording, reached = self._room(len(seeds)), np.empty(len(seeds), dtype=np.int64)
+        with (
+            one_processor(run.instances.values()),
+            kept() if run.instances else nullcontext() as changed,
+            interrupts() as heard,
+        ):
+            done, failure = engine.advance_many(
+                seeds, self._initial, states, recording, reached, self._steps, fresh=self._fresh
+            )
+        self._fresh = False
+        if changed:
+            warn_of_arithmetic(run)
+        reasons = [""] * done
+        if failure is not None:
+            run.k, run.sound = int(reached[done]), False
+            if failure.node < 0:
+                reasons.append("An FMU could not be put back to the beginning of a run.")
+                self._repeats = False
+            else:
+                reasons.append(explain(failure, run))
+            recording[done, reached[done] // self._decimation + 1 :] = np.nan
+            self._shut(broken=failure.status < NOT_FINITE)
+        if heard:
+            raise KeyboardInterrupt
+        if failure is not None and failure.node < 0:  # this run has yet to be made, with new instances
+            if done == 0:
+                return self._some(seeds, lambda: True, more=True)
+            reasons.pop()
+        return Block(recording[: len(reasons)], reached[: len(reasons)], tuple(reasons))
+
+    def _single(self, seed: int, wanted: Wanted) -> Block:
+        """Make one run, long or slow, or interpreted, piece by piece."""
+        run, recording = self._run, self._room(1)
+        if not self._fresh:
+            self._put_back()
+        run.recording, run.before, run.k, run.sound = recording[0], 0, -1, True
+        if run.seed != seed:
+            run.seed = seed
+            self._engine = choose_engine("auto", run)  # an engine holds numbers that it has drawn ahead
+        self._fresh = False
+
+        def go_on(step: int, steps: int) -> None:
+            if not wanted():
+                raise StoppedFromOutside
+
+        stopped = advance(self._engine, self._steps, run, go_on, self._limit)
+        if stopped:
+            recording[0, max(run.k // self._decimation + 1, 0) :] = np.nan
+            self._shut(broken=True)
+        return Block(recording, np.array([run.k], dtype=np.int64), (stopped or "",))
+
+    def _put_back(self) -> None:
+        run = self._run
+        run.memory[:] = self._initial
+        assert self._states is not None
+        for restore, component, place in self._states:
+            _STATE(int(restore))(int(component), int(place))
+
+    def _once_more(self, seed: int, first: Floats) -> bool:
+        """Return whether a run whose FMUs were put back has the bits of the first one; else have new ones for each run."""
+        if self._states is None or not self._opened:
+            return False
+        if not len(self._states):
+            return True  # without FMUs there is nothing to remember
+        ends, kept_ = self._run.memory.copy(), first.copy()
+        pace = self._pace
+        again = (
+            self._compiled(np.array([seed], dtype=np.uint64))
+            if self._goes_from_run_to_run
+            else self._single(seed, lambda: True)
+        )
+        self._pace = pace
+        same = again.recording[0].tobytes() == kept_.tobytes()
+        same = same and self._opened and self._run.memory.tobytes() == ends.tobytes()
+        again.recording[0] = kept_
+        if not same:
+            self._shut()
+            warnings.warn(
+                "An FMU that is put back to its beginning does not repeat the run that it made before; each run gets new "
+                "instances of it, which is slower.",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return same
+
+    def _room(self, runs: int) -> Floats:
+        if len(self._buffer) < runs:
+            self._buffer = np.empty((runs, *self._buffer.shape[1:]))
+        return self._buffer[:runs]
+
+    def _nothing(self, reason: str) -> Block:
+        """Return a run that could not even begin."""
+        recording = self._room(1)
+        recording[:] = np.nan
+        self._shut()
+        return Block(recording, np.array([-1], dtype=np.int64), (reason,))
+
+    def _shut(self, *, broken: bool = False) -> None:
+        """Free the FMUs; of one that is broken nothing may be asked any more, not even to free a saved state."""
+        if self._opened and not broken:
+            for free, component, place in self._free:
+                _STATE(free)(component, ctypes.addressof(place))
+        self._free.clear()
+        self._states, self._opened, self._fresh = None, False, False
+        with self._spares.lent():
+            self._stack.close()
+
+
+__all__ = ["Block", "ManyRuns", "StoppedFromOutside"]

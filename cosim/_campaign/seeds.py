@@ -1,0 +1,83 @@
+"""Seeds of a campaign: the same noise for all points that are compared, noise of its own where that is asked for."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.random import check_seed
+
+
+def hashed_seeds(seed: int, purpose: str, count: int) -> list[int]:
+    """Return `count` seeds for one purpose.
+
+    They are hashed from the seed and the purpose, so that runs for one purpose (a scenario, finding a setting) never share noise
+    with those for another.
+
+    Parameters
+    ----------
+    seed : int
+        Of all.
+    purpose : str
+        What they are for.
+    count : int
+        How many.
+    """
+    sequence = np.random.SeedSequence((check_seed(seed), zlib.crc32(purpose.encode())))
+    return [int(s) for s in sequence.generate_state(count, np.uint64) >> np.uint64(1)]
+
+
+def seeds_of_points(
+    labels: Sequence[Mapping[str, Any]], seeds: int | Sequence[int], seed: int, independent: Sequence[str]
+) -> tuple[tuple[int, ...], ...]:
+    """Return the seeds of the runs of each point.
+
+    Parameters
+    ----------
+    labels : sequence of mapping
+        For each point the label of each factor.
+    seeds : int or sequence of int
+        How many runs each point has, or the seeds of the runs, the same for all points.
+    seed : int
+        From which they are hashed where only their number is given.
+    independent : sequence of str
+        Factors of which each value has seeds of its own.
+
+    Raises
+    ------
+    ModelError
+        If the seeds can be none, or are given and `independent` as well.
+    UnknownNameError
+        If there is no such factor.
+    """
+    if isinstance(independent, str):
+        independent = [independent]
+    for name in independent:
+        if name not in labels[0]:
+            raise UnknownNameError(f"independent names {name!r}, which is no factor; {did_you_mean(name, labels[0])}")
+    if isinstance(seeds, bool) or not isinstance(seeds, int | Sequence | range) or isinstance(seeds, str):
+        raise ModelError(f"seeds is {seeds!r}; it must be the number of runs of each point, or a list of their seeds.")
+    if isinstance(seeds, Sequence):
+        if independent:
+            raise ModelError(
+                "seeds lists the seeds, the same for all points; give their number for independent=... to hash them."
+            )
+        own = tuple(check_seed(s) for s in seeds)
+        if not own or len(set(own)) < len(own):
+            raise ModelError("seeds has no seed, or one twice; each run of a point needs one of its own.")
+        return (own,) * len(labels)
+    if seeds < 1:
+        raise ModelError(f"seeds is {seeds}; each point needs at least one run.")
+    known: dict[str, tuple[int, ...]] = {}
+    for point in labels:
+        purpose = "/".join(str(point[name]) for name in independent)
+        if purpose not in known:
+            known[purpose] = tuple(hashed_seeds(seed, purpose, seeds))
+    return tuple(known["/".join(str(point[name]) for name in independent)] for point in labels)
+
+
+__all__ = ["hashed_seeds", "seeds_of_points"]
