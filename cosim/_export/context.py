@@ -113,7 +113,10 @@ class Context:
         """Return an expression."""
         method = getattr(self, f"get_{type(node).__name__}", None)
         if method is None:
-            self.refuse(node, f"has an expression ({ast.unparse(node)}) that C is not written for")
+            self.refuse(
+                node,
+                f"has an expression ({ast.unparse(node)}) that C is not written for; use numbers, indices and cosim.ops",
+            )
         found: Value = method(node)
         return found
 
