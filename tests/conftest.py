@@ -1,6 +1,7 @@
 """What several test modules share."""
 
 import ctypes
+import gc
 import io
 import json
 import os
@@ -27,6 +28,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # The tests' compiled code stays out of the user's cache, but is kept from run to run.
 os.environ.setdefault("BAYESFTC_CACHE", str(Path(__file__).resolve().parents[1] / ".pytest_cache" / "bayesftc"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Keep the garbage collector off a million objects of imports and tests: nearly half of what collecting tests took."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
 
 
 def assert_bits(a, b, what=""):
