@@ -1,5 +1,6 @@
 """What may be compiled, and that compiled code is reused exactly as long as it is the same code."""
 
+import gc
 import importlib.util
 import json
 import math
@@ -15,6 +16,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.cosim import Port, _compiler, ops
 from bayesftc.cosim._fingerprint import fingerprint, service_fingerprint
+from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import both, exp, select, sqrt, square
 
 # --- the contract ---------------------------------------------------------------------------------------------------------------
@@ -252,6 +254,22 @@ def test_what_two_blocks_call_is_compiled_once(module, evaluate):
         shared.append(_compiler._latest_twin[written.helper])
     assert shared[0] is shared[1]
     assert _compiler._latest_twin[one][1] is not _compiler._latest_twin[two][1]
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_compiling_leaves_the_garbage_collector_as_it_was(module, evaluate, on):
+    def refused(y):
+        y[0] = y[0, 0]
+
+    try:
+        gc.enable() if on else gc.disable()
+        assert evaluate(module().make(3.0)) == (9.5, 1)
+        assert gc.isenabled() == on
+        with pytest.raises(KernelError):
+            evaluate(refused)
+        assert gc.isenabled() == on
+    finally:
+        gc.enable()
 
 
 OTHER_NUMBA = """
