@@ -86,27 +86,74 @@ def write_c(program: Program) -> CFile:
     name = Functions.allowed(program.name)
     functions = Functions([name, *(f"{name}_{part}" for part in _PARTS), *_VARIABLES])
     layout = Layout(program, functions)
-    schedule, step = program.schedule, program.step
-    evaluate = [*layout.tuned(), *_phase(program, layout, functions, schedule.evaluate)]
-    evaluate += [
-        f"y->{member(s)}[{e}] = {layout.element(at)};" for s in program.outputs for e, at in enumerate(s.places)
+    runs = layout.runs()
+    evaluate = [
+        *layout.tuned(),
+        *_phase(program, layout, functions, program.schedule.evaluate),
+        *_shown(program, layout),
     ]
     if "u" not in words("\n".join(evaluate)):
         evaluate.append("(void)u;")
-    advance = [*_phase(program, layout, functions, schedule.advance), "c->step += 1.0;"]
-    runs = layout.runs()
-    init = ["for (size_t i = 0; i < sizeof c->memory / sizeof *c->memory; ++i) {", "    c->memory[i] = 0.0;", "}"]
-    init += [line for line in _FILL if runs]
-    init += [f"c->parameters.{member(t)}[{e}] = {literal(v)};" for t in program.tunables for e, v in enumerate(t.start)]
+    advance = [*_phase(program, layout, functions, program.schedule.advance), "c->step += 1.0;"]
     read = words("\n".join([*evaluate, *advance]))
     tables = [table for name, table in layout.tables.items() if name in read]
+    parts = [*(text for text, _ in tables), *_initial(runs), functions.text([*evaluate, *advance])]
+    size = len(layout.initial)
+    return CFile(
+        name,
+        _header(program, name, size),
+        _source(program, name, parts, _beginning(program, runs), evaluate, advance),
+        size,
+        2 * len(runs) + sum(count for _, count in tables),
+        _changes_state(program, functions),
+    )
+
+
+def _shown(program: Program, layout: Layout) -> list[str]:
+    """Return the lines that hand the outputs to the caller."""
+    return [f"y->{member(s)}[{e}] = {layout.element(at)};" for s in program.outputs for e, at in enumerate(s.places)]
+
+
+def _beginning(program: Program, runs: Sequence[tuple[int, int, float]]) -> list[str]:
+    """Return the lines that put state and parameters to the beginning."""
+    return [
+        "for (size_t i = 0; i < sizeof c->memory / sizeof *c->memory; ++i) {",
+        "    c->memory[i] = 0.0;",
+        "}",
+        *(_FILL if runs else ()),
+        *(f"c->parameters.{member(t)}[{e}] = {literal(v)};" for t in program.tunables for e, v in enumerate(t.start)),
+        "c->start = 0.0;",
+        "c->step = 0.0;",
+    ]
+
+
+def _changes_state(program: Program, functions: Functions) -> bool:
+    """Return whether computing outputs changes the state of a block."""
+    for call in program.schedule.evaluate:
+        written, definition = _written(program, functions, call), program.schedule.definitions[call.node]
+        if written is not None and definition is not None and written.stored & set(definition.state):
+            return True
+    return False
+
+
+def _source(
+    program: Program,
+    name: str,
+    parts: Sequence[str],
+    init: Sequence[str],
+    evaluate: Sequence[str],
+    advance: Sequence[str],
+) -> str:
+    """Return the C file: tables and functions, and below them what the header declares, of which the lines are given."""
+    step = program.step
     known = {
         "m": "double *const m = c->memory;",
         "k": "const int64_t k = (int64_t)c->step;",
         # The quotient of two whole numbers: the double nearest to the time, as in the engines.
         "t": f"const double t = c->start + c->step * {step.numerator}.0 / {step.denominator}.0;",
     }
-    source = [
+    signature = f"({name} *c, const {name}_inputs *u, {name}_outputs *y)"
+    lines = [
         f"/* {name}: {name}.h says how to use it. */",
         "#if defined _MSC_VER && !defined _UCRT_NOISY_NAN",
         "#define _UCRT_NOISY_NAN /* else NAN is no constant in the Windows SDK 10.0.26100 */",
@@ -119,25 +166,14 @@ def write_c(program: Program) -> CFile:
         "",
         _CAREFUL,
         "",
-        "\n\n".join([*(text for text, _ in tables), *_initial(runs), functions.text([*evaluate, *advance])]),
+        "\n\n".join(parts),
         "",
-        *_function(f"void {name}_init({name} *c)", {}, [*init, "c->start = 0.0;", "c->step = 0.0;"]),
-        *_function(f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y)", known, evaluate),
+        *_function(f"void {name}_init({name} *c)", {}, init),
+        *_function(f"void {name}_evaluate{signature}", known, evaluate),
         *_function(f"void {name}_advance({name} *c)", known, advance),
-        *_function(
-            f"void {name}_step({name} *c, const {name}_inputs *u, {name}_outputs *y)",
-            {},
-            [f"{name}_evaluate(c, u, y);", f"{name}_advance(c);"],
-        ),
+        *_function(f"void {name}_step{signature}", {}, [f"{name}_evaluate(c, u, y);", f"{name}_advance(c);"]),
     ]
-    size = len(layout.initial)
-    constants = 2 * len(runs) + sum(count for _, count in tables)
-    changes_state = any(
-        written.stored & set(definition.state)
-        for call in schedule.evaluate
-        if (written := _written(program, functions, call)) and (definition := schedule.definitions[call.node])
-    )
-    return CFile(name, _header(program, name, size), "\n".join(source), size, constants, changes_state)
+    return "\n".join(lines)
 
 
 def _initial(runs: Sequence[tuple[int, int, float]]) -> list[str]:
