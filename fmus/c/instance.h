@@ -315,12 +315,25 @@ static int set_values(Instance *instance, const char *function, const unsigned i
     return OK;
 }
 
+/* How far apart two spellings of a time may be: by what rounding leaves, and never by a part of a step that matters. */
 static double slack(double time, double h)
 {
     const double size = fabs(time);
+    const double usual = 1e-9 * (size > h ? size : h);
 
-    return 1e-9 * (size > h ? size : h);
+    return (usual < 0.01 * h ? usual : 0.01 * h) + 1e-15 * size;
 }
+
+#ifdef MODEL_FIXED_STEP
+/* Importers compute the step as a difference of two times, too, which is rounded the more the later it is; some count whole
+ * nanoseconds, of which a thirtieth of a second has none. */
+static int is_fixed_step(double time, double h)
+{
+    const double nanosecond = 1e-4 * MODEL_FIXED_STEP < 1e-9 ? 1e-4 * MODEL_FIXED_STEP : 1e-9;
+
+    return fabs(h - MODEL_FIXED_STEP) <= nanosecond + 1e-9 * MODEL_FIXED_STEP + 1e-15 * fabs(time);
+}
+#endif
 
 static int do_step(Instance *instance, const char *function, double point, double h)
 {
@@ -336,8 +349,7 @@ static int do_step(Instance *instance, const char *function, double point, doubl
         return fail(instance, "%s: the communication step size %.17g must be positive and finite.", function, h);
     }
 #ifdef MODEL_FIXED_STEP
-    /* Importers compute it as a difference of two times, too, which is rounded the more the later it is. */
-    if (!(fabs(h - MODEL_FIXED_STEP) <= 1e-9 * MODEL_FIXED_STEP + 1e-15 * fabs(time))) {
+    if (!is_fixed_step(time, h)) {
         return fail(instance, "%s: the communication step size %.17g must be %.17g, for which %s was made.", function, h,
                     MODEL_FIXED_STEP, MODEL_NAME);
     }
