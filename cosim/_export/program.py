@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import islice
 from math import gcd
+from typing import Literal
 
 import numpy as np
 
@@ -167,38 +168,13 @@ def program_of(
     """
     diagram = _as_diagram(exported, dt)
     part, units = _part(diagram, blocks), units_of(diagram)
-    nodes = part.nodes
-    alone = len(nodes) == 1
-    found: dict[str, Places] = {}
-    for node in nodes:
-        for port in node.block.inputs:
-            found |= _unfed(part, node, port, port.name if alone else f"{node.name}.{port.name}")
-    # What has no start value that FMI can write stays what it is, unless it is asked for.
-    usual = {
-        name: places for name, places in found.items() if np.isfinite(np.asarray(places[0][1].default or 0.0)).all()
-    }
-    given = _named(found, inputs, "input") if inputs is not None else usual
-    brought = {place for places in given.values() for place in places}
-    for signal, (place, *_) in found.items():
-        if place[1].default is None and place[1].draw is None and place not in brought:
-            raise ModelError(f"The input {signal} has neither a source nor a start value; leave it among the inputs.")
+    alone = len(part.nodes) == 1
+    given, shown = _taken_in(part, inputs), _named(_ports(part, "outputs"), outputs, "output")
     whole, _ = opened(part, [place for places in given.values() for place in places], "the exported blocks")
     schedule = whole.schedule
-    for node, definition in zip(schedule.nodes, schedule.definitions, strict=True):
-        if definition is not None and not definition.compiled:
-            raise ModelError(
-                f"The block {node.name!r} ({type(node.block).__name__}) calls back into Python, which the exported C has not; "
-                "write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False; of "
-                "classifiers take one that is linear in its features."
-            )
-    seen = {
-        port.name if alone else f"{node.name}.{port.name}": tuple((node, port, i) for i in range(port.size))
-        for node in nodes
-        for port in node.block.outputs
-    }
-    shown = _named(seen, outputs, "output")
+    _refuse_python(schedule)
     program = Program(
-        name or (nodes[0].name if alone else "diagram"),
+        name or (part.nodes[0].name if alone else "diagram"),
         schedule,
         tuple(_signal(schedule, label, places, units) for label, places in given.items()),
         tuple(_signal(schedule, label, places, units) for label, places in shown.items()),
@@ -206,6 +182,42 @@ def program_of(
     )
     called = [(names, what) for names, what in ((inputs, "input"), (outputs, "output")) if isinstance(names, Mapping)]
     return _with_names(program, [(new, what) for names, what in called for old, new in names.items() if new != old])
+
+
+def _ports(part: Diagram, side: Literal["inputs", "outputs"]) -> dict[str, Places]:
+    """Return all ports of a side, called as they are in their block, with its name before where there are several blocks."""
+    alone = len(part.nodes) == 1
+    return {
+        port.name if alone else f"{node.name}.{port.name}": tuple((node, port, i) for i in range(port.size))
+        for node in part.nodes
+        for port in getattr(node.block, side)
+    }
+
+
+def _taken_in(part: Diagram, names: Names | None) -> dict[str, Places]:
+    """Return the inputs that the outside sees."""
+    unfed: dict[str, Places] = {}
+    for label, places in _ports(part, "inputs").items():
+        unfed |= _unfed(part, label, places)
+    if names is not None:
+        found = _named(unfed, names, "input")
+    else:  # what has no start value that FMI can write stays what it is, unless it is asked for
+        found = {name: at for name, at in unfed.items() if np.isfinite(np.asarray(at[0][1].default or 0.0)).all()}
+    brought = {place for places in found.values() for place in places}
+    for signal, (place, *_) in unfed.items():
+        if place[1].default is None and place[1].draw is None and place not in brought:
+            raise ModelError(f"The input {signal} has neither a source nor a start value; leave it among the inputs.")
+    return found
+
+
+def _refuse_python(schedule: Schedule) -> None:
+    for node, definition in zip(schedule.nodes, schedule.definitions, strict=True):
+        if definition is not None and not definition.compiled:
+            raise ModelError(
+                f"The block {node.name!r} ({type(node.block).__name__}) calls back into Python, which the exported C has not; "
+                "write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False; of "
+                "classifiers take one that is linear in its features."
+            )
 
 
 def _as_diagram(exported: Block | Diagram, dt: float | str | Fraction | None) -> Diagram:
@@ -242,13 +254,13 @@ def _part(diagram: Diagram, blocks: Sequence[str] | str | None) -> Diagram:
     return part
 
 
-def _unfed(part: Diagram, node: Node, port: Port, label: str) -> dict[str, Places]:
+def _unfed(part: Diagram, label: str, places: Places) -> dict[str, Places]:
     """Return what of an input nothing feeds: all of it as one signal, or its elements one by one."""
-    unfed = [i for i in range(port.size) if part.source_of(node, port, i) is None]
-    if len(unfed) == port.size:
-        return {label: tuple((node, port, i) for i in unfed)}
-    names = labels(label, port.shape)
-    return {names[i]: ((node, port, i),) for i in unfed}
+    unfed = [place for place in places if part.source_of(*place) is None]
+    if len(unfed) == len(places):
+        return {label: places}
+    names = labels(label, places[0][1].shape)
+    return {names[i]: ((node, port, i),) for node, port, i in unfed}
 
 
 def _named(found: Mapping[str, Places], names: Names | None, what: str) -> dict[str, Places]:

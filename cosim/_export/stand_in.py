@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import gcd, isclose
@@ -41,7 +41,6 @@ class StandIn:
         self.fmu, self.diagram = fmu, diagram
         self.blocks = _meant(fmu, diagram, blocks)
         self.every = gcd(*(diagram[name].every for name in self.blocks))
-        self.notes: list[str] = []
         self._check_step()
         nodes = [diagram[name] for name in self.blocks]
         into, strange = _counterparts(fmu, nodes, "inputs")
@@ -58,25 +57,25 @@ class StandIn:
             raise UnknownNameError(
                 f"{_file(fmu)} has no output that {' and '.join(self.blocks)} has; {did_you_mean((strange or [''])[0], known)}"
             )
+        self.notes = list(self._without_counterpart(nodes, strange))
+
+    def _without_counterpart(self, nodes: Sequence[Node], strange: Sequence[str]) -> Iterator[str]:
+        """Yield in sentences what is not compared, and what the FMU cannot be given."""
         if strange:
-            self.notes.append(f"Not compared, as the diagram does not have them: {_some(strange)}.")
-        missing = [
-            f"{n.name}.{p.name}"
-            for n in nodes
-            for p in n.block.outputs
-            if not any(at[:2] == (n.name, p.name) for at in self.out)
-        ]
+            yield f"Not compared, as the diagram does not have them: {_some(strange)}."
+        compared = {at[:2] for at in self.out}
+        missing = [f"{n.name}.{p.name}" for n in nodes for p in n.block.outputs if (n.name, p.name) not in compared]
         if missing:
-            self.notes.append(f"Not compared, as the FMU does not have them: {_some(missing)}.")
+            yield f"Not compared, as the FMU does not have them: {_some(missing)}."
         unfed = [
-            labels(f"{n.name}.{p.name}", p.shape)[i]
+            label
             for n in nodes
             for p in n.block.inputs
-            for i in range(p.size)
+            for i, label in enumerate(labels(f"{n.name}.{p.name}", p.shape))
             if (n.name, p.name, i) not in self.into and self._moves(n, p, i)
         ]
         if unfed:
-            self.notes.append(f"The FMU has no input for what the diagram brings to {_some(unfed)}.")
+            yield f"The FMU has no input for what the diagram brings to {_some(unfed)}."
 
     def _moves(self, node: Node, port: Port, i: int) -> bool:
         """Return whether an input changes by what is not among the blocks."""
