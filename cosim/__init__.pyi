@@ -1,20 +1,12 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
-from . import errors as errors, ops as ops, random as random
+from . import errors as errors, ops as ops, random as random, statistics as statistics
 from ._campaign.design import (
     Design as Design,
     Grid as Grid,
     LatinHypercube as LatinHypercube,
     Points as Points,
     SaltelliDesign as SaltelliDesign,
-    SobolSequence as SobolSequence,
-)
-from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
-from ._campaign.design import (
-    Design as Design,
-    Grid as Grid,
-    LatinHypercube as LatinHypercube,
-    Points as Points,
     SobolSequence as SobolSequence,
 )
 from ._campaign.executors import Threads as Threads
@@ -31,6 +23,7 @@ from ._campaign.metrics import (
     OfResult as OfResult,
 )
 from ._campaign.outcomes import CampaignResult as CampaignResult
+from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
 from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .camera import arm_with_camera as arm_with_camera, planar_arm as planar_arm, radial_distortion as radial_distortion

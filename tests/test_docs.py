@@ -13,7 +13,9 @@ from bayesftc.fmus._compiler import why_no_compiler
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-PUBLIC = {f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, controllers, monitoring) for n in m.__all__}
+PUBLIC = {
+    f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, cosim.statistics, controllers, monitoring) for n in m.__all__
+}
 
 
 def snippets(page):

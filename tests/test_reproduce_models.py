@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus, reproduce
+from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.alarms import judge_alarms
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.random import numbers
 from bayesftc.reproduce import _models, _models_figures, _models_tables
-from bayesftc.reproduce._ensemble import Ensemble, seeds
+from bayesftc.reproduce._ensemble import Ensemble
 from bayesftc.reproduce._models_car import RIGHT, UNKNOWN_LIMIT, TrueCar, believed, conditions
-from bayesftc.reproduce._statistics import ratio
 from bayesftc.reproduce._tracking import techniques
 from bayesftc.reproduce.settings import Car, Models, Tracking
 
@@ -88,7 +88,7 @@ def test_an_error_by_hand(bench):
     """The first run of a cell again: Newton's law, a Kalman filter that knows of no quadratic drag, and deadbeat control."""
     cell = _models.Cell("as it is", "drag", "injection", "No FT")
     error = bench.measure("x", [cell], TWO, {})[cell].rmse[0]
-    seed = seeds(3, "models/injection", 1)[0]
+    seed = hashed_seeds(3, "models/injection", 1)[0]
     q = np.sqrt(1e-3) * numbers(seed, "disturbance_noise.noise", 1001)
     noise = np.column_stack([numbers(seed, "sensors.noise", 1001, channel=i) for i in range(2)])
     time = np.arange(1001) * 0.02
@@ -162,7 +162,7 @@ def test_thresholds_allow_as_many_alarms_as_they_should(bench):
     assert found["as it is", "No FT"] is None
     detector = found["as it is", "PL"]
     loop = bench.loop("as it is", RIGHT, TWO["PL"])
-    own = seeds(3, "models/thresholds", 4)
+    own = hashed_seeds(3, "models/thresholds", 4)
     precision = [loop.simulate(20.0, seed=s, record=["controller.precision"])["controller.precision"] for s in own]
 
     def alarms(threshold):
@@ -206,24 +206,12 @@ def test_false_alarms_are_those_of_the_precision(bench):
     cell = _models.Cell("as it is", "drag", "healthy", "PL")
     alarms = bench.measure("x", [cell], TWO, {("as it is", "PL"): detector})[cell].alarms
     loop, begins, share = bench.loop("as it is", "drag", TWO["PL"]), 0, []
-    for seed in seeds(3, "models/healthy", 4):
+    for seed in hashed_seeds(3, "models/healthy", 4):
         low = loop.simulate(20.0, seed=seed, record=["controller.precision"])["controller.precision"] <= 0.7
         begins += int(low[0].sum() + (low[1:] & ~low[:-1]).sum())
         share.append(low.mean())
     assert alarms.false_alarms == begins > 0
     assert alarms.false_share == pytest.approx(np.mean(share))
-
-
-def test_the_interval_of_a_ratio_covers_it():
-    """Of paired errors with much in common, by Monte Carlo; and it is exact where one is a multiple of the other."""
-    random = np.random.default_rng(0)
-    common = random.normal(10.0, 2.0, size=(2000, 40))
-    ours, theirs = 1.5 * common + random.normal(0, 0.3, common.shape), common + random.normal(0, 0.3, common.shape)
-    bounds = np.array([ratio(a, b)[1] for a, b in zip(ours, theirs, strict=True)])
-    covered = ((bounds[:, 0] < 1.5) & (bounds[:, 1] > 1.5)).mean()
-    assert covered == pytest.approx(0.95, abs=0.02)
-    value, (low, high) = ratio(3.0 * common[0], common[0])
-    assert value == pytest.approx(low) == pytest.approx(high) == pytest.approx(3.0)
 
 
 def with_all_techniques(report):

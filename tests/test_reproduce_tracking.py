@@ -5,15 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import ttest_ind
 
 from bayesftc import controllers, cosim, reproduce
+from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.random import numbers
 from bayesftc.reproduce import _oracle_tables, _tracking_bench, _tracking_figures, _tracking_tables, paper
-from bayesftc.reproduce._ensemble import Ensemble, chunks, in_parallel, seeds
-from bayesftc.reproduce._merit import merit, total
+from bayesftc.reproduce._ensemble import Ensemble, chunks, in_parallel
 from bayesftc.reproduce._oracle import over_oracle
-from bayesftc.reproduce._statistics import outcomes
 from bayesftc.reproduce.settings import Car, Tracking
 
 FOUR = ("EF-FDI", "No FT", "PL", "SER FT")
@@ -172,7 +170,7 @@ def test_an_error_is_the_root_mean_square_of_a_run_by_hand():
     learner = controllers.FixedPrecision()
     scenario = _tracking_bench.Scenario("injection", "sine", settings.injection)
     error = bench.measure("x", [scenario], {"No FT": learner}).runs[scenario]["No FT"].rmse[0]
-    seed = seeds(3, "injection/sine", 1)[0]
+    seed = hashed_seeds(3, "injection/sine", 1)[0]
     q = np.sqrt(1e-3) * numbers(seed, "disturbance_noise.noise", 1001)
     eta = [numbers(seed, "sensors.noise", 1001, channel=i) for i in range(2)]
     v, mean, P, errors = 20.0, 20.0, 1.0, []
@@ -188,43 +186,10 @@ def test_an_error_is_the_root_mean_square_of_a_run_by_hand():
     assert error == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
 
 
-def test_outcomes_are_those_of_welchs_test():
-    rng = np.random.default_rng(0)
-    a = rng.normal(0.0, 1.0, (25, 40))
-    b = rng.normal(np.linspace(-0.6, 0.6, 25)[:, None], 0.4, (25, 60))
-    for scale in (1.0, 1e-120):
-        decided = outcomes(scale * a, scale * b, 0.05)
-        test = ttest_ind(a, b, axis=1, equal_var=False)
-        assert decided.tolist() == np.where(test.pvalue < 0.05, -np.sign(test.statistic), 0).tolist()
-        assert set(decided) == {-1, 0, 1}
-        assert outcomes(scale * b, scale * a, 0.05).tolist() == (-decided).tolist()
-
-
-@pytest.mark.filterwarnings("error")
-def test_samples_without_scatter_differ_if_their_means_do_by_more_than_rounding():
-    ones, wobble = np.ones(50), 1.0 + np.finfo(float).eps * (np.arange(50) % 3)
-    assert outcomes(ones, ones, 0.05) == 0
-    assert outcomes(np.zeros(50), np.zeros(50), 0.05) == 0
-    assert (
-        outcomes(wobble, ones, 0.05) == 0
-    )  # significant by the letter: every run is above 1, by less than can be computed
-    assert outcomes(0.3 * ones, 0.1 * wobble + 0.2, 0.05) == 0
-    assert outcomes(ones, 2.0 * ones, 0.05) == 1
-    assert outcomes(ones, wobble - 1e-9, 0.05) == -1
-
-
-def test_merit_counts_scenarios_for_the_column_against_the_row():
-    rng = np.random.default_rng(1)
-    good, bad = rng.normal(1, 0.1, 50), rng.normal(2, 0.1, 50)
-    table = merit([{"a": good, "b": bad}, {"a": good, "b": bad}, {"a": bad, "b": good}], ["a", "b"], 0.05)
-    assert table == {"a": {"a": 0, "b": -1}, "b": {"a": 1, "b": 0}}
-    assert total(table) == {"a": 1, "b": -1}
-
-
 def test_seeds_of_two_purposes_never_meet():
-    drawn = [s for purpose in ("a", "b", "c") for seed in (0, 1) for s in seeds(seed, purpose, 500)]
+    drawn = [s for purpose in ("a", "b", "c") for seed in (0, 1) for s in hashed_seeds(seed, purpose, 500)]
     assert len(set(drawn)) == len(drawn)
-    assert seeds(0, "a", 5) == seeds(0, "a", 9)[:5]
+    assert hashed_seeds(0, "a", 5) == hashed_seeds(0, "a", 9)[:5]
     assert all(0 <= s < 2**63 for s in drawn)
 
 

@@ -14,10 +14,10 @@ from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.signals import ALARM
+from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._arm_loop import FAULTY, HEALTHY, Case, closed_loop, explicit, learning, switching
 from bayesftc.reproduce._ensemble import Ensemble, Progress
-from bayesftc.reproduce._statistics import interval
 from bayesftc.reproduce.settings import Arm
 
 CHUNK = 5

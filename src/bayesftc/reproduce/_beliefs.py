@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers
+from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.reproduce._beliefs_streams import DEFAULTS, LEARNED, TOLD, Learners, Scores, account, learn, score
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import SWITCHING, switching
-from bayesftc.reproduce._statistics import rms_ratio
 from bayesftc.reproduce._streams import Streams
 from bayesftc.reproduce._tracking_bench import ORACLE, Bench, Errors, Scenario
 from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers, cosim
+from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.block import Floats
+from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce import _residuals, paper
 from bayesftc.reproduce._calibration import Calibration, calibration
 from bayesftc.reproduce._detectors import Detectors
-from bayesftc.reproduce._ensemble import Ensemble, Progress, seeds
+from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import Residual
 from bayesftc.reproduce._roc import auc as area, curve, rates
-from bayesftc.reproduce._statistics import interval
 from bayesftc.reproduce._streams import Faults, Stream, Streams
 from bayesftc.reproduce.settings import Car, Detection
 
@@ -114,7 +115,7 @@ class Bench:
     def factor(self) -> tuple[float, float]:
         """Return the factor on the faults' sizes with which the baseline has the paper's AUC, and the AUC, by bisection."""
         s = self.settings
-        own = seeds(s.factor_seed, "detection/factor", s.factor_streams)
+        own = hashed_seeds(s.factor_seed, "detection/factor", s.factor_streams)
 
         def baseline(factor: float) -> float:
             faults = Faults(s.injection * factor, s.drift * factor)

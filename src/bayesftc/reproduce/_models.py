@@ -21,10 +21,10 @@ from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.alarms import Alarms, alarm_threshold, judge_alarms
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.signals import ALARM
+from bayesftc.cosim.statistics import ratio
 from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
 from bayesftc.reproduce._models_car import RIGHT, Condition, believed, conditions, disturbed, loop
 from bayesftc.reproduce._residuals import SWITCHING
-from bayesftc.reproduce._statistics import ratio
 from bayesftc.reproduce._tracking_bench import CHUNK, HEALTHY, ORACLE, PAPERS, RECORD, techniques
 from bayesftc.reproduce.settings import Car, Models, Tracking
 

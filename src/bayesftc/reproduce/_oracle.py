@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers
-from bayesftc.reproduce._statistics import rms_ratio
+from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.reproduce._tracking_bench import ORACLE, REFERENCES, Bench, Scenario
 
 

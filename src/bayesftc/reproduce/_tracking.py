@@ -7,12 +7,11 @@ from itertools import product
 from typing import Any
 
 from bayesftc import controllers
+from bayesftc.cosim.statistics import merit_counts, outcomes, total_merit
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._ensemble import Ensemble, Progress
-from bayesftc.reproduce._merit import merit, total
 from bayesftc.reproduce._oracle import over_oracle
 from bayesftc.reproduce._residuals import SWITCHING
-from bayesftc.reproduce._statistics import outcomes
 from bayesftc.reproduce._tracking_bench import (
     ORACLE,
     PAPERS,
@@ -79,7 +78,7 @@ def run(
     cells, further, oracle = table.errors(), others.errors(), told.errors()
     everything = {s: cells[s] | further[s] for s in headline}
     of_papers, of_all = (
-        merit(list(errors.values()), names, settings.significance)
+        merit_counts(list(errors.values()), names, settings.significance)
         for errors, names in ((cells, PAPERS), (everything, tuple(known)))
     )
     curves = [part.runs[s] for part in (table, others, told) for s in headline if s.kind == CURVES]
@@ -92,11 +91,11 @@ def run(
         },
         "scenarios": {s.kind: {name: summary(e) for name, e in everything[s].items()} for s in headline},
         "merit": of_papers,
-        "total_merit": total(of_papers),
+        "total_merit": total_merit(of_papers),
         "oracle": {s.kind: summary(oracle[s][ORACLE]) for s in headline},
         "paper": {"merit": paper.MERIT, "total_merit": paper.TOTAL_MERIT},
         "merit_of_all": of_all,
-        "total_merit_of_all": total(of_all),
+        "total_merit_of_all": total_merit(of_all),
         "lost": _lost(headline, everything, settings.significance),
         "mean_absolute_error": {name: r.absolute.tolist() for runs in curves for name, r in runs.items()},
         "grid": _grid(bench, cells, papers) if beyond else None,
@@ -152,7 +151,7 @@ def _grid(
     for injection, drift, column in product(injections, drifts, ("EF-FDI", *others)):
         chosen = [c for c in scenarios if c.size in {None, injection if c.fault == "injection" else drift}]
         cells = [errors[c] | {"EF-FDI": (errors[c] | longer[c])[column]} for c in chosen]
-        table = merit(cells, PAPERS, s.significance)
+        table = merit_counts(cells, PAPERS, s.significance)
         duration = s.effdi_duration if column == "EF-FDI" else others[column].duration
         tables.append(
             {
@@ -160,7 +159,7 @@ def _grid(
                 "drift": drift,
                 "effdi_duration": duration,
                 "merit": table,
-                "total_merit": total(table),
+                "total_merit": total_merit(table),
             }
         )
     cells_of = {c.name: {n: summary(e) for n, e in (errors[c] | longer[c]).items()} for c in scenarios}

@@ -1,0 +1,12 @@
+"""The public names of `bayesftc.cosim.statistics`, and where they stand; loaded on first use."""
+
+from ._compare import compare as compare
+from ._differences import corrected as corrected, outcomes as outcomes
+from ._intervals import (
+    bootstrap_interval as bootstrap_interval,
+    interval as interval,
+    ratio as ratio,
+    rms_ratio as rms_ratio,
+)
+from ._merit import merit as merit, merit_counts as merit_counts, total_merit as total_merit
+from ._summary import summary as summary

@@ -1,0 +1,147 @@
+"""The paper's merit: in how many scenarios one technique does better than another, by t-tests (section 5.2, table 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.statistics._compare import compare
+from bayesftc.cosim.statistics._differences import Correction, decided, outcomes
+from bayesftc.cosim.statistics._table import Names, cells, names_of, where
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Merits = dict[str, dict[str, int]]
+"""Row -> column -> tests that the column won against the row, minus those that it lost."""
+TOTAL = "total merit"
+
+
+def merit(
+    table: pd.DataFrame,
+    metric: str,
+    factor: str,
+    by: Names,
+    *,
+    better: Literal["lower", "higher"] = "lower",
+    significance: float = 0.05,
+    paired: bool = False,
+    test: Literal["t", "wilcoxon"] = "t",
+    correction: Correction | None = None,
+) -> pd.DataFrame:
+    """Return the merit table of techniques: in how many scenarios each one is significantly better than each other one.
+
+    As in the paper's section 5.2, where the metric is the root mean square of the tracking error, and the scenarios are faults x
+    references: each two techniques are compared in each scenario by a two-sided Welch's t-test.
+
+    Parameters
+    ----------
+    table : DataFrame
+        A row for each run.
+    metric : str
+        Column of the errors.
+    factor : str
+        Column of the techniques.
+    by : str or sequence of str
+        Factors whose combinations are the scenarios.
+    better : str
+        ``"lower"`` of an error, ``"higher"`` of an AUC, say.
+    significance : float
+        Level of the tests.
+    paired, test, correction
+        See `compare`. The paper's are ``False``, ``"t"`` and ``None``. Where all techniques see the same noise, Welch's test
+        knows less than it could and errs towards 0; ``paired=True`` finds more.
+
+    Returns
+    -------
+    DataFrame
+        A row and a column for each technique: tests that the column won against the row, minus those that it lost. The last row,
+        ``"total merit"``, has the sums of the columns.
+
+    Raises
+    ------
+    UnknownNameError
+        If the table has no such column.
+    ModelError
+        What `compare` raises; or if a technique has no run in a scenario, or less than two that have not failed.
+    """
+    import pandas as pd
+
+    if better not in ("lower", "higher"):
+        raise ModelError(f"merit has better={better!r}; it takes 'lower' or 'higher'.")
+    if not 0 < significance < 1:
+        raise ModelError(f"merit has significance={significance!r}; it takes a probability between 0 and 1.")
+    tests = compare(table, metric, factor, by, paired=paired, test=test, correction=correction)
+    scenarios = names_of(by)
+    _check_whole(table, factor, scenarios)
+    _check_runs(tests, factor, scenarios)
+    gain = tests["difference"].to_numpy() * (-1 if better == "lower" else 1)
+    techniques = list(dict.fromkeys(table[factor]))
+    place = {technique: i for i, technique in enumerate(techniques)}
+    counts = np.zeros((len(techniques),) * 2, dtype=np.int64)
+    signs = decided(gain, tests["p_corrected"].to_numpy(), significance)
+    for first, second, sign in zip(tests["first"], tests["second"], signs, strict=True):
+        counts[place[second], place[first]] += sign
+        counts[place[first], place[second]] -= sign
+    labels: list[Any] = [*techniques, TOTAL]
+    return pd.DataFrame(
+        np.vstack([counts, counts.sum(axis=0)]), index=pd.Index(labels, name=factor), columns=pd.Index(techniques)
+    )
+
+
+def _check_whole(table: pd.DataFrame, factor: str, by: Sequence[str]) -> None:
+    techniques = set(table[factor])
+    for cell, of in cells(table, by):
+        if missing := sorted(techniques - set(of[factor]), key=str):
+            raise ModelError(
+                f"merit has no run of {factor} {missing[0]!r}{where(cell)}. Run it there as well, or leave this scenario, or the "
+                "technique, out of the table."
+            )
+
+
+def _check_runs(tests: pd.DataFrame, factor: str, by: Sequence[str]) -> None:
+    few = tests[(tests["n_first"] < 2) | (tests["n_second"] < 2)]
+    if len(few):
+        row = few.iloc[0]
+        technique, n = (row["first"], row["n_first"]) if row["n_first"] < 2 else (row["second"], row["n_second"])
+        raise ModelError(
+            f"merit has {n} runs of {factor} {technique!r}{where({name: row[name] for name in by})} whose metric is a number; it "
+            "takes at least two. Run it with more seeds, or leave this scenario out of the table."
+        )
+
+
+def merit_counts(errors: Sequence[Mapping[str, Floats]], techniques: Sequence[str], significance: float) -> Merits:
+    """Return the merit table of arrays of errors, by Welch's t-tests; `merit` is that of a table of runs.
+
+    Parameters
+    ----------
+    errors : sequence of mapping
+        For each scenario the errors of each technique, one for each run.
+    techniques : sequence of str
+        Which techniques are compared.
+    significance : float
+        Level of the two-sided tests.
+    """
+    pairs = [(row, column) for row, column in product(techniques, techniques) if row != column]
+    ours, theirs = ([[e[pair[i]] for e in errors] for pair in pairs] for i in (1, 0))
+    counts = dict(zip(pairs, outcomes(ours, theirs, significance).sum(axis=-1).tolist(), strict=True))
+    return {row: {column: counts.get((row, column), 0) for column in techniques} for row in techniques}
+
+
+def total_merit(table: Merits) -> dict[str, int]:
+    """Return the sums of a table's columns.
+
+    Parameters
+    ----------
+    table : dict
+        What `merit_counts` returns.
+    """
+    return {column: sum(table[row][column] for row in table) for column in table}
+
+
+__all__ = ["Merits", "merit", "merit_counts", "total_merit"]
