@@ -149,6 +149,12 @@ class RecordingError(BayesFTCError, ValueError):
     exit_code = 16
 
 
+class StoreError(BayesFTCError):
+    """A stored campaign that cannot be read or written, or is another than the one that is to go on."""
+
+    exit_code = 20
+
+
 def brief(value: object, length: int = 60) -> str:
     """Return what someone has given, short enough for a sentence."""
     try:

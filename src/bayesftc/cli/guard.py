@@ -1,7 +1,7 @@
 """How a command ends when something goes wrong: one sentence on stderr and an exit code, no traceback.
 
-Exit codes: 2 a wrong command line; 3 to 18 the kinds of `BayesFTCError` (each has its ``exit_code``); 19 an FMU that
-differs from its blocks; 70 a bug of ours; 71 not enough memory; 130 stopped by Ctrl-C.
+Exit codes: 2 a wrong command line; 3 to 18 and 20 the kinds of `BayesFTCError` (each has its ``exit_code``); 19 an FMU
+that differs from its blocks; 70 a bug of ours; 71 not enough memory; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
