@@ -26,8 +26,9 @@ _FILL = (
     "}",
 )
 _CAREFUL = """\
-#ifdef __FAST_MATH__
-#error "Compile without -ffast-math: a NaN is a missing sample, and sums are made in the order that is written."
+#if defined __FAST_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__) || defined __ASSOCIATIVE_MATH__ \\
+    || defined __RECIPROCAL_MATH__ || defined _M_FP_FAST
+#error "Compile without -ffast-math or part of it: a NaN is a missing sample, and sums are made in the order that is written."
 #endif
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
