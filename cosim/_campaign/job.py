@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._campaign.factors import varied
-from bayesftc.cosim._campaign.many import Block, ManyRuns, Wanted
+from bayesftc.cosim._campaign.many import Aside, Block, ManyRuns, Wanted
 from bayesftc.cosim._campaign.metrics import Metric, Runs
 from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Piece, Plan
 from bayesftc.cosim.block import Floats
@@ -105,7 +105,7 @@ class Job:
             )
         return diagram.build()
 
-    def run(self, piece: Piece, wanted: Wanted = lambda: True) -> Outcome:
+    def run(self, piece: Piece, wanted: Wanted = lambda: True, aside: Aside = lambda: None) -> Outcome:
         """Make the runs of a piece.
 
         Parameters
@@ -114,6 +114,8 @@ class Job:
             Which.
         wanted : callable
             Asked now and then whether to go on.
+        aside : callable
+            Told before work of which no time limit is to count.
 
         Raises
         ------
@@ -123,12 +125,14 @@ class Job:
         began = time.perf_counter()
         collected = _Collected(self, piece)
         for point, seeds in self.plan.groups(piece):
+            aside()
             try:
                 loop = self._prepared(point)
             except BayesFTCError as error:
                 collected.fail(len(seeds), str(error))
                 continue
-            for block in loop.many.run(seeds, wanted):
+            for block in loop.many.run(seeds, wanted, aside):
+                aside()
                 collected.add(loop, block)
         return collected.outcome(time.perf_counter() - began)
 

@@ -32,6 +32,9 @@ from bayesftc.cosim.schedule import NOT_FINITE, Schedule
 ROOM = 4_000_000
 """Bytes of the recordings of the runs that are made in one call: as much as stays in a processor's cache."""
 Wanted = Callable[[], bool]
+"""Asked about twenty times a second whether to go on. From then on it is the runs that take time."""
+Aside = Callable[[], None]
+"""Told before work that is no run's own, of which no time limit is to count: building, compiling, metrics."""
 _STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
 
 
@@ -99,7 +102,7 @@ class ManyRuns:
         self._buffer = np.empty((0, rows, len(selection.places)))
         self._few = max(1, ROOM // max(8 * rows * len(selection.places), 1))
 
-    def run(self, seeds: Sequence[int], wanted: Wanted = lambda: True) -> Iterator[Block]:
+    def run(self, seeds: Sequence[int], wanted: Wanted = lambda: True, aside: Aside = lambda: None) -> Iterator[Block]:
         """Make a run for each seed; yield them some at a time, in order.
 
         Parameters
@@ -108,6 +111,8 @@ class ManyRuns:
             One for each run.
         wanted : callable
             Asked about twenty times a second whether to go on.
+        aside : callable
+            Told when something else than the runs is about to take time: compiling.
 
         Raises
         ------
@@ -116,9 +121,15 @@ class ManyRuns:
         """
         done = 0
         while done < len(seeds):
-            if not wanted():
-                raise StoppedFromOutside
+            _go_on(wanted)
             few = self._how_many(len(seeds) - done)
+            try:
+                self._ready(aside, more=len(seeds) > 1)
+            except BayesFTCError as error:  # an FMU that refuses its parameters, say
+                yield self._nothing(str(error))
+                done += 1
+                continue
+            _go_on(wanted)
             block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), wanted, more=len(seeds) > 1)
             done += len(block.steps)
             yield block
@@ -135,12 +146,10 @@ class ManyRuns:
 
     def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], wanted: Wanted, *, more: bool) -> Block:
         """Make the first of some runs, or all."""
-        try:
-            self._ready(more=more)
-        except BayesFTCError as error:  # an FMU that refuses its parameters, say
-            return self._nothing(str(error))
         began = time.perf_counter()
-        if self._goes_from_run_to_run and self._pace < BREATH and (self._limit is None or self._pace < self._limit):
+        # The first run is made piece by piece: nobody knows yet how long it takes.
+        quick = 0.0 < self._pace < min(BREATH, self._limit or BREATH)
+        if self._goes_from_run_to_run and quick:
             block = self._compiled(seeds)
         else:
             block = self._single(int(seeds[0]), wanted)
@@ -153,13 +162,14 @@ class ManyRuns:
     def _goes_from_run_to_run(self) -> bool:
         return isinstance(self._engine, CompiledEngine)
 
-    def _ready(self, *, more: bool) -> None:
+    def _ready(self, aside: Aside = lambda: None, *, more: bool) -> None:
         """Have FMUs and an engine; with `more` such that further runs can begin as the first one does."""
         if self._opened and (self._fresh or self._states is not None):
             return
         self._shut()
         with self._spares.lent():
             self._run = open_run(self._schedule, self._stack, 0, self._selection, self._steps, self._decimation)
+        aside()
         self._engine = choose_engine("auto", self._run)
         self._opened = self._fresh = True
         self._initial = self._run.memory.copy()
@@ -217,6 +227,7 @@ class ManyRuns:
             raise KeyboardInterrupt
         if failure is not None and failure.node < 0:  # this run has yet to be made, with new instances
             if done == 0:
+                self._ready(more=True)
                 return self._some(seeds, lambda: True, more=True)
             reasons.pop()
         return Block(recording[: len(reasons)], reached[: len(reasons)], tuple(reasons))
@@ -232,11 +243,7 @@ class ManyRuns:
             self._engine = choose_engine("auto", run)  # an engine holds numbers that it has drawn ahead
         self._fresh = False
 
-        def go_on(step: int, steps: int) -> None:
-            if not wanted():
-                raise StoppedFromOutside
-
-        stopped = advance(self._engine, self._steps, run, go_on, self._limit)
+        stopped = advance(self._engine, self._steps, run, lambda step, steps: _go_on(wanted), self._limit)
         if stopped:
             recording[0, max(run.k // self._decimation + 1, 0) :] = np.nan
             self._shut(broken=True)
@@ -299,4 +306,9 @@ class ManyRuns:
             self._stack.close()
 
 
-__all__ = ["Block", "ManyRuns", "StoppedFromOutside"]
+def _go_on(wanted: Wanted) -> None:
+    if not wanted():
+        raise StoppedFromOutside
+
+
+__all__ = ["Aside", "Block", "ManyRuns", "StoppedFromOutside", "Wanted"]
