@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import count
-
 import numpy as np
 
 from bayesftc.cosim._export.program import Program, Signal, Tunable
@@ -29,31 +27,7 @@ def feeding_elements(program: Program) -> Elements:
     a number is multiplied with that is always zero, it does not depend on.
     """
     schedule = program.schedule
-    memory: Memory = np.array([*map(np.float64, schedule.initial.tolist()), None], dtype=object)[:-1]
-    names: list[str] = []
-    bits = (1 << i for i in count())
-
-    def known(name: str, shape: tuple[int, ...]) -> list[Origins]:
-        elements = labels(name, shape)
-        names.extend(elements)
-        return [Origins(next(bits)) for _ in elements]
-
-    for i, node in enumerate(schedule.nodes):
-        slots = schedule.slots[i]
-        for section, offset, shape in slots.sections.values():
-            if section in {"state", "outputs"}:
-                begin = slots.start[section] + offset
-                for place in range(begin, begin + int(np.prod(shape, dtype=int))):
-                    memory[place] = Origins(0)
-        if node.name == OUTSIDE:
-            given = [element for signal in program.inputs for element in known(signal.name, signal.shape)]
-            begin = slots.start["outputs"]
-            for place, element in enumerate(given, begin):
-                memory[place] = element
-    for tunable in program.tunables:
-        for element, places in zip(known(tunable.name, tunable.shape), tunable.places, strict=True):
-            for parameter, j in places:
-                memory[schedule.slots[tunable.node].offset(parameter) + j] = element
+    memory, names = _memory(program)
     for call in schedule.evaluate:
         kernel = schedule.kernel(call)
         if schedule.nodes[call.node].name == OUTSIDE or kernel is None:
@@ -62,6 +36,34 @@ def feeding_elements(program: Program) -> Elements:
             memory[to] = memory[origin]
         run(kernel, schedule.slots[call.node], memory)
     return {signal.name: tuple(_named(memory[at], names) for at in signal.places) for signal in program.outputs}
+
+
+def _memory(program: Program) -> tuple[Memory, list[str]]:
+    """Return the schedule's memory before a step, in which inputs and parameters are their own origins, and their names."""
+    schedule = program.schedule
+    memory: Memory = np.array([*map(np.float64, schedule.initial.tolist()), None], dtype=object)[:-1]
+    names: list[str] = []
+
+    def known(name: str, shape: tuple[int, ...]) -> list[Origins]:
+        before = len(names)
+        names.extend(labels(name, shape))
+        return [Origins(1 << i) for i in range(before, len(names))]
+
+    for node, slots in zip(schedule.nodes, schedule.slots, strict=True):
+        for section, offset, shape in slots.sections.values():
+            if section in {"state", "outputs"}:
+                begin = slots.start[section] + offset
+                for place in range(begin, begin + int(np.prod(shape, dtype=int))):
+                    memory[place] = Origins(0)
+        if node.name == OUTSIDE:
+            given = [element for signal in program.inputs for element in known(signal.name, signal.shape)]
+            for place, element in enumerate(given, slots.start["outputs"]):
+                memory[place] = element
+    for tunable in program.tunables:
+        for element, places in zip(known(tunable.name, tunable.shape), tunable.places, strict=True):
+            for parameter, j in places:
+                memory[schedule.slots[tunable.node].offset(parameter) + j] = element
+    return memory, names
 
 
 def _named(number: object, names: list[str]) -> frozenset[str]:

@@ -112,9 +112,8 @@ class Functions:
     def require(self, function: FunctionType, kinds: Sequence[Kind]) -> Written:
         """Return the C function for arguments of these kinds; it stands before the one that asks for it."""
         if function not in self._checked:
-            self._checked.update(
-                functions_called(function)
-            )  # a sentence for each rule of step functions that is broken
+            # This raises where one of the rules of step functions is broken, with a sentence for each.
+            self._checked.update(functions_called(function))
         key = function, tuple(kinds)
         if key not in self._written:
             translator = Translator(self, function, kinds)
@@ -176,24 +175,9 @@ class Functions:
             + declared(t.arguments[a], t.local(a))
             for a in passed
         ]
-        variables: dict[str, list[str]] = {}
-        for variable, kind in t.declared.items():
-            if variable not in t.arguments and variable not in t.fresh and t.local(variable) in read:
-                c_type, name = str(kind.c), t.local(variable)  # type: ignore[union-attr]
-                if isinstance(kind, Array):
-                    c_type, name = ("double" if t.roots[variable] <= t.stored else "const double"), f"*{name}"
-                begin = "{ 0 }" if isinstance(kind, Record) else "0.0" if kind == FLOAT else "0"
-                variables.setdefault(c_type, []).append(f"{name} = {begin}")
-        lines = [f"    {c_type} {', '.join(names)};" for c_type, names in variables.items()]
+        lines = _variables(t, read)
         result = t.returns.c if isinstance(t.returns, Number | Record) else "void"
-        summary = (
-            (getdoc(t.function) or "")
-            .strip()
-            .split("\n")[0]
-            .replace("``", "")
-            .replace("*/", "* /")
-            .replace("/*", "/ *")
-        )
+        summary = _summary(t.function)
         head, arguments_text = f"static {result} ", f"({', '.join(arguments) or 'void'})"
         body = [*lines, *([""] if lines else []), *t.lines]
         wanted = t.function.__name__.strip("<>")
@@ -221,6 +205,25 @@ def _without_unread(lines: Sequence[str], variables: Collection[str], functions:
             elif match[3].partition("(")[0] in functions:
                 kept.append(f"{match[1]}{match[3]}")
     return kept
+
+
+def _variables(t: Translator, read: Collection[str]) -> list[str]:
+    """Return the declarations of the variables that are read and live in more than one block."""
+    found: dict[str, list[str]] = {}
+    for variable, kind in t.declared.items():
+        if variable not in t.arguments and variable not in t.fresh and t.local(variable) in read:
+            c_type, name = str(kind.c), t.local(variable)  # type: ignore[union-attr]
+            if isinstance(kind, Array):
+                c_type, name = ("double" if t.roots[variable] <= t.stored else "const double"), f"*{name}"
+            begin = "{ 0 }" if isinstance(kind, Record) else "0.0" if kind == FLOAT else "0"
+            found.setdefault(c_type, []).append(f"{name} = {begin}")
+    return [f"    {c_type} {', '.join(names)};" for c_type, names in found.items()]
+
+
+def _summary(function: FunctionType) -> str:
+    """Return the first line of a docstring as it may stand in a comment of C."""
+    first = (getdoc(function) or "").strip().split("\n")[0]
+    return first.replace("``", "").replace("*/", "* /").replace("/*", "/ *")
 
 
 def declared(kind: Kind, name: str) -> str:

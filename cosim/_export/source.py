@@ -48,10 +48,9 @@ def tree_of(function: FunctionType) -> ast.FunctionDef:
 def _alike(tree: ast.FunctionDef, code: CodeType) -> bool:
     """Return whether a function of this text has this code: the same arguments, variables and numbers in the same places."""
     bare = ast.Module([_without_decorators(tree)], [])
-    outer = ast.parse(f"def outer():\n    {' = '.join(code.co_freevars)} = None\n" if code.co_freevars else "")
-    if (
-        code.co_freevars
-    ):  # within a function that has them, names of the enclosing function compile to the same instructions
+    if code.co_freevars:
+        # Within a function that has them, names of the enclosing function compile to the same instructions.
+        outer = ast.parse(f"def outer():\n    {' = '.join(code.co_freevars)} = None\n")
         outer.body[0].body += bare.body  # type: ignore[attr-defined]
         bare = outer
     compiled = compile(ast.fix_missing_locations(bare), code.co_filename, "exec")

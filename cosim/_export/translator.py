@@ -244,24 +244,35 @@ class Translator(Expressions):
         call = node.iter
         if not isinstance(node.target, ast.Name) or not isinstance(call, ast.Call) or not self._is_range(call):
             self.refuse(node, "loops over what is no range; write for i in range(n)")
-        name = node.target.id
+        begin, end, step = self._bounds(node, call)
+        if isinstance(begin.kind, Constant) and isinstance(end.kind, Constant):
+            rounds = len(range(begin.kind.value, end.kind.value, step))
+            if not rounds:
+                return
+            if rounds == 1 and node.target.id in self.counters and not jumps(node.body):
+                self._one_round(node.target.id, begin, node.body)
+                return
+        if not self._is_steady(call.args[0 if len(call.args) == 1 else 1]):
+            end = self.temporary(end)
+        self._loop(node, node.target.id, begin, end, step)
+
+    def _bounds(self, node: ast.For, call: ast.Call) -> tuple[Value, Value, int]:
+        """Return where a range begins and ends, and its step."""
         bounds = [as_whole(self.whole(call, value)) for value in self.values(call.args)]
         begin, end, by = (constant(0), *bounds, constant(1)) if len(bounds) == 1 else (*bounds, constant(1))[:3]
         if not isinstance(by.kind, Constant) or not by.kind.value:
             self.refuse(node, "has a loop whose step is not known beforehand; write the step as a number")
-        step = int(by.kind.value)
-        if isinstance(begin.kind, Constant) and isinstance(end.kind, Constant):
-            rounds = range(begin.kind.value, end.kind.value, step)
-            if not rounds:
-                return
-            if len(rounds) == 1 and name in self.counters and not jumps(node.body):
-                self.constants[name] = begin
-                self.block(node.body)
-                del self.constants[name]
-                return
-        if not self._is_steady(call.args[0 if len(bounds) == 1 else 1]):
-            end = self.temporary(end)
-        upward = self.number(call, begin).natural and step > 0
+        return begin, end, int(by.kind.value)
+
+    def _one_round(self, name: str, value: Value, body: Sequence[ast.stmt]) -> None:
+        """Write the body of a loop of one round, in which the counter is a number that is known."""
+        self.constants[name] = value
+        self.block(body)
+        del self.constants[name]
+
+    def _loop(self, node: ast.For, name: str, begin: Value, end: Value, step: int) -> None:
+        """Write a loop; the counter lives outside of it if it is needed there."""
+        upward = self.number(node, begin).natural and step > 0
         downward = step < 0 and isinstance(end.kind, Constant) and end.kind.value >= -1
         scoped = name in self.counters
         counter = self.local(name) if scoped else self.new("i")
