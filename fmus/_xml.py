@@ -38,14 +38,16 @@ def description_root(model: Model, fmi: str, token: dict[str, str]) -> ET.Elemen
 
 
 def add_units(root: ET.Element, model: Model) -> None:
-    """Add the unit definitions, each with its exponents of the base units."""
+    """Add the unit definitions, each with its exponents of the base units where they are known."""
     definitions = ET.SubElement(root, "UnitDefinitions")
     for unit in model.units:
         exponents = {base: getattr(unit, base) for base in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
         attributes = {name: str(power) for name, power in exponents.items() if power}
         attributes |= {"factor": repr(unit.factor)} if unit.factor != 1.0 else {}
         attributes |= {"offset": repr(unit.offset)} if unit.offset else {}
-        ET.SubElement(ET.SubElement(definitions, "Unit", {"name": unit.name}), "BaseUnit", attributes)
+        element = ET.SubElement(definitions, "Unit", {"name": unit.name})
+        if unit.defined:  # without exponents it would be a number
+            ET.SubElement(element, "BaseUnit", attributes)
 
 
 def add_log_categories(root: ET.Element) -> None:

@@ -35,6 +35,8 @@ class Unit:
         Exponents of the base units.
     factor, offset : float
         A value ``x`` in this unit is ``factor * x + offset`` in SI.
+    defined : bool
+        Whether all of that is known; of a unit of which only the name is, the model description says no more.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Unit:
     rad: int = 0
     factor: float = 1.0
     offset: float = 0.0
+    defined: bool = True
 
 
 @dataclass(frozen=True)

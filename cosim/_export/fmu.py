@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import ceil
 from typing import Literal
 
 from bayesftc.cosim._export.c_file import CFile
@@ -14,6 +15,9 @@ from bayesftc.cosim.units import BASE, parse
 from bayesftc.fmus.spec import Model, Unit, Variable
 
 Timing = Literal["plant", "sampled"]
+
+_SECONDS, _STEPS = 20, 100
+"""How long an importer that is told nothing runs it, at least. It is a whole number of steps: part of one is refused."""
 
 _BEHIND_FMI = """\
 /* {name} behind the contract of model.h: inputs, outputs and parameters lie in x as in its structures, its memory behind. */
@@ -113,6 +117,7 @@ def model_of(program: Program, file: CFile, asked: Timing | None, description: s
         variables=tuple(variables),
         step=float(program.step),
         fixed_step=True,
+        stop_time=float(program.step * max(ceil(_SECONDS / program.step), _STEPS)),
         hidden=file.memory + sizes[2] + 2,
         timing=timing,
         libraries=("m",),
@@ -165,7 +170,7 @@ def _unit(text: str | None) -> Unit | None:
         return None
     meaning = parse(text)
     if meaning is None:
-        return Unit(text)
+        return Unit(text, defined=False)
     short = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
     powers = {name: meaning.powers.get(base, 0) for name, base in zip(short, BASE, strict=True)}
     return Unit(text, **powers, factor=meaning.factor, offset=meaning.offset)

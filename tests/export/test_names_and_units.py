@@ -1,7 +1,9 @@
 """What an exported FMU calls its signals, and in which units they are."""
 
 import re
+import zipfile
 from dataclasses import fields
+from fractions import Fraction
 from itertools import pairwise
 
 import fmpy
@@ -136,10 +138,33 @@ def test_every_port_says_what_it_is(block):
 
 def test_every_tunable_says_what_it_is(block, sample_time):
     for tunable in program_of(block, dt=sample_time(block)).tunables:
-        assert not re.fullmatch(r"\w+ of \w+", tunable.description), f"{tunable.name} is not among its class's Parameters"
+        assert not re.fullmatch(r"\w+ of \w+", tunable.description), (
+            f"{tunable.name} is not among its class's Parameters"
+        )
 
 
 def test_what_only_tells_that_something_is_missing_counts():
     monitor = controllers.FaultMonitor(2, ("beta",), 0.5, controllers.LogisticMap((1.0,), (0.0,), (1.0,), -1.0))
     fed = feeding_elements(program_of(monitor, dt=0.1))["fault_probability"]
     assert [{"innovation[0]", "beta[0]"} <= of and "beta[1]" not in of for of in fed] == [True, False]
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_of_a_unit_that_nobody_knows_only_the_name_is_told(fmi, tmp_path, c_compiler):
+    """Exponents that are all zero would make a number of it, which an importer may convert."""
+    path = cosim.export_fmu(cosim.Gain(1.0, input_unit="blip", output_unit="%"), tmp_path / "it.fmu", fmi=fmi, dt=0.1)
+    assert validate_fmu(str(path)) == []
+    text = zipfile.ZipFile(path).read("modelDescription.xml").decode()
+    assert '<Unit name="blip" />' in text
+    assert '<BaseUnit factor="0.01" />' in text
+
+
+@pytest.mark.parametrize("seconds", ["1/50", "7/100", "60"])
+def test_the_default_experiment_is_a_whole_number_of_steps(seconds, tmp_path, c_compiler):
+    """The last step of another one would be cut, which is refused; where a step is a minute long there would be none."""
+    path = cosim.export_fmu(cosim.UnitDelay(), tmp_path / "it.fmu", dt=seconds)
+    told = fmpy.read_model_description(str(path)).defaultExperiment
+    steps = Fraction(told.stopTime).limit_denominator(1000) / Fraction(seconds)
+    assert steps.denominator == 1
+    assert steps >= 100
+    assert len(fmpy.simulate_fmu(str(path))) == steps + 1
