@@ -11,10 +11,11 @@ from rich.console import Console
 from sklearn.metrics import brier_score_loss, roc_auc_score
 
 from bayesftc import controllers, reproduce
+from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce import _beliefs, _beliefs_streams, _beliefs_tables, _tracking_bench
 from bayesftc.reproduce._car import model
-from bayesftc.reproduce._ensemble import Ensemble, seeds
+from bayesftc.reproduce._ensemble import Ensemble
 from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._streams import Faults, Streams
 from bayesftc.reproduce._tracking_bench import Bench, Scenario
@@ -92,7 +93,7 @@ def test_coarse_sensors_are_told_their_resolution_rightly_or_wrongly():
 
 def test_errors_are_those_of_the_runs(report):
     """Each run again by itself; the coarse sensors read whole multiples of their resolution."""
-    cell, own = Scenario("injection", "sine", 5.0), seeds(3, "injection/sine", 2)
+    cell, own = Scenario("injection", "sine", 5.0), hashed_seeds(3, "injection/sine", 2)
     bench = Bench(SHORT, Car(), Ensemble(3))
     for car, row, learner, table in (
         (Car(), "sizes / 5", _beliefs.wrong(FEW, 5.0)["sizes / 5"], report["errors"]),
@@ -122,7 +123,7 @@ def test_the_area_is_that_of_scikit_learn(report):
     source = Streams(STREAMS, Car())
     streams = source.run(
         source.loop(Faults(5.0, 2.0), learner),
-        seeds(3, "beliefs/injection 5, drift 2", 2),
+        hashed_seeds(3, "beliefs/injection 5, drift 2", 2),
         [_beliefs_streams.PROBABILITY],
     )
     areas = [
@@ -137,8 +138,8 @@ def test_the_area_is_that_of_scikit_learn(report):
 def test_what_is_learned_comes_from_other_streams_and_is_judged_on_the_same(report):
     """Recorded once more by hand, and learned from again; the judged streams are those of the row that knows the times."""
     source, size, faults = Streams(STREAMS, Car()), "injection 5, drift 2", Faults(5.0, 2.0)
-    signals, own = ["fault_1.y", "controller.u"], seeds(3, f"beliefs/training/{size}", 1)
-    assert not set(own) & set(seeds(3, f"beliefs/{size}", 2))
+    signals, own = ["fault_1.y", "controller.u"], hashed_seeds(3, f"beliefs/training/{size}", 1)
+    assert not set(own) & set(hashed_seeds(3, f"beliefs/{size}", 2))
     (stream,) = source.run(source.loop(faults, FEW), own, signals)
     y, u = (stream.result[name] for name in signals)
     run = controllers.RecordedRun(y, u, initial_mean=20.0, initial_covariance=1.0)
@@ -154,7 +155,7 @@ def test_what_is_learned_comes_from_other_streams_and_is_judged_on_the_same(repo
         assert told["time_to_fault"] == mode.time_to_fault < 30.0  # 300 s at first; in truth 8.4 s
     assert part["scores"]["told the times"] == report["detection"][FORM]["unchanged"]
     loop, name = source.loop(faults, again.precision), _beliefs_streams.PROBABILITY
-    streams = source.run(loop, seeds(3, f"beliefs/{size}", 2), [name])
+    streams = source.run(loop, hashed_seeds(3, f"beliefs/{size}", 2), [name])
     scores = [brier_score_loss(s.faulty[200:].ravel(), s.result[name][200:].ravel()) for s in streams]
     assert part["scores"]["learned"][size]["brier"]["mean"] == pytest.approx(np.mean(scores), rel=1e-12)
     assert next(iter(report["detection"][FORM])) == "unchanged"

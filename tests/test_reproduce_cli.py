@@ -4,22 +4,13 @@ import json
 import sys
 
 import pytest
-from typer.testing import CliRunner
 
 from bayesftc import reproduce
-from bayesftc.cli import app
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce import settings
 from bayesftc.reproduce.experiments import EXPERIMENTS
 
 FEW = ("--runs", "2", "--paper-only", "--jobs", "2")
-
-
-@pytest.fixture
-def bayesftc_(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "100")
-    return lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments], prog_name="bayesftc")
 
 
 def test_tracking_prints_its_table_and_writes_its_files(bayesftc_, tmp_path):

@@ -5,14 +5,13 @@ from itertools import product
 
 import numpy as np
 import pytest
-from sklearn.metrics import roc_auc_score, roc_curve
+from sklearn.metrics import roc_auc_score
 
 from bayesftc import controllers, cosim, reproduce
 from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce import _detection, _detection_figures, _detection_tables, _residuals
 from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._roc import auc, curve, rates
 from bayesftc.reproduce._streams import Streams
 from bayesftc.reproduce.settings import Car, Detection
 
@@ -136,26 +135,6 @@ def test_every_learner_with_a_beta_is_a_residual():
     assert {"SER", "beta", "SER, smoothed", "SER and beta", "precision", *_residuals.GRID} <= set(known)
     assert "beta (WishartPrecision)" in known
     assert not any("EFFDI" in name or "SERFDI" in name for name in known)
-
-
-def test_area_is_that_of_scikit_learn_with_ties():
-    rng = np.random.default_rng(0)
-    for share in (0.02, 0.5, 0.9):
-        faulty = rng.random((3_000, 2)) < share
-        score = np.round(rng.normal(size=faulty.shape) + faulty, 1)
-        assert auc(faulty, score) == pytest.approx(roc_auc_score(faulty.ravel(), score.ravel()), abs=1e-12)
-
-
-def test_curve_is_that_of_scikit_learn():
-    rng = np.random.default_rng(1)
-    faulty = rng.random(20_000) < 0.2
-    score = rng.normal(size=20_000) + 1.5 * faulty
-    false, true, _ = roc_curve(faulty, score)
-    mine = curve(faulty, score)
-    assert np.abs(mine - np.interp(rates(), false, true)).max() < 2e-3
-    assert mine[0] < 0.01
-    assert mine[-1] == 1.0
-    assert np.trapezoid(mine, rates()) == pytest.approx(auc(faulty, score), abs=2e-3)
 
 
 def test_a_number_of_streams_that_cannot_be_is_named_as_it_was_given():

@@ -17,20 +17,32 @@ from collections.abc import Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import islice
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-from bayesftc.cosim._campaign.job import Job
-from bayesftc.cosim._campaign.plan import Outcome, Piece
+from bayesftc.cosim._campaign.many import Wanted
+from bayesftc.cosim._campaign.plan import Piece
 from bayesftc.cosim.errors import ModelError
 
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
 AHEAD = 2
 """Pieces for each worker that are made or wait to be taken."""
+
+
+class Work(Protocol[R_co]):
+    """What is done piece by piece: a `Job` is."""
+
+    def run(self, piece: Piece, wanted: Wanted = ...) -> R_co:
+        """Do a piece, in any thread; raise `StoppedFromOutside` when it is no longer wanted."""
+
+    def close(self) -> None:
+        """Free what all pieces have shared."""
 
 
 class Executor(Protocol):
     """Has the pieces of a job done; see the module's text."""
 
-    def run(self, job: Job, pieces: Iterable[Piece]) -> Generator[Outcome, None, None]:
+    def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:
         """Yield the outcome of each piece."""
 
 
@@ -49,13 +61,13 @@ class Threads:
     def __post_init__(self) -> None:
         check_jobs(self.jobs)
 
-    def run(self, job: Job, pieces: Iterable[Piece]) -> Generator[Outcome, None, None]:
+    def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:
         """See `Executor.run`."""
         left = iter(pieces)
         workers = self.jobs or cores()
         stopped = threading.Event()
         with ThreadPoolExecutor(workers, thread_name_prefix="campaign") as pool:
-            waiting: set[Future[Outcome]] = set()
+            waiting: set[Future[R]] = set()
             try:
                 while True:
                     for piece in islice(left, AHEAD * workers - len(waiting)):

@@ -14,13 +14,13 @@ import numpy as np
 from bayesftc import controllers, cosim
 from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.statistics import interval
+from bayesftc.cosim.metrics import auc as area
+from bayesftc.cosim.statistics import interval, roc_curve, roc_rates
 from bayesftc.reproduce import _residuals, paper
 from bayesftc.reproduce._calibration import Calibration, calibration
 from bayesftc.reproduce._detectors import Detectors
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import Residual
-from bayesftc.reproduce._roc import auc as area, curve, rates
 from bayesftc.reproduce._streams import Faults, Stream, Streams
 from bayesftc.reproduce.settings import Car, Detection
 
@@ -91,7 +91,7 @@ def run(
             for i in range(settings.streams)
         ],
         "roc": {
-            "false_positive_rate": rates().tolist(),
+            "false_positive_rate": roc_rates().tolist(),
             "true_positive_rate": {name: np.mean([s[name][1] for s in judged], axis=0).tolist() for name in residuals},
         },
         "choice": tried,
@@ -208,7 +208,7 @@ class Bench:
             )
             found[name] = (
                 area(truth, probability),
-                curve(truth, probability),
+                roc_curve(truth, probability),
                 Calibration.of(*believed, self.settings.bins),
             )
         return found

@@ -1,17 +1,18 @@
-"""Many runs on all cores: seeds that never meet, and results whose bits do not depend on how many jobs computed them."""
+"""Many runs on all cores, by the machinery of campaigns: what an experiment does with each loop is a task of an executor."""
 
 from __future__ import annotations
 
 import time
-import zlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-import numpy as np
-
+from bayesftc.cosim._campaign.executors import Threads, check_jobs as check_workers
+from bayesftc.cosim._campaign.many import Wanted
+from bayesftc.cosim._campaign.plan import Piece
+from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.random import check_seed
 
@@ -23,21 +24,26 @@ Progress = Callable[[str, int, int], None]
 """Called as ``progress(what, done, of)``."""
 
 
-def seeds(seed: int, purpose: str, count: int) -> list[int]:
-    """Return `count` seeds for one purpose of an experiment.
-
-    They are hashed from the experiment's seed and the purpose, so that runs for one purpose (a scenario, finding a setting)
-    never share noise with those for another.
-    """
-    sequence = np.random.SeedSequence((check_seed(seed), zlib.crc32(purpose.encode())))
-    return [int(s) for s in sequence.generate_state(count, np.uint64) >> np.uint64(1)]
-
-
 def check_jobs(jobs: int) -> int:
     """Return the number of threads; raise a ModelError if it cannot be one."""
-    if isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1:
-        raise ModelError(f"jobs is {jobs!r}; it must be a whole number of threads, at least 1.")
+    if jobs is None:
+        raise ModelError("jobs is None; it must be a whole number of threads, at least 1.")
+    check_workers(jobs)
     return jobs
+
+
+@dataclass(frozen=True)
+class _Tasks(Generic[R]):
+    """Tasks as the pieces of a job, which an executor has done."""
+
+    tasks: Sequence[Callable[[], R]]
+
+    def run(self, piece: Piece, wanted: Wanted = lambda: True) -> tuple[int, R]:
+        """Do a task; return its number and what it returns."""
+        return piece.index, self.tasks[piece.index]()
+
+    def close(self) -> None:
+        """Free nothing: each task does so itself."""
 
 
 def in_parallel(
@@ -45,9 +51,8 @@ def in_parallel(
 ) -> list[R]:
     """Run all tasks on `jobs` threads and return their results in the order of the tasks.
 
-    The compiled loop frees the interpreter, so threads use all cores. No task knows which others run, so the results are the
-    same bits for any number of jobs. Ctrl-C and errors wait for the tasks that have begun, of which each should be short, and
-    drop the rest.
+    No task knows which others run, so the results are the same bits for any number of jobs. Ctrl-C and errors wait for the tasks
+    that have begun, of which each should be short, and drop the rest.
 
     Parameters
     ----------
@@ -61,23 +66,14 @@ def in_parallel(
         Name of the work, for the progress.
     """
     results: dict[int, R] = {}
-
-    def report() -> None:
-        if progress:
-            progress(what, len(results), len(tasks))
-
-    report()
-    with ThreadPoolExecutor(check_jobs(jobs)) as pool:
-        futures: dict[Future[R], int] = {}
-        try:  # also around the submissions: else Ctrl-C there would wait for all of them
-            for i, task in enumerate(tasks):
-                futures[pool.submit(task)] = i
-            for future in as_completed(futures):
-                results[futures[future]] = future.result()
-                report()
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    pieces = [Piece(i, i, i + 1) for i in range(len(tasks))]
+    if progress:
+        progress(what, 0, len(tasks))
+    with closing(Threads(check_jobs(jobs)).run(_Tasks(tasks), pieces)) as done:
+        for number, result in done:
+            results[number] = result
+            if progress:
+                progress(what, len(results), len(tasks))
     return [results[i] for i in range(len(tasks))]
 
 
@@ -109,8 +105,8 @@ class Ensemble:
         check_jobs(self.jobs)
 
     def seeds(self, purpose: str, count: int) -> list[int]:
-        """Return seeds for one purpose, see `seeds`."""
-        return seeds(self.seed, purpose, count)
+        """Return seeds for one purpose, see `hashed_seeds`."""
+        return hashed_seeds(self.seed, purpose, count)
 
     def prepare(self, loops: Sequence[Diagram]) -> None:
         """Make one step with each loop, so that all is compiled before threads would wait for each other's compiling."""
