@@ -174,6 +174,22 @@ def lying(tmp_path_factory, c_compiler):
     return build
 
 
+@pytest.fixture
+def bayesftc_(tmp_path, monkeypatch):
+    """Run a command in an empty folder."""
+    from typer.testing import CliRunner
+
+    from bayesftc.cli import app
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def run(*arguments):
+        return CliRunner().invoke(app, [str(a) for a in arguments], prog_name="bayesftc")
+
+    return run
+
+
 TELLING = """
 import sys
 from contextlib import contextmanager

@@ -7,10 +7,9 @@ import time
 import numpy as np
 import pytest
 from sklearn.metrics import roc_auc_score
-from typer.testing import CliRunner
 
 import bayesftc
-from bayesftc.cli import app, run as run_module
+from bayesftc.cli import run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.metrics import figures
 from bayesftc.cosim.roles import loop_signals
@@ -18,18 +17,6 @@ from bayesftc.scenario import Scenario, load_scenario, shipped_scenarios
 
 CAR = shipped_scenarios()["cruise_control"].read_text()
 LEARNER = CAR.index("[controller.precision]")
-
-
-@pytest.fixture
-def bayesftc_(tmp_path, monkeypatch):
-    """Run a command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "100")
-
-    def run(*arguments):
-        return CliRunner().invoke(app, [str(a) for a in arguments], prog_name="bayesftc")
-
-    return run
 
 
 def run_car(bayesftc_, *options):

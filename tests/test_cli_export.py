@@ -4,22 +4,8 @@ import json
 import zipfile
 
 import pytest
-from typer.testing import CliRunner
 
-from bayesftc.cli import app
 from bayesftc.scenario import shipped_scenarios
-
-
-@pytest.fixture
-def bayesftc_(tmp_path, monkeypatch):
-    """Run a command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "100")
-
-    def run(*arguments):
-        return CliRunner().invoke(app, [str(a) for a in arguments], prog_name="bayesftc")
-
-    return run
 
 
 @pytest.fixture(scope="module")
