@@ -23,6 +23,7 @@ from ._campaign.metrics import (
     OfResult as OfResult,
 )
 from ._campaign.outcomes import CampaignResult as CampaignResult
+from ._campaign.processes import Processes as Processes
 from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
 from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock

@@ -18,7 +18,7 @@ from bayesftc.cosim._campaign.metrics import Metric, Runs
 from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Piece, Plan
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import Diagram
-from bayesftc.cosim.errors import BayesFTCError, ModelError
+from bayesftc.cosim.errors import BayesFTCError, ModelError, brief
 from bayesftc.cosim.recording import Selection, select_signals
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.timebase import whole_steps
@@ -77,6 +77,7 @@ class Job:
         first = self.diagram(0)
         kept = select_signals(first.schedule, self.record)
         self.signals = {name: Recorded(shape, kept.units.get(name)) for name, (_, shape) in kept.columns.items()}
+        select_signals(first.schedule, [name for metric in self.metrics for name in metric.signals(first)])  # or it says so
         self.columns = tuple(name for metric in self.metrics for name in metric.columns(first))
         if len(set(self.columns)) < len(self.columns):
             twice = next(name for name in self.columns if self.columns.count(name) > 1)
@@ -136,6 +137,24 @@ class Job:
                 collected.add(loop, block)
         return collected.outcome(time.perf_counter() - began)
 
+    def failed(self, piece: Piece, what: str) -> Outcome:
+        """Return what the runs of a piece have come to whose process is gone: nothing, but for the reason.
+
+        Parameters
+        ----------
+        piece : Piece
+            Which.
+        what : str
+            What has become of the process, as "was killed by ...".
+        """
+        collected = _Collected(self, piece)
+        for point, seeds in self.plan.groups(piece):
+            factors = "".join(f", {name} = {brief(value)}" for name, value in self.plan.points[point].items())
+            for seed in seeds:
+                reason = f"The process of this run (seed {seed}{factors}) {what}."
+                collected.fail(1, reason)
+        return collected.outcome(0.0)
+
     def close(self) -> None:
         """Free what all threads have prepared."""
         with self._lock:
@@ -147,7 +166,7 @@ class Job:
 
     def _prepare(self) -> None:
         self._mine = threading.local()
-        self._lock = threading.Lock()
+        self._lock: threading.Lock = threading.Lock()
         self._everyones: list[_Loop] = []
 
     def _prepared(self, point: int) -> _Loop:

@@ -6,7 +6,7 @@ or of several. The plan depends on nothing but the campaign, so that each execut
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,4 +106,18 @@ class Outcome:
     seconds: float
 
 
-__all__ = ["FAILED", "OK", "Outcome", "Piece", "Plan"]
+def joined(piece: Piece, outcomes: Sequence[Outcome]) -> Outcome:
+    """Return as one what the runs of a piece have come to, from outcomes of its parts, in order."""
+    first = outcomes[0]
+    return Outcome(
+        piece,
+        {name: np.concatenate([o.metrics[name] for o in outcomes]) for name in first.metrics},
+        {name: np.concatenate([o.signals[name] for o in outcomes]) for name in first.signals},
+        tuple(status for o in outcomes for status in o.status),
+        tuple(reason for o in outcomes for reason in o.reasons),
+        np.concatenate([o.steps for o in outcomes]),
+        sum(o.seconds for o in outcomes),
+    )
+
+
+__all__ = ["FAILED", "OK", "Outcome", "Piece", "Plan", "joined"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import socket
 import struct
 import subprocess
@@ -15,6 +14,7 @@ from collections.abc import Collection
 from multiprocessing.connection import Connection, wait
 
 from bayesftc.cosim._isolation import protocol
+from bayesftc.cosim._isolation.child import how_it_ended, kill_group
 from bayesftc.cosim.errors import FMUError
 
 GLANCE = 0.5
@@ -27,14 +27,6 @@ _BOOT = (
     "import sys; descriptors = [int(d) for d in sys.argv[1:5]]; sys.path[:] = sys.argv[5:]; "
     "from bayesftc.cosim._isolation.worker import main; main(*descriptors)"
 )
-_NAMES = {
-    signal.SIGSEGV: "a segmentation fault",
-    signal.SIGABRT: "abort()",
-    signal.SIGFPE: "an arithmetic exception",
-    signal.SIGILL: "an illegal instruction",
-    signal.SIGBUS: "a bus error",
-    signal.SIGKILL: "the system or someone else",
-}
 
 
 class WorkerProcess:
@@ -113,7 +105,7 @@ class WorkerProcess:
     def kill(self) -> None:
         """Kill the process and all that it has started, if it is this process's own."""
         if not self.is_anothers:
-            _kill(self._process)
+            kill_group(self._process)
 
     def obituary(self) -> str:
         """Return how the process ended, in words; it has closed its connections."""
@@ -123,17 +115,13 @@ class WorkerProcess:
                 self.kill()
                 return "it closed its connections, or wrote what is no answer into them, and had to be ended"
             time.sleep(0.001)
-        _kill(self._process)  # what it has started, while its number is still its own
+        kill_group(self._process)  # what it has started, while its number is still its own
         code = self._process.wait()
         if code == protocol.LOST:
             return "its connections to this process were closed"
         if code >= 0:
             return f"it ended its own process with exit code {code}"
-        try:
-            number = signal.Signals(-code)
-        except ValueError:
-            return f"its process was killed by signal {-code}"
-        return f"its process was killed by {_NAMES.get(number, 'a signal')} ({number.name})"
+        return f"its process {how_it_ended(code)}"
 
     def _is_dead(self) -> bool:
         """Return whether the process has ended, which leaves it to be waited for."""
@@ -178,17 +166,10 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forked)
 
 
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    if process.returncode is None:  # not waited for yet: the number is its own
-        for kill in (os.killpg, os.kill):
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                kill(process.pid, signal.SIGKILL)
-
-
 def _end(process: subprocess.Popen[bytes], talk: Connection, steps: socket.socket, held: int) -> None:
     talk.close()
     steps.close()
-    _kill(process)
+    kill_group(process)
     os.close(held)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(LEAVING)

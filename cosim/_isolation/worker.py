@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import logging
 import os
 import pickle
 import resource
-import select
 import signal
 import socket
 import time
@@ -25,6 +23,7 @@ import numpy as np
 
 from bayesftc.cosim._fmi import messages
 from bayesftc.cosim._isolation import protocol
+from bayesftc.cosim._isolation.child import die_with_host
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import BayesFTCError, FMUError
 
@@ -42,7 +41,7 @@ def main(lifeline: int, memory: int, step_socket: int, connection: int) -> None:
     for descriptor in (lifeline, memory, step_socket, connection):
         os.set_inheritable(descriptor, False)  # programs that the FMU starts have no business with them
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, which ends this process as it sees fit
-    _die_with_host(lifeline)
+    die_with_host(lifeline)
     resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
     talk = Connection(connection)
     steps = socket.socket(fileno=step_socket)
@@ -59,14 +58,6 @@ def main(lifeline: int, memory: int, step_socket: int, connection: int) -> None:
             traceback.print_exc()
             status = 70
     os._exit(status)  # what the FMU's library does at a regular exit could hang
-
-
-def _die_with_host(lifeline: int) -> None:
-    fcntl.fcntl(lifeline, fcntl.F_SETOWN, -os.getpgrp())  # with all that the FMU may have started
-    fcntl.fcntl(lifeline, fcntl.F_SETSIG, signal.SIGKILL)  # needs no cooperation of an FMU in an endless step
-    fcntl.fcntl(lifeline, fcntl.F_SETFL, fcntl.fcntl(lifeline, fcntl.F_GETFL) | os.O_ASYNC)
-    if select.select([lifeline], [], [], 0)[0]:
-        os._exit(0)  # it was gone before
 
 
 class _Forward(logging.Handler):
