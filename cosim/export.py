@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -12,12 +14,16 @@ from typing import Literal
 
 from bayesftc.cosim._export.c_file import write_c
 from bayesftc.cosim._export.fmu import model_of
+from bayesftc.cosim._export.names import program_name
 from bayesftc.cosim._export.platforms import platforms_of
 from bayesftc.cosim._export.program import program_of
 from bayesftc.cosim._opening import Names
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram
-from bayesftc.cosim.errors import FMUError, ModelError, ResultFileError
+from bayesftc.cosim.errors import FMUError, ModelError, ResultFileError, brief
+
+_LONGEST = 200
+"""Bytes of an FMU's file name: others, a little longer, are made of it."""
 
 
 def export_fmu(
@@ -40,7 +46,8 @@ def export_fmu(
     exported : Block or Diagram
         What to export.
     path : str or path
-        The file to write; its stem becomes the model's name. What was there is replaced when all is done.
+        The file to write; its stem becomes the model's name, spelt as C allows it (``Regler 1.fmu``: ``Regler_1``). What was
+        there is replaced when all is done.
     fmi : {"2.0", "3.0"}
         Version of the standard. Vectors are arrays in FMI 3, and one variable for each element in FMI 2: ``y[0]``, ``y[1]``.
     platforms : sequence of str, optional
@@ -95,8 +102,12 @@ def export_fmu(
         raise ModelError(f"export_fmu has fmi={fmi!r}; it must be one of {', '.join(map(repr, FMI_VERSIONS))}.")
     if timing not in (None, "plant", "sampled"):
         raise ModelError(f"export_fmu has timing={timing!r}; it must be 'plant' or 'sampled'.")
+    if not isinstance(description, str) or not all(letter.isprintable() or letter.isspace() for letter in description):
+        raise ModelError(
+            f"export_fmu has description={brief(description)}; it must be a text without control characters."
+        )
     wanted = platforms_of(platforms)
-    program = program_of(exported, name=target.stem, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
+    program = program_of(exported, name=program_name(target.stem), blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
     with _staged(target.parent) as scratch:
         model = model_of(program, write_c(program), timing, description)
         try:
@@ -128,7 +139,7 @@ def export_c(
     folder : str or path
         Where ``<name>.c`` and ``<name>.h`` are written, made if it is not there; what was there under these names is replaced.
     name : str, optional
-        What types and functions begin with; by default the block's name.
+        What types and functions begin with, and both files are called, spelt as C allows it; by default the block's name.
     blocks : sequence of str, optional
         Names of the blocks of a diagram that become one step; by default all. An FMU cannot be among them.
     inputs, outputs : sequence of str or mapping of str to str, optional
@@ -162,7 +173,7 @@ def export_c(
     target = Path(folder).expanduser()
     _folder(target if target.exists() else target.parent)
     program = program_of(exported, name=name, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
-    written = write_c(program)
+    written = write_c(replace(program, name=program_name(program.name)))
     files = {f"{written.name}.c": written.source, f"{written.name}.h": written.header}
     with _staged(target) as scratch:
         for file, text in files.items():
@@ -177,8 +188,11 @@ def _file(path: str | PathLike[str]) -> Path:
     """Return the FMU's path, in a folder that is there."""
     target = Path(path).expanduser()
     if target.suffix.lower() != ".fmu":
+        named = "controller.fmu, say" if target.stem in ("", ".fmu") else f"{target.stem}.fmu"
+        raise ResultFileError(f"{path} does not end in .fmu, by which other tools know an FMU; call it {named}.")
+    if len(os.fsencode(target.name)) > _LONGEST:
         raise ResultFileError(
-            f"{path} does not end in .fmu, by which other tools know an FMU; call it {target.stem}.fmu."
+            f"The name {brief(target.name)} is too long for a file; take one of at most {_LONGEST} bytes."
         )
     if target.is_dir():
         raise ResultFileError(f"{target} is a folder; give the FMU another name.")
@@ -188,8 +202,10 @@ def _file(path: str | PathLike[str]) -> Path:
 def _folder(folder: str | PathLike[str]) -> Path:
     target = Path(folder).expanduser()
     if not target.is_dir():
-        what = "is no folder, but a file" if target.exists() else "does not exist"
-        raise ResultFileError(f"Nothing can be written into {target}: it {what}; make the folder, or choose another.")
+        what = "does not exist; make the folder, or choose another"
+        if target.exists():
+            what = "is no folder, but a file; choose another name"
+        raise ResultFileError(f"Nothing can be written into {target}: it {what}.")
     return target
 
 

@@ -57,11 +57,45 @@ def _spelt(letter: str) -> str:
 
 def check(name: str, what: str) -> None:
     """Refuse a name that was given and that FMI does not allow."""
-    if not _LEGAL.fullmatch(name):
+    if not isinstance(name, str) or not _LEGAL.fullmatch(name):
         raise ModelError(
             f"The {what} of what is exported cannot be called {brief(name)}; FMI allows letters from a to z, digits and '_', "
             "parts after a '.', and an index such as '[1]', and no digit to begin with."
         )
+
+
+_HEADERS = (
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic stdbool "
+    "stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype "
+    "fmi2 fmi3 instance model model_config runge_kutta"
+)
+"""Files of the C library and of an FMU's own sources, in whose place one of the same name would be found."""
+
+_LIBRARY = (
+    "PROGRAM INPUTS OUTPUTS program begin tune initial model_initialize model_step "
+    "abort abs atexit atof atoi atol atoll bsearch calloc div exit free getenv labs ldiv llabs lldiv malloc qsort rand realloc "
+    "srand strtod strtof strtol strtold strtoll strtoul strtoull system clearerr fclose feof ferror fflush fgetc fgetpos fgets "
+    "fopen fprintf fputc fputs fread freopen fscanf fseek fsetpos ftell fwrite getc getchar gets perror printf putc putchar "
+    "puts remove rename rewind scanf setbuf setvbuf snprintf sprintf sscanf stderr stdin stdout tmpfile tmpnam ungetc vfprintf "
+    "vprintf vsnprintf vsprintf memchr memcmp memcpy memmove strcat strchr strcmp strcoll strcpy strcspn strerror strlen "
+    "strncat strncmp strncpy strpbrk strrchr strspn strstr strtok strxfrm asctime clock ctime difftime gmtime localtime mktime "
+    "strftime raise close link open pause pipe read select sleep sync wait write index"
+)
+"""What the C itself, the C library and POSIX call so, and a type cannot be called, too."""
+
+_FILES, _CLASHING = frozenset(_HEADERS.split()), frozenset(_LIBRARY.split())
+
+
+def program_name(name: str) -> str:
+    """Return what files, types and functions begin with: a name as C, the C library and the FMI wrappers allow it.
+
+    ``Größe 1`` becomes ``Groesse_1``, ``2fast`` becomes ``block_2fast``, and ``model`` ``model_``.
+    """
+    plain = Functions.allowed(_plain(name).replace(".", "_").lstrip("_"))  # C keeps names with a _ first for itself
+    if not plain[:1].isalpha():
+        plain = f"block_{plain}".rstrip("_")
+    taken = plain in _CLASHING or plain.lower() in _FILES or len(plain) == 1
+    return f"{plain}_" if taken or re.match(r"X_|MODEL_|fmi[23][A-Z]|Instance$", plain) else plain
 
 
 def in_c(name: str) -> str:

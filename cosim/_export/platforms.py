@@ -19,7 +19,8 @@ def platforms_of(given: Sequence[str] | str | None) -> tuple[Platform, ...] | No
     Parameters
     ----------
     given : sequence of str or str or None
-        Names as ``"linux-x86_64"``, or as FMI 3.0 calls them, ``"x86_64-linux"``; ``"all"`` for all.
+        Names as ``"linux-x86_64"``, or as the folders of FMI 3.0 and 2.0 are called, ``"x86_64-linux"`` and ``"linux64"``;
+        ``"all"`` for all.
 
     Raises
     ------
@@ -34,7 +35,7 @@ def platforms_of(given: Sequence[str] | str | None) -> tuple[Platform, ...] | No
         return None
     names = [given] if isinstance(given, str) else list(given) if isinstance(given, Sequence) else [given]
     known = {platform.name: platform for platform in PLATFORMS}
-    found = {platform.fmi3: platform for platform in PLATFORMS} | known
+    found = {name: platform for platform in PLATFORMS for name in (platform.fmi2, platform.fmi3)} | known
     for name in names:
         if not isinstance(name, str):
             raise ModelError(f"platforms={given!r} has {name!r} in it, which is no name; {did_you_mean('', known)}")
@@ -44,7 +45,7 @@ def platforms_of(given: Sequence[str] | str | None) -> tuple[Platform, ...] | No
             )
     if not names:
         raise ModelError(
-            f"platforms={given!r} names none; leave it away for this machine's, or {did_you_mean('', known)}"
+            f"platforms={given!r} names none; leave it away for this machine's, or name some of {', '.join(known)}."
         )
     wanted = PLATFORMS if ALL in names else {found[name] for name in names}
     return tuple(platform for platform in PLATFORMS if platform in wanted)

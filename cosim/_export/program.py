@@ -348,4 +348,11 @@ def _with_names(program: Program, given: Sequence[tuple[str, str]]) -> Program:
     names = dict(zip(order, unique((everything[i].name, everything[i].shape) for i in order), strict=True))
     renamed = iter([replace(each, name=names[i]) for i, each in enumerate(everything)])
     inputs, outputs, tunables = (tuple(islice(renamed, len(group))) for group in groups)
+    kept = {"input": {each.name for each in inputs}, "output": {each.name for each in outputs}}
+    for name, what in given:
+        if name not in kept[what]:
+            raise ModelError(
+                f"The {what} of what is exported cannot be called {name!r}: another signal, the time or the C itself has that "
+                "name; give it another one."
+            )
     return replace(program, inputs=inputs, outputs=outputs, tunables=tunables)  # type: ignore[arg-type]

@@ -1,6 +1,7 @@
 """What an exported FMU calls its signals, and in which units they are."""
 
 import re
+import subprocess
 import zipfile
 from dataclasses import fields
 from fractions import Fraction
@@ -12,7 +13,7 @@ from fmpy.validation import validate_fmu
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._export.dependencies import feeding_elements
-from bayesftc.cosim._export.names import legal, unique
+from bayesftc.cosim._export.names import legal, program_name, unique
 from bayesftc.cosim._export.program import program_of
 from bayesftc.cosim._export.units import unit_of_setting
 from bayesftc.cosim.units import parse
@@ -70,6 +71,65 @@ def test_a_name_that_is_given_must_be_legal():
         "groesse_1.gain_2",
         "groesse_1.offset",
     ]
+
+
+@pytest.mark.parametrize("given", [{"y": "u"}, {"y": "time"}, {"y": 7}])
+def test_a_name_that_is_given_is_kept_or_refused(given):
+    with pytest.raises(cosim.ModelError, match="The output of what is exported cannot be called"):
+        program_of(cosim.Gain(2.0), dt=0.1, outputs=given)
+
+
+@pytest.mark.parametrize(
+    ("stem", "expected"),
+    [
+        ("controller", "controller"),
+        ("mein Regler ü", "mein_Regler_ue"),
+        ("2fast", "block_2fast"),
+        ("車", "block"),
+        ("a.b", "a_b"),
+        ("../x", "x_"),
+        ("model", "model_"),
+        ("Math", "Math_"),
+        ("fmi2", "fmi2_"),
+        ("int", "int_"),
+    ],
+)
+def test_any_file_name_has_a_name_in_c(stem, expected):
+    assert program_name(stem) == expected
+
+
+CLASHING = "x h i c u program begin tune initial model instance fmi2 math stdint memcpy PROGRAM model_step exit main"
+
+
+@pytest.mark.parametrize("clashing", CLASHING.split())
+def test_no_name_of_a_file_clashes_with_other_c(clashing, c_compiler, tmp_path):
+    (source, header) = cosim.export_c(cosim.UnitDelay(), tmp_path, name=clashing, dt=0.1)
+    includes = "".join(f"#include <{name}.h>\n" for name in ("math", "stdint", "stdio", "stdlib", "string", "time"))
+    (tmp_path / "firmware.c").write_text(f'{includes}#include "{header.name}"\nint main(void) {{ return 0; }}\n')
+    command = [
+        c_compiler,
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-Wshadow",
+        "-I.",
+        source.name,
+        "firmware.c",
+        "-lm",
+    ]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["model", "x", "initial", "2 Regler ü"])
+def test_an_fmu_may_be_called_anything(name, c_compiler, tmp_path):
+    path = cosim.export_fmu(cosim.UnitDelay(), tmp_path / f"{name}.fmu", dt=0.1)
+    assert validate_fmu(str(path)) == []
+    diagram = cosim.Diagram(0.1)
+    nodes = [diagram.add(cosim.Sine(1.0, 2.0)), diagram.add(cosim.UnitDelay(), "delay")]
+    diagram.connect(nodes[0]["y"], nodes[1]["u"])
+    assert cosim.verify_fmu(path, diagram, "delay", duration=1.0).agrees()
 
 
 def test_units_travel_along_connections():

@@ -33,6 +33,7 @@ def test_platforms_are_named_as_people_and_as_fmi_name_them():
     assert platforms_of(None) is None
     assert names("linux-aarch64") == ["linux-aarch64"]
     assert names(["aarch64-darwin", "linux-x86_64", "x86_64-linux"]) == ["linux-x86_64", "macos-aarch64"]
+    assert names(["linux64", "win64", "darwin64"]) == ["linux-x86_64", "windows-x86_64", "macos-x86_64"]
     assert names("all") == names(["linux-x86_64", "all"]) == list(NAMED)
     assert host() in PLATFORMS
 
