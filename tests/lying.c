@@ -31,7 +31,7 @@
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
        STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES,
-       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH };
+       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH, REMEMBERS };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -199,7 +199,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 
 STATUS GET(COMPONENT c, VALUES)
 {
-    static int gets = 0;
+    static int gets = 0, ever = 0;
     const int mode = what(c);
     const STATUS status = mode == WRITES_NOTHING ? 0 : original_Get(c, PASSED);
 
@@ -211,6 +211,7 @@ STATUS GET(COMPONENT c, VALUES)
             case INFINITE: y[0] = INFINITY; break;
             case CRASH_IN_GET: crash(); break;
             case ENDLESS_IN_GET: for_ever(); break;
+            case REMEMBERS: y[0] += ++ever; break; /* in no state that it saves */
             }
         }
         if (mode == WRITES_TOO_MUCH) {

@@ -176,8 +176,8 @@ class ManyRuns:
         if more and self._repeats is not False and all(i.can_save for i in self._run.instances.values()):
             self._states = self._saved()
 
-    def _saved(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Save each FMU's state; return how compiled code puts them back."""
+    def _saved(self) -> np.ndarray[Any, np.dtype[np.int64]] | None:
+        """Save each FMU's state; return how compiled code puts them back, or None if one does not do what it says it can."""
         rows = []
         for instance in self._run.instances.values():
             addresses = getattr(instance, "state_functions", None)
@@ -190,7 +190,7 @@ class ManyRuns:
             status = _STATE(save)(component, ctypes.addressof(place))
             if status:
                 self._repeats = False
-                break
+                return None
             self._free.append((free, component, place))
             rows.append((restore, component, place.value))
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)

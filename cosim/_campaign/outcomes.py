@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from bayesftc.cosim._campaign.columns import factor_columns, run_columns
 from bayesftc.cosim._campaign.plan import Outcome
-from bayesftc.cosim.block import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,49 +77,30 @@ class InMemory:
         """Return what was kept."""
         return CampaignResult(self._table, self._dataset)
 
+    @cached_property
+    def _runs(self) -> dict[str, Any]:
+        """Return the columns that say which run a row is."""
+        factors = factor_columns(self._labels, [*self._metrics, *self._signals])
+        return run_columns(self._job.plan, factors)
+
     def _table(self) -> pd.DataFrame:
-        return runs_table(self._job, self._labels, slice(None), self._status, self._reasons, self._steps, self._metrics)
+        import pandas as pd
+
+        own = {"status": self._status, "reason": self._reasons, "steps": self._steps}
+        return pd.DataFrame({**self._runs, **own, **self._metrics})
 
     def _dataset(self) -> xr.Dataset:
         import xarray as xr
 
-        job, table = self._job, self._table()
+        job = self._job
         signals = {
             name: (("run", "time", *(f"{name}_{d}" for d in range(values.ndim - 2))), values, _attributes(job, name))
             for name, values in self._signals.items()
         }
-        of_runs = {name: ("run", table[name].to_numpy()) for name in ("point", "seed", *self._labels[0], "status")}
+        of_runs = {name: ("run", values) for name, values in self._runs.items()}
         return xr.Dataset(
-            signals, {"run": table["run"].to_numpy(), "time": ("time", job.time, {"units": "s"}), **of_runs}
+            signals, {**of_runs, "status": ("run", self._status), "time": ("time", job.time, {"units": "s"})}
         )
-
-
-def runs_table(
-    job: Job,
-    labels: Sequence[Mapping[str, Any]],
-    where: slice,
-    status: ArrayLike,
-    reasons: ArrayLike,
-    steps: np.ndarray[Any, np.dtype[np.int64]],
-    metrics: Mapping[str, Floats],
-) -> pd.DataFrame:
-    """Return the rows of a campaign's table for the runs `where`, in the order of its columns."""
-    import pandas as pd
-
-    points, seeds = (values[where] for values in job.plan.of_runs())
-    factors = {name: [point[name] for point in labels] for name in labels[0]}
-    return pd.DataFrame(
-        {
-            "run": np.arange(job.plan.runs)[where],
-            "point": points,
-            "seed": seeds,
-            **{name: pd.Series(values).take(points).to_numpy() for name, values in factors.items()},
-            "status": np.asarray(status, dtype=object),
-            "reason": np.asarray(reasons, dtype=object),
-            "steps": steps,
-            **metrics,
-        }
-    )
 
 
 def _attributes(job: Job, name: str) -> dict[str, str]:
@@ -127,4 +108,4 @@ def _attributes(job: Job, name: str) -> dict[str, str]:
     return {"units": unit} if unit else {}
 
 
-__all__ = ["CampaignResult", "InMemory", "runs_table"]
+__all__ = ["CampaignResult", "InMemory"]

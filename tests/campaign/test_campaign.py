@@ -1,0 +1,292 @@
+"""Every run of a campaign is the run that `simulate` makes alone, whatever happens to those beside it."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from bayesftc import controllers, cosim, fmus
+from bayesftc.cosim._campaign.many import StoppedFromOutside
+from bayesftc.cosim._campaign.plan import Plan
+
+MODEL = controllers.LinearModel(
+    [[0.99]], [[0.0002]], [[1.0], [1.0]], process_covariance=1e-3, sensor_covariance=np.eye(2), dt=0.02
+)
+
+
+def loop(plant=None, precision=None):
+    """An FMU, noise and a random fault: all that has a state of its own, or numbers of its own."""
+    return cosim.closed_loop(
+        plant=plant or cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),
+        controller=controllers.BayesianController(MODEL, precision=precision or controllers.GammaPrecision()),
+        control="force",
+        measured="v",
+        reference=cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
+        sensors=cosim.Sensors(count=2, std=1.0),
+        faults=[cosim.Injection(magnitude=5.0, mean_time_to_fault=0.5, mean_time_to_recovery=0.5)],
+        noise={"disturbance": cosim.Gaussian(std=0.03)},
+    )
+
+
+SIGNALS = ["plant.v", "controller.precision", "injection_0.*"]
+
+
+def assert_alone(campaign, result, runs, same_bits):
+    """Each run has the bits of the same diagram and seed alone."""
+    points, seeds = campaign.job.plan.of_runs()
+    for run in runs:
+        diagram = campaign.job.diagram(int(points[run]))
+        alone = diagram.simulate(campaign.job.duration, seed=int(seeds[run]), record=SIGNALS)
+        assert int(seeds[run]) == result.table["seed"][run]
+        for name in alone:
+            same_bits(result.dataset[name][run].values, alone[name], name)
+
+
+def test_same_bits_as_single_runs_at_every_point(same_bits):
+    grid = {
+        "controller.precision": {"gamma": controllers.GammaPrecision(), "fixed": controllers.FixedPrecision()},
+        "injection_0.magnitude": [2.0, 10.0],
+        "plant.m": [90.0, 120.0],
+    }
+    campaign = cosim.Campaign(loop(), duration=4.0, grid=grid, seeds=5, record=SIGNALS, piece=7)
+    result = campaign.run()
+    assert len(result.table) == campaign.runs == 40
+    assert_alone(campaign, result, range(0, 40, 3), same_bits)
+    table = result.table
+    assert (table["status"] == "ok").all()
+    assert (table["steps"] == 200).all()
+    assert table["factor:controller.precision"].tolist() == ["gamma"] * 20 + ["fixed"] * 20
+    assert table["plant.m"][5] == 120.0
+    # A point differs from another in nothing but its factors: the noise is shared.
+    faults = result.dataset["injection_0.active"].values
+    assert np.array_equal(faults[:5], faults[20:25])
+    assert result.dataset["plant.v"].attrs["units"] == "m/s"
+
+
+def test_metrics_are_what_numpy_says(same_bits):
+    def last(result):
+        return result["plant.v"][-1]
+
+    metrics = [
+        cosim.RMSE("plant.v", "reference.y", shift=1),
+        cosim.MaxAbsoluteError("plant.v", 20.0, name="largest"),
+        cosim.MeanAbsoluteError("plant.v", "reference.y", start=1.0, stop=3.0),
+        cosim.Mean("controller.precision[1]"),
+        cosim.Final("plant.v"),
+        last,
+        cosim.LoopFigures(only=["tracking.*", "sensors.0.auc"]),
+    ]
+    campaign = cosim.Campaign(loop(), duration=4.0, seeds=4, metrics=metrics, record=["plant.v"], decimation=4)
+    table = campaign.run().table
+    for run in range(4):
+        r = campaign.replay(run)
+        v, goal = r["plant.v"], r["reference.y"]
+        expected = {
+            "rmse(plant.v)": np.sqrt(np.mean((v[1:] - goal[:-1]) ** 2)),
+            "largest": np.abs(v - 20.0).max(),
+            "mean_absolute(plant.v)": np.abs(v - goal)[50:150].mean(),
+            "mean(controller.precision[1])": r["controller.precision"][:, 1].mean(),
+            "final(plant.v)": v[-1],
+            "last": v[-1],
+        }
+        for name, value in expected.items():
+            assert table[name][run] == pytest.approx(value, rel=1e-12), name
+        from bayesftc.cosim.metrics import figures
+        from bayesftc.cosim.roles import loop_signals
+
+        alone = figures(loop_signals(campaign.job.diagram(0), r))
+        assert table["tracking.v.overall"][run] == alone.tracking["v"].overall
+        assert table["sensors.0.auc"][run] == alone.sensors[0].auc
+
+
+def test_a_run_that_fails_is_recorded_with_its_reason_and_the_others_go_on(same_bits):
+    grid = {"plant.m": [100.0, 1e-300, 120.0]}
+    campaign = cosim.Campaign(
+        loop(), duration=4.0, grid=grid, seeds=3, record=SIGNALS, metrics=[cosim.Final("plant.v")]
+    )
+    result = campaign.run()
+    table = result.table
+    failed = table["status"] == "failed"
+    assert failed.any()
+    assert set(table["point"][failed]) == {1}
+    for run in table["run"][failed]:
+        alone = pytest.raises(cosim.SimulationError, campaign.replay, int(run)).value
+        assert table["reason"][run] == str(alone)
+        rows = table["steps"][run] + 1
+        same_bits(result.dataset["plant.v"][run].values[:rows], alone.result["plant.v"])
+        assert np.isnan(result.dataset["plant.v"][run].values[rows:]).all()
+        assert np.isnan(table["final(plant.v)"][run])
+    assert_alone(campaign, result, table["run"][~failed], same_bits)
+
+
+@pytest.mark.parametrize("way", ["ERROR", "NOT_A_NUMBER", "FATAL"])
+def test_an_fmu_that_fails_is_made_anew_for_the_next_run(lying, way, same_bits):
+    path, ways = lying("2.0")
+    plant = cosim.FMU(path, parameters={"v0": 20.0})
+    b = cosim.FMU(path).start_value("b")
+    campaign = cosim.Campaign(
+        loop(plant),
+        duration=1.0,
+        grid={"plant.b": {"well": b, "badly": ways[way], "well again": b}},
+        seeds=3,
+        record=SIGNALS,
+        piece=9,
+    )
+    result = campaign.run()
+    assert (result.table["status"] == np.repeat(["ok", "failed", "ok"], 3)).all()
+    assert_alone(campaign, result, [0, 1, 2, 6, 7, 8], same_bits)
+
+
+def test_an_fmu_that_cannot_begin_fails_only_its_own_runs(lying):
+    grid = {"plant.m": [100.0, float("nan"), 120.0]}
+    campaign = cosim.Campaign(loop(), duration=0.1, grid=grid, seeds=2)
+    table = campaign.run().table
+    assert table["status"].tolist() == ["ok"] * 2 + ["failed"] * 2 + ["ok"] * 2
+    assert "m" in table["reason"][2]
+
+
+def test_an_fmu_that_does_not_repeat_itself_is_found_out(lying):
+    path, ways = lying("2.0")
+    plant = cosim.FMU(path, parameters={"v0": 0.0, "b": ways["REMEMBERS"]})
+    campaign = cosim.Campaign(loop(plant), duration=1.0, seeds=4, record=["plant.v"])
+    with pytest.warns(RuntimeWarning, match="does not repeat the run"):
+        table = campaign.run(executor=cosim.Threads(1)).table
+    assert (table["status"] == "ok").all()
+
+
+def test_samples_of_ranges_run_each_point_with_its_own_parameters(same_bits):
+    design = cosim.LatinHypercube({"plant.m": (80.0, 120.0), "injection_0.magnitude": (0.0, 10.0)}, count=6, seed=2)
+    campaign = cosim.Campaign(loop(), duration=1.0, grid=design, record=SIGNALS)
+    result = campaign.run()
+    assert len(set(result.table["plant.m"])) == 6
+    assert_alone(campaign, result, range(6), same_bits)
+
+
+def test_a_function_of_the_factors_makes_the_loop(same_bits):
+    campaign = cosim.Campaign(
+        lambda mass, learner: loop(cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0, "m": mass}), learner),
+        duration=1.0,
+        grid={"mass": [90.0, 110.0], "learner": {"fixed": controllers.FixedPrecision()}},
+        seeds=[5, 6],
+        record=SIGNALS,
+    )
+    result = campaign.run()
+    assert result.table["seed"].tolist() == [5, 6, 5, 6]
+    assert_alone(campaign, result, range(4), same_bits)
+
+
+def test_interpreted_loops_run_too(make_block, same_bits):
+    calls = []
+
+    def output(u, y):
+        calls.append(1)
+        y[0] = 2.0 * u[0]
+
+    twice = make_block(
+        inputs=(cosim.Port("u"),), outputs=(cosim.Port("y"),), output=output, compiled=False, name="twice"
+    )
+    diagram = cosim.Diagram(0.1)
+    noise, node = diagram.add(cosim.Gaussian(1.0), "noise"), diagram.add(twice, "twice")
+    diagram.connect(noise["y"], node["u"])
+    result = cosim.Campaign(diagram, duration=1.0, seeds=3, record=["twice.y"]).run(executor=cosim.Threads(2))
+    for run, seed in enumerate(result.table["seed"]):
+        same_bits(result.dataset["twice.y"][run].values, diagram.simulate(1.0, seed=int(seed))["twice.y"])
+    assert calls
+
+
+def test_noise_is_independent_only_where_it_is_asked_for():
+    grid = {
+        "controller.precision": {"a": controllers.FixedPrecision(), "b": controllers.GammaPrecision()},
+        "plant.m": [90.0, 95.0],
+    }
+    paired = cosim.Campaign(loop(), duration=0.1, grid=grid, seeds=3)
+    assert len(set(paired.job.plan.seeds)) == 1
+    own = cosim.Campaign(loop(), duration=0.1, grid=grid, seeds=3, independent=["plant.m"])
+    seeds = own.job.plan.seeds
+    assert seeds[0] == seeds[2] != seeds[1] == seeds[3]
+    assert not set(seeds[0]) & set(seeds[1])
+
+
+def test_time_limit_is_a_reason(make_block):
+    campaign = cosim.Campaign(loop(), duration=20_000.0, seeds=2, time_limit=0.06)
+    table = campaign.run(executor=cosim.Threads(1)).table
+    assert (table["status"] == "failed").all()
+    assert table["reason"].str.contains("time limit of 0.06 s").all()
+
+
+def test_progress_counts_runs_and_a_run_can_be_stopped_from_outside():
+    campaign = cosim.Campaign(loop(), duration=1.0, seeds=30, piece=5)
+    told = []
+    campaign.run(progress=lambda *counts: told.append(counts))
+    assert told[0] == (0, 30, 0)
+    assert [done for done, *_ in told] == list(range(0, 31, 5))
+    with pytest.raises(StoppedFromOutside):
+        campaign.job.run(campaign.job.plan.pieces[0], lambda: False)
+
+
+def test_a_job_that_travels_makes_the_same_runs(same_bits):
+    job = cosim.Campaign(loop(), duration=1.0, seeds=3, record=SIGNALS, metrics=[cosim.Final("plant.v")]).job
+    copy = pickle.loads(pickle.dumps(job))
+    here, there = (j.run(j.plan.pieces[0]) for j in (job, copy))
+    job.close()
+    copy.close()
+    for name in here.signals:
+        same_bits(here.signals[name], there.signals[name])
+    same_bits(here.metrics["final(plant.v)"], there.metrics["final(plant.v)"])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=8), st.integers(1, 12))
+def test_pieces_have_each_run_once(counts, size):
+    seeds, n = [], 0
+    for count in counts:
+        seeds.append(tuple(range(n, n + count)))
+        n += count
+    plan = Plan(tuple({} for _ in counts), tuple(seeds), size)
+    points, drawn = plan.of_runs()
+    assert plan.runs == n
+    seen = []
+    for piece in plan.pieces:
+        own = [(point, seed) for point, few in plan.groups(piece) for seed in few]
+        assert len(own) == len(piece) <= size
+        seen += own
+    assert seen == list(zip(points.tolist(), drawn.tolist(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"grid": {"controler.precision": [1.0]}}, "did you mean 'controller'"),
+        ({"grid": {"controller.precison": [1.0]}}, "has no setting 'precison'; did you mean 'precision'"),
+        ({"grid": {"plant.mass": [1.0]}}, "has no variable 'mass'"),
+        ({"grid": {"injection_0": [3.0]}}, "is a whole block"),
+        ({"grid": {"controller": {"none": cosim.Constant(1.0)}}}, "cannot stand where 'controller' does"),
+        ({"grid": {"injection_0.magnitude[0]": [1.0]}}, r"there is no element \[0\]"),
+        ({"seeds": 0}, "at least one run"),
+        ({"seeds": [1, 1]}, "one twice"),
+        ({"seeds": "many"}, "must be the number of runs"),
+        ({"independent": ["mass"], "grid": {"plant.m": [1.0]}}, "no factor; .*plant.m"),
+        ({"record": ["plant.x"]}, "no signal 'plant.x'"),
+        ({"metrics": ["rmse"]}, "'rmse' is no metric"),
+        ({"metrics": [cosim.RMSE("plant.x", "reference.y")]}, "no signal 'plant.x'"),
+        ({"metrics": [cosim.Final("plant.v")] * 2}, "Two metrics are called"),
+        ({"duration": 0.03}, "duration"),
+        ({"decimation": 0}, "decimation"),
+        ({"piece": 0}, "piece"),
+    ],
+)
+def test_what_cannot_be_is_told_before_anything_runs(changes, message):
+    with pytest.raises(cosim.BayesFTCError, match=message):
+        cosim.Campaign(loop(), **{"duration": 1.0, **changes})
+
+
+def test_a_whole_block_takes_the_place_of_another_one():
+    base = loop()
+    other = cosim.varied(base, {"injection_0": cosim.Drift(sensor=1, slope=2.0, start=1.0)})
+    assert other["injection_0"].block.channels == 2
+    assert base["injection_0"].block != other["injection_0"].block
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert (other.simulate(2.0)["injection_0.active"][-1] == 1.0).all()
