@@ -175,22 +175,19 @@ def auc(truth: ArrayLike, score: ArrayLike) -> float:
 
     Parameters
     ----------
-    truth : array of bool, shape (rows,)
+    truth : array of bool, of any shape
         Whether the fault was present.
-    score : array, shape (rows,)
+    score : array of the same shape
         What is to be higher then; samples without one (NaN) are left out.
     """
     present, values = np.asarray(truth, dtype=bool), np.asarray(score, dtype=np.float64)
     known = ~np.isnan(values)
-    present, values = present[known], values[known]
-    positive = int(present.sum())
-    negative = len(present) - positive
-    if not positive or not negative:
+    healthy, faulty = np.sort(values[known & ~present]), np.sort(values[known & present])
+    if not len(healthy) or not len(faulty):
         return NAN
-    # Mann and Whitney's U with mean ranks for ties; by hand, since scipy.stats and sklearn take half a second and more to import.
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(count) - (count - 1) / 2)[place]
-    return float((ranks[present].sum() - positive * (positive + 1) / 2) / (positive * negative))
+    # Mann and Whitney's U; by hand, since scipy.stats and sklearn take half a second and more to import.
+    below, upto = (np.searchsorted(healthy, faulty, side=side) for side in ("left", "right"))  # type: ignore[call-overload]
+    return float((below.sum() + upto.sum()) / (2.0 * len(healthy) * len(faulty)))
 
 
 def periods(flags: Flags) -> list[tuple[int, int]]:

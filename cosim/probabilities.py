@@ -84,14 +84,7 @@ def reliability(
         raise ModelError(
             f"reliability got probabilities from {p.min():g} to {p.max():g}; they must lie between 0 and 1."
         )
-    if equal == "counts":
-        order = np.argsort(p, kind="stable")
-        place = np.empty(len(p), dtype=np.intp)
-        place[order] = np.repeat(np.arange(bins), [len(part) for part in np.array_split(order, bins)])
-    elif equal == "widths":
-        place = np.minimum((p * bins).astype(np.intp), bins - 1)
-    else:
-        raise ModelError(f"reliability has equal={equal!r}; it takes 'counts' or 'widths'.")
+    place = bins_of(p, bins, equal)
     samples, predicted, observed = (np.bincount(place, weights, bins) for weights in (None, p, happened))
     with np.errstate(invalid="ignore"):
         shown = [np.where(samples > 0, total / samples, NAN) for total in (predicted, observed)]
@@ -104,3 +97,15 @@ def reliability(
         predicted=shown[0],
         observed=shown[1],
     )
+
+
+def bins_of(probability: Floats, bins: int, equal: str) -> np.ndarray[Any, np.dtype[np.intp]]:
+    """Return the number of the bin that each probability lies in, see `reliability`."""
+    if equal == "counts":
+        order = np.argsort(probability, kind="stable")
+        place = np.empty(len(probability), dtype=np.intp)
+        place[order] = np.repeat(np.arange(bins), [len(part) for part in np.array_split(order, bins)])
+        return place
+    if equal == "widths":
+        return np.minimum((probability * bins).astype(np.intp), bins - 1)
+    raise ModelError(f"reliability has equal={equal!r}; it takes 'counts' or 'widths'.")

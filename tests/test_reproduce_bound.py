@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from bayesftc import controllers, cosim, reproduce
+from bayesftc.cosim.metrics import auc
 from bayesftc.reproduce import _bound_figures, _bound_kernels, _bound_tables, _residuals
 from bayesftc.reproduce._bound_filter import PosteriorFilter
-from bayesftc.reproduce._roc import auc
 from bayesftc.reproduce._streams import Faults, Streams
 from bayesftc.reproduce.settings import Bound, Car, Detection
 

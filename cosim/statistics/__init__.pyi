@@ -9,4 +9,5 @@ from ._intervals import (
     rms_ratio as rms_ratio,
 )
 from ._merit import merit as merit, merit_counts as merit_counts, total_merit as total_merit
+from ._roc import Roc as Roc, roc as roc, roc_curve as roc_curve, roc_rates as roc_rates
 from ._summary import summary as summary

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers, cosim
+from bayesftc.cosim.metrics import auc as area
 from bayesftc.cosim.probabilities import reliability
 from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce._car import model
 from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._roc import auc as area
 from bayesftc.reproduce._streams import Faults, Streams
 from bayesftc.reproduce.settings import Beliefs
 

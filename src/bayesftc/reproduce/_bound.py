@@ -11,14 +11,15 @@ import numpy as np
 
 from bayesftc import cosim
 from bayesftc.cosim.block import Floats
+from bayesftc.cosim.metrics import auc as area
 from bayesftc.cosim.probabilities import reliability
+from bayesftc.cosim.signals import Flags
 from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce import _residuals
 from bayesftc.reproduce._bound_filter import PosteriorFilter
 from bayesftc.reproduce._detection import GROUP, Bench
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import Residual
-from bayesftc.reproduce._roc import Flags, auc as area
 from bayesftc.reproduce._streams import Faults
 from bayesftc.reproduce.settings import Bound, Car, Detection
 

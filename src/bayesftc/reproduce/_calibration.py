@@ -11,9 +11,9 @@ import numpy as np
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import without_nan
 from bayesftc.cosim.probabilities import Reliability, reliability
+from bayesftc.cosim.signals import Flags
 from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce._residuals import Residual
-from bayesftc.reproduce._roc import Flags
 
 OWN, FITTED = "its learner, on the whole stream", "its classifier, on the test part"
 """Whose probability it is."""
