@@ -6,6 +6,7 @@ import ast
 import dis
 import inspect
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -118,19 +119,20 @@ def _named(tree: ast.AST, name: str) -> list[ast.Name]:
 
 def within_block(tree: ast.FunctionDef) -> set[str]:
     """Return the variables that are assigned in one statement and read only by those that follow it in the same block."""
-    found = set()
+    found, reads = set(), _reads(tree)
     for node in ast.walk(tree):
         for body in (getattr(node, "body", None), getattr(node, "orelse", None)):
-            if not isinstance(body, list):
-                continue
-            for i, statement in enumerate(body):
-                if not isinstance(statement, ast.Assign | ast.AnnAssign):
-                    continue
-                for name in stores(statement):
-                    later = {id(n) for following in body[i + 1 :] for n in _named(following, name)}
-                    if all(id(n) in later or isinstance(n.ctx, ast.Store) for n in _named(tree, name)):
-                        found.add(name)
+            later: Counter[str] = Counter()
+            for statement in reversed(body if isinstance(body, list) else []):
+                if isinstance(statement, ast.Assign | ast.AnnAssign):
+                    found |= {name for name in stores(statement) if later[name] == reads[name]}
+                later += _reads(statement)
     return found
+
+
+def _reads(tree: ast.AST) -> Counter[str]:
+    """Return how often each variable is read."""
+    return Counter(n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Store))
 
 
 def ends(body: Sequence[ast.stmt]) -> bool:
