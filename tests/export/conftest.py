@@ -121,17 +121,7 @@ def block(request):
     return request.param
 
 
-FLAGS = (
-    "-O2",
-    "-std=c99",
-    "-ffp-contract=off",
-    "-fPIC",
-    "-shared",
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-    "-Wno-unused-function",
-)
+FLAGS = ["-O2", "-std=c99", "-ffp-contract=off", "-fPIC", "-shared", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 
 
 class Compiled:
@@ -143,18 +133,9 @@ class Compiled:
         The program's structure: memory, parameters, time of the first step, number of steps.
     """
 
-    def __init__(self, folder, compiler, exported, **settings):
-        self.program = program_of(exported, **settings)
-        self.file = write_c(self.program)
-        name = self.file.name
-        (folder / f"{name}.h").write_text(self.file.header)
-        (folder / f"{name}.c").write_text(self.file.source)
-        made = subprocess.run(
-            [compiler, *FLAGS, f"{name}.c", "-o", f"{name}.so", "-lm"], cwd=folder, capture_output=True, text=True
-        )
-        assert made.returncode == 0, made.stderr
-        library = ctypes.CDLL(str(folder / f"{name}.so"))
-        self._functions = [getattr(library, f"{name}_{part}") for part in ("init", "evaluate", "advance")]
+    def __init__(self, program, file, library):
+        self.program, self.file = program, file
+        self._functions = [getattr(library, f"{file.name}_{part}") for part in ("init", "evaluate", "advance")]
         self.begin()
 
     def begin(self):
@@ -191,23 +172,43 @@ class Compiled:
 
 
 @pytest.fixture(scope="session")
+def compiled_together(c_compiler):
+    """Return what compiles programs in a folder to one library."""
+
+    def make(folder, programs):
+        files = [write_c(program) for program in programs]
+        for file in files:
+            (folder / f"{file.name}.h").write_text(file.header)
+            (folder / f"{file.name}.c").write_text(file.source)
+        library = f"{files[0].name}.so"
+        command = [c_compiler, *FLAGS, *(f"{file.name}.c" for file in files), "-o", library, "-lm"]
+        made = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        assert made.returncode == 0, made.stderr[:3000]
+        loaded = ctypes.CDLL(str(folder / library))
+        return [Compiled(program, file, loaded) for program, file in zip(programs, files, strict=True)]
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def compiled_blocks():
     """Return those of `BLOCKS` that have been compiled, by their identity."""
     return {}
 
 
 @pytest.fixture
-def compiled(tmp_path, c_compiler, compiled_blocks):
+def compiled(tmp_path, compiled_together, compiled_blocks):
     """Return what compiles a block, or makes a compiled one of `BLOCKS` begin again."""
 
     def make(exported, **settings):
-        if not any(exported is block for block in BLOCKS.values()):
-            return Compiled(tmp_path, c_compiler, exported, **settings)
         key = id(exported), repr(settings)
-        if key not in compiled_blocks:
-            compiled_blocks[key] = Compiled(tmp_path, c_compiler, exported, **settings)
-        compiled_blocks[key].begin()
-        return compiled_blocks[key]
+        if key in compiled_blocks:
+            compiled_blocks[key].begin()
+            return compiled_blocks[key]
+        (made,) = compiled_together(tmp_path, [program_of(exported, **settings)])
+        if any(exported is block for block in BLOCKS.values()):
+            compiled_blocks[key] = made
+        return made
 
     return make
 

@@ -1,16 +1,13 @@
 """Random step functions of all that the language has: the same bits as plain Python, compiled by numba, and as C."""
 
-import ctypes
 import importlib.util
 import random
-import subprocess
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
 from bayesftc import cosim
-from bayesftc.cosim._export.c_file import write_c
 from bayesftc.cosim._export.program import program_of
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 1e308, -1e308, 5e-324, -1e-310, np.inf, -np.inf, np.nan]
@@ -252,50 +249,12 @@ class Random(cosim.Block):
         return cosim.Definition(self.kernel, state={"x": [1.0, -2.0, 0.5], "X": [[1.0, 2.0, -0.0], [3.0, 4.0, 7.0]]})
 
 
-def library_of(folder, compiler, blocks):
-    """Return the C of blocks as one library."""
-    for name, block in blocks.items():
-        file = write_c(program_of(block, dt=0.1, name=name))
-        (folder / f"{name}.h").write_text(file.header)
-        (folder / f"{name}.c").write_text(file.source)
-    command = [
-        compiler,
-        "-O1",
-        "-std=c99",
-        "-ffp-contract=off",
-        "-fPIC",
-        "-shared",
-        "-Wall",
-        "-Wextra",
-        "-Wpedantic",
-        "-Werror",
-    ]
-    command += [f"{name}.c" for name in blocks]
-    made = subprocess.run([*command, "-o", "all.so", "-lm"], cwd=folder, capture_output=True, text=True)
-    assert made.returncode == 0, made.stderr[:3000]
-    return ctypes.CDLL(str(folder / "all.so"))
-
-
 def trajectory(step, values):
     with np.errstate(all="ignore"):
         return np.array([step(u) for u in values])
 
 
-def in_c(library, name):
-    """Return a step of a program as C makes it."""
-    state, y = np.zeros(64), np.zeros(4)
-    getattr(library, f"{name}_init")(ctypes.c_void_p(state.ctypes.data))
-
-    def step(u):
-        u = np.ascontiguousarray(u)
-        getattr(library, f"{name}_evaluate")(*(ctypes.c_void_p(a.ctypes.data) for a in (state, u, y)))
-        getattr(library, f"{name}_advance")(ctypes.c_void_p(state.ctypes.data))
-        return y.copy()
-
-    return step
-
-
-def check(seeded, folder, compiler, same_bits, *, functions, by_numba):
+def check(seeded, folder, compiled_together, same_bits, *, functions, by_numba):
     names = [f"step_{i}" for i in range(functions)]
     text = "\n\n".join(
         [BEGIN, *("\n".join(Writer(seeded, name, keywords=i >= by_numba).lines) + "\n" for i, name in enumerate(names))]
@@ -310,9 +269,9 @@ def check(seeded, folder, compiler, same_bits, *, functions, by_numba):
     for name, block in blocks.items():
         online = block.online(0.1, compiled=False)
         expected[name] = trajectory(lambda u, online=online: online(u=u).y, values)
-    library = library_of(folder, compiler, blocks)
-    for i, (name, block) in enumerate(blocks.items()):
-        same_bits(trajectory(in_c(library, name), values), expected[name], name)
+    compiled = compiled_together(folder, [program_of(block, dt=0.1, name=name) for name, block in blocks.items()])
+    for i, ((name, block), c) in enumerate(zip(blocks.items(), compiled, strict=True)):
+        same_bits(trajectory(lambda u, c=c: c(u=u)["y"], values), expected[name], name)
         if i < by_numba:
             online = block.online(0.1, compiled=True)
             same_bits(trajectory(lambda u, online=online: online(u=u).y, values), expected[name], f"{name} by numba")
@@ -321,12 +280,19 @@ def check(seeded, folder, compiler, same_bits, *, functions, by_numba):
 @pytest.mark.parametrize(
     ("examples", "functions", "by_numba"), [(2, 20, 1), pytest.param(60, 40, 4, marks=pytest.mark.slow)]
 )
-def test_random_step_functions(tmp_path_factory, c_compiler, same_bits, examples, functions, by_numba):
+def test_random_step_functions(tmp_path_factory, compiled_together, same_bits, examples, functions, by_numba):
     """A seed for each example: functions as long as these have more choices than Hypothesis draws, or would shrink in time."""
 
     @settings(max_examples=examples, deadline=None, derandomize=True, database=None, phases=[Phase.generate])
     @given(st.integers(0, 2**32).map(random.Random))
     def run(seeded):
-        check(seeded, tmp_path_factory.mktemp("random"), c_compiler, same_bits, functions=functions, by_numba=by_numba)
+        check(
+            seeded,
+            tmp_path_factory.mktemp("random"),
+            compiled_together,
+            same_bits,
+            functions=functions,
+            by_numba=by_numba,
+        )
 
     run()
