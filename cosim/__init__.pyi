@@ -1,6 +1,7 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
 from . import errors as errors, ops as ops, random as random, statistics as statistics
+from ._campaign.dask import DaskCluster as DaskCluster
 from ._campaign.design import (
     Design as Design,
     Grid as Grid,

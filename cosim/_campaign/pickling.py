@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import pickle
+import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -37,8 +39,8 @@ def pickled(work: object, substitute: Substitute = lambda thing: None) -> bytes:
     except Exception as error:  # noqa: BLE001 - what users have in their objects raises what it likes
         culprit = next(_culprits(work, substitute), "a part of it")
         reason = (
-            f"{culprit} cannot be pickled ({brief(str(error), 120)}); make it of plain settings, or let the function that "
-            "returns the loop make it"
+            f"{culprit} cannot be pickled ({brief(str(error), 120)}); make it of plain settings, or make it in the "
+            "function that returns the loop"
         )
     raise ModelError(f"The campaign cannot run in other processes: {reason}; or use executor=Threads().") from None
 
@@ -58,6 +60,8 @@ def _pickler(file: io.BytesIO, substitute: Substitute) -> pickle.Pickler:
             other = substitute(thing)
             if other is not None:
                 return other
+            if isinstance(thing, ModuleType) and sys.modules.get(thing.__name__) is thing:
+                return import_module, (thing.__name__,)  # of which kind ever: cloudpickle knows plain ones alone
             if cloudpickle:
                 return super().reducer_override(thing)
             _check_importable(thing)
@@ -104,7 +108,7 @@ def _culprits(work: object, substitute: Substitute) -> Iterator[str]:
     for node in getattr(loop, "nodes", ()):
         parts.append((f"the block {node.name!r}", node.block))
     if loop is not None:
-        parts.append(("the function that returns the loop" if callable(loop) else "the loop", loop))
+        parts.append(("the function that makes the loop" if callable(loop) else "the loop", loop))
     for name, part in parts:
         try:
             _bytes(part, substitute)
