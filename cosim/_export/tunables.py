@@ -21,6 +21,7 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.ports import labels
@@ -162,10 +163,7 @@ def _found(
     agreed: dict[int, list[int]] | None = None
     allowed = 0
     for factor, at_zero in _TRIED:
-        new = value.copy()
-        apart = 1.0 + np.linspace(0.0, 0.01, len(elements))  # each element gets a value of its own
-        old = new.ravel()[elements]
-        new.ravel()[elements] = np.where(old == 0.0, at_zero, factor * old) * apart
+        new = _other(value, elements, factor, at_zero)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -175,23 +173,39 @@ def _found(
             continue
         if then.kept != now.kept:
             return None
-        changed = np.flatnonzero(then.values.view(np.int64) != now.values.view(np.int64))
-        # What is the new value now, and was the old one, is this element.
-        which = dict(zip(new.ravel()[elements].tolist(), elements.tolist(), strict=True))
-        where: dict[int, list[int]] = {e: [] for e in which.values()}
-        for place in changed.tolist():
-            element = which.get(float(then.values[place]))
-            if element is None or value.ravel()[element] != now.values[place]:
-                return None
-            where[element].append(place)
-        if len(where) < len(elements):
+        if len(np.unique(new.ravel()[elements])) < len(elements):
             continue  # two elements have become equal
-        if not all(where.values()) or (agreed is not None and where != agreed):
+        where = _where(value, new, elements, now, then)
+        if where is None or (agreed is not None and where != agreed):
             return None
         agreed, allowed = where, allowed + 1
         if allowed == _WANTED:
             return {element: [now.places[place] for place in places] for element, places in where.items()}
     return None
+
+
+def _other(value: Floats, elements: NDArray[np.intp], factor: float, at_zero: float) -> Floats:
+    """Return a setting of which these elements have other values, each one of its own."""
+    new = value.copy()
+    apart = 1.0 + np.linspace(0.0, 0.01, len(elements))
+    old = new.ravel()[elements]
+    new.ravel()[elements] = np.where(old == 0.0, at_zero, factor * old) * apart
+    return new
+
+
+def _where(
+    value: Floats, new: Floats, elements: NDArray[np.intp], now: _Numbers, then: _Numbers
+) -> dict[int, list[int]] | None:
+    """Return which numbers have changed with each element; None where one has changed otherwise, or none with an element."""
+    which = dict(zip(new.ravel()[elements].tolist(), elements.tolist(), strict=True))
+    where: dict[int, list[int]] = {element: [] for element in elements.tolist()}
+    for place in np.flatnonzero(then.values.view(np.int64) != now.values.view(np.int64)).tolist():
+        # What is the new value now, and was the old one, is this element.
+        element = which.get(float(then.values[place]))
+        if element is None or value.ravel()[element] != now.values[place]:
+            return None
+        where[element].append(place)
+    return where if all(where.values()) else None
 
 
 def _like(value: Floats) -> Any:
