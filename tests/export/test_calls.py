@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -177,6 +178,26 @@ def test_a_step_that_an_importer_computes_from_its_times(exported, instance, fmi
         it.fmu.doStep(time, following - time)
         time = following
     assert it.log == []
+
+
+@pytest.mark.parametrize("seconds", ["1/30", "1/3000"])
+def test_a_step_that_an_importer_counts_in_nanoseconds(instance, tmp_path, fmi, seconds, c_compiler):
+    """Of such a step there is no whole number; libcosim is an importer of this kind."""
+    it = instance(cosim.export_fmu(cosim.Gain(2.0), tmp_path / "gain.fmu", fmi=fmi, dt=seconds)).begin()
+    h = round(Fraction(seconds) * 10**9) / 1e9
+    for k in range(20):
+        it.step(k, h, u=float(k))
+        assert it.get("y") == 2.0 * k
+    assert "must be" in it.refused(lambda c: c.fmu.doStep(20 * h, 1.001 * h))
+
+
+@pytest.mark.parametrize("start", [0.0, 1e6, 1.7e9])
+@pytest.mark.parametrize("steps", [1.0, -1.0, 0.5, 0.1])
+def test_another_time_is_refused(exported, instance, fmi, start, steps):
+    """A step that is left out, or made twice, is noticed however late it is."""
+    it = instance(exported["controller", fmi]).begin(start)
+    it.fmu.doStep(start, H)
+    assert "is not the time" in it.refused(lambda c: c.fmu.doStep(start + H + steps * H, H))
 
 
 @pytest.mark.parametrize("h", [0.01, 0.04, H * (1 + 1e-6), 1e-9, 0.0, -H, math.nan, math.inf])
