@@ -33,13 +33,13 @@ class Part:
         A row a run.
     seconds : mapping of str to float
         Of computing, by the number of the piece.
-    sizes : mapping of str to int
-        Bytes of each file of their signals.
+    sizes : mapping of str to list of int
+        Bytes of each file of the signals, by the number of the piece; in the order of `Chunks.keys`.
     """
 
     rows: Any
     seconds: Mapping[str, float]
-    sizes: Mapping[str, int]
+    sizes: Mapping[str, list[int]]
 
 
 class Parts:
@@ -116,7 +116,7 @@ class Parts:
         source = self._arrow.BufferReader(data)
         begin, end = (piece.begin, piece.end) if piece else (0, len(self.runs["run"]))
         try:
-            rows = self._parquet.read_table(source, page_checksum_verification=True)
+            rows = self._parquet.ParquetFile(source, page_checksum_verification=True).read(use_threads=False)
             said = json.loads(rows.schema.metadata[_KEY])
             rows = rows.select(self._schema.names).cast(self._schema)
             if not np.array_equal(rows["run"].to_numpy(), np.arange(begin, end)):
@@ -139,6 +139,11 @@ class Parts:
         for piece in pieces:
             keep[piece.begin : piece.end] = False  # of all runs, so that the number of a row is that of its run
         return rows.filter(self._arrow.array(keep))
+
+    def of_piece(self, whole: Part, piece: Piece) -> Part:
+        """Return the part of a piece, of the part of all."""
+        own = str(piece.index)
+        return Part(whole.rows.slice(piece.begin, len(piece)), {own: whole.seconds[own]}, {own: whole.sizes[own]})
 
     def put(self, rows: Any, others: Any) -> Any:
         """Return rows in which those of the same runs are others."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -59,9 +60,10 @@ class StoredCampaign:
 
     def done(self) -> set[int]:
         """Return the numbers of the pieces that are done."""
+        found = self._found()  # first: parts are removed when the file of all is there
         if (self.path / run_parts.WHOLE).exists():
             return {piece.index for piece in self._pieces}
-        return set(self._found())
+        return set(found)
 
     @property
     def whole(self) -> bool:
@@ -76,7 +78,7 @@ class StoredCampaign:
     @property
     def seconds(self) -> float:
         """Seconds of computing that the runs took."""
-        return sum(self._read()[1].values())
+        return sum(self._read().seconds.values())
 
     def table(self) -> pd.DataFrame:
         """Return a table with a row for each run that is done: run, point, seed, factors, status, reason, steps, metrics.
@@ -86,17 +88,17 @@ class StoredCampaign:
         StoreError
             If a file of it is damaged.
         """
-        table: pd.DataFrame = self._read()[0].to_pandas()
+        table: pd.DataFrame = self._read().rows.to_pandas()
         return table
 
     def failed(self) -> list[int]:
         """Return the numbers of the runs that have failed."""
-        rows = self._read()[0]
+        rows = self._read().rows
         status = np.array(rows["status"].to_pylist(), dtype=object)
         return [int(run) for run in rows["run"].to_numpy()[status == FAILED]]
 
     def dataset(self) -> xr.Dataset:
-        """Return the signals over run and time, read from the disk as they are used; NaN for runs that are not done.
+        """Return the signals over run and time, read from the disk each time they are used; NaN for runs that are not done.
 
         Coordinates are run, time (s), point, seed, each factor, and status: ``"ok"``, ``"failed"`` or ``"pending"``. What is
         done later is not seen: ask again.
@@ -108,7 +110,7 @@ class StoredCampaign:
         """
         import xarray as xr
 
-        rows = self._read()[0]
+        rows = self._read().rows
         runs = rows["run"].to_numpy()
         status = np.full(self.plan.runs, PENDING, dtype=object)
         status[runs] = np.array(rows["status"].to_pylist(), dtype=object)
@@ -125,7 +127,7 @@ class StoredCampaign:
             done,
             lambda key: self._redo.read(f"{signal_chunks.FOLDER}/{key}"),
         )
-        stored = xr.open_zarr(group, chunks=None, consolidated=False, decode_cf=False)
+        stored = xr.open_dataset(group, engine="zarr", consolidated=False, decode_cf=False, cache=False)
         named = stored[[escaped(name) for name in self.metadata.signals]].drop_vars(
             [name for name in stored.coords if name != "time"]
         )
@@ -184,8 +186,8 @@ class StoredCampaign:
         numbers = map(self._parts.piece, self._redo.names(run_parts.FOLDER))
         return sorted(i for i in numbers if i is not None and i < len(self._pieces))
 
-    def _read(self) -> tuple[Any, dict[str, float]]:
-        """Return all rows and the seconds that each piece took; parts are newer than the file of all."""
+    def _read(self) -> Part:
+        """Return all rows as one part; parts are newer than the file of all."""
         for _ in range(20):  # a writer may be putting the parts together, and removes them after that
             try:
                 found = self._found()
@@ -193,9 +195,10 @@ class StoredCampaign:
                 if (self.path / run_parts.WHOLE).exists():
                     whole = self._whole()
                     older = self._parts.without(whole.rows, (self._pieces[i] for i in found))
-                    parts.insert(0, Part(older, whole.seconds, {}))
+                    parts.insert(0, replace(whole, rows=older))
+                rows = self._parts.joined(part.rows for part in parts)
                 seconds = {piece: taken for part in parts for piece, taken in part.seconds.items()}
-                return self._parts.joined(part.rows for part in parts), seconds
+                return Part(rows, seconds, {piece: sizes for part in parts for piece, sizes in part.sizes.items()})
             except FileNotFoundError:
                 continue
             except OSError as error:

@@ -42,7 +42,7 @@ class Redo:
 
     def recover(self) -> None:
         """Put files that are valid in their places, and drop those that were never declared so."""
-        shutil.rmtree(self._collected, ignore_errors=True)
+        self.discard()
         if not self._valid.is_dir():
             return
         moved = set()
@@ -55,9 +55,16 @@ class Redo:
             sync_folder(folder)
         shutil.rmtree(self._valid)
 
+    def discard(self) -> None:
+        """Drop what was collected and not declared valid."""
+        shutil.rmtree(self._collected, ignore_errors=True)
+
     def names(self, folder: str) -> set[str]:
         """Return the names of all valid files in a folder of the root."""
-        found = os.listdir(self._valid / folder) if (self._valid / folder).is_dir() else []
+        try:
+            found = os.listdir(self._valid / folder)
+        except (FileNotFoundError, NotADirectoryError):
+            found = []
         return {*found, *os.listdir(self._root / folder)}  # in this order: files move from the one to the other
 
     def read(self, name: PurePosixPath | str) -> bytes:

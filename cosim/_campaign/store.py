@@ -20,7 +20,7 @@ import numpy as np
 
 from bayesftc.cosim._campaign import chunks as signal_chunks, environment, parts as run_parts
 from bayesftc.cosim._campaign.chunks import escaped
-from bayesftc.cosim._campaign.durable import sync_folder, write_whole, written_to
+from bayesftc.cosim._campaign.durable import TEMPORARY, sync_folder, write_whole, written_to
 from bayesftc.cosim._campaign.locking import locked
 from bayesftc.cosim._campaign.making import make, metadata_of
 from bayesftc.cosim._campaign.metadata import Metadata, Signal, differences
@@ -80,7 +80,7 @@ class CampaignStore(StoredCampaign):
         StoreError
             If the folder cannot be written, has something in it, or an FMU is not what its hash says.
         """
-        path = Path(path).absolute()
+        path = Path(path).resolve()
         make(path, metadata_of(description, plan, signals, time, metrics, fmus, labels), time, fmus or {})
         return cls(path, locked(path))
 
@@ -187,7 +187,8 @@ class CampaignStore(StoredCampaign):
             return
         with written_to(self.path):
             sizes = self._write_signals(piece.index, outcome.signals, self.path.joinpath)
-            part = Part(self._parts.rows(outcome), {str(piece.index): outcome.seconds}, sizes)
+            own = str(piece.index)
+            part = Part(self._parts.rows(outcome), {own: outcome.seconds}, {own: sizes})
             write_whole(self.path / name, self._parts.encode(part))
             if clock.monotonic() - self._synced > UNSYNCED:
                 self._sync()
@@ -216,9 +217,12 @@ class CampaignStore(StoredCampaign):
         if not set(touched) <= done:
             raise StoreError("Only runs that are done can be replaced; resume the campaign for the others.")
         with written_to(self.path):
-            for index in touched:
-                self._replace(self._pieces[index], given)
-            self._sync()
+            self._redo.recover()
+            try:
+                for index in touched:
+                    self._replace(self._pieces[index], given)
+            finally:
+                self._redo.discard()
 
     def finish(self) -> None:
         """Put the parts of the table together into one file; where that has been done already, nothing happens.
@@ -235,60 +239,47 @@ class CampaignStore(StoredCampaign):
                 "resume it."
             )
         with written_to(self.path):
+            self._redo.recover()
             found = self._found()
             if found or not (self.path / run_parts.WHOLE).exists():
-                rows, seconds = self._read()
                 self._sync()
-                write_whole(self.path / run_parts.WHOLE, self._parts.encode(Part(rows, seconds, {})))
+                write_whole(self.path / run_parts.WHOLE, self._parts.encode(self._read()))
                 sync_folder(self.path)
                 for index in found:  # each of which has what the file has
                     (self.path / self._parts.name(index)).unlink()
 
     # How
 
-    def _write_signals(self, piece: int, signals: Mapping[str, Floats], place: Callable[[str], Path]) -> dict[str, int]:
+    def _write_signals(self, piece: int, signals: Mapping[str, Floats], place: Callable[[str], Path]) -> list[int]:
         """Write the chunks of a piece to where `place` says for their names, several at a time; return their sizes."""
         chunks, pool = self._chunks, self._pool
         if chunks is None or pool is None:
-            return {}
+            return []
 
-        def write(name: str, block: int) -> tuple[str, int]:
-            key = chunks.key(name, piece, block)
-            return key, write_whole(place(key), chunks.encode(name, signals[name], block))
+        def write(name: str, block: int) -> int:
+            return write_whole(place(chunks.key(name, piece, block)), chunks.encode(name, signals[name], block))
 
-        tasks = [pool.submit(write, name, block) for name in signals for block in range(chunks.blocks(name))]
+        names = [name for name in self.metadata.signals if name in signals]
+        tasks = [pool.submit(write, name, block) for name in names for block in range(chunks.blocks(name))]
         wait(tasks)  # for all, also where one has failed: none may write on when the next piece comes
-        return dict(task.result() for task in tasks)
+        return [task.result() for task in tasks]
 
     def _replace(self, piece: Piece, outcomes: list[Outcome]) -> None:
         """Write the files of a piece again, with other rows for some runs, and let them be valid all at once."""
-        self._redo.recover()
-        rows, taken = self._rows_of(piece)
-        sizes: dict[str, int] = {}
-        mine = [(o, _overlap(o.piece, piece)) for o in outcomes if _overlap(o.piece, piece)]
-        for name in self.metadata.signals:
-            signal = self._signal(name, piece)
+        own, name = str(piece.index), self._parts.name(piece.index)
+        old = self._part(piece) if piece.index in self._found() else self._parts.of_piece(self._whole(), piece)
+        rows, seconds, sizes = old.rows, old.seconds[own], list[int]()
+        mine = [(outcome, _overlap(outcome.piece, piece)) for outcome in outcomes if _overlap(outcome.piece, piece)]
+        for signal in self.metadata.signals:  # one at a time: a piece may have as much as fits into memory
+            values = self._signal(signal, piece)
             for outcome, runs in mine:
-                own = outcome.signals[name]
-                signal[runs.start - piece.begin : runs.stop - piece.begin] = own[
-                    runs.start - outcome.piece.begin : runs.stop - outcome.piece.begin
-                ]
-            sizes |= self._write_signals(piece.index, {name: signal}, self._redo.stage)
+                values[_rows(runs, piece)] = outcome.signals[signal][_rows(runs, outcome.piece)]
+            sizes += self._write_signals(piece.index, {signal: values}, self._redo.stage)
         for outcome, runs in mine:
-            begin = outcome.piece.begin
-            rows = self._parts.put(rows, self._parts.rows(outcome).slice(runs.start - begin, len(runs)))
-            taken += outcome.seconds * len(runs) / len(outcome.piece)
-        name = self._parts.name(piece.index)
-        write_whole(self._redo.stage(name), self._parts.encode(Part(rows, {str(piece.index): taken}, sizes)))
+            rows = self._parts.put(rows, self._parts.rows(outcome)[_rows(runs, outcome.piece)])
+            seconds += outcome.seconds * len(runs) / len(outcome.piece)
+        write_whole(self._redo.stage(name), self._parts.encode(Part(rows, {own: seconds}, {own: sizes})))
         self._redo.commit()
-
-    def _rows_of(self, piece: Piece) -> tuple[Any, float]:
-        """Return the rows of a piece that is done, and the seconds that it took."""
-        if (self.path / self._parts.name(piece.index)).exists():
-            part = self._part(piece)
-            return part.rows, part.seconds[str(piece.index)]
-        whole = self._whole()
-        return whole.rows.slice(piece.begin, len(piece)), whole.seconds[str(piece.index)]
 
     def _sync(self) -> None:
         """Have the names of all files on the disk."""
@@ -301,32 +292,58 @@ class CampaignStore(StoredCampaign):
     def _recover(self) -> None:
         """Complete what was declared valid, and remove what is of no piece that is done, or damaged."""
         self._redo.recover()
-        damaged = []
-        if (self.path / run_parts.WHOLE).exists():
-            try:
-                self._whole()
-            except StoreError:
-                (self.path / run_parts.WHOLE).unlink()
-                damaged = sorted({p.index for p in self._pieces} - set(self._found()))
+        damaged = set()
         for index in self._found():
             try:
-                part = self._part(self._pieces[index])
-                if all(_size(self.path / key) == size for key, size in part.sizes.items()):
+                if not self._torn(self._part(self._pieces[index])):
                     continue
             except StoreError:
                 pass
-            damaged.append(index)
+            damaged.add(index)
             (self.path / self._parts.name(index)).unlink()
-        done = self.done()
+        if (self.path / run_parts.WHOLE).exists():
+            damaged |= self._recover_whole(damaged)
         if damaged:
             warnings.warn(
-                f"{len(damaged)} pieces of the campaign in {self.path} were damaged, as by a power cut; they run again.",
+                f"{len(damaged)} of {len(self._pieces)} pieces of the campaign in {self.path} were damaged, as by a power "
+                "cut; they are made again.",
                 UserWarning,
                 stacklevel=3,
             )
+        begun = [*self.path.glob(f"*{TEMPORARY}"), *(self.path / run_parts.FOLDER).glob(f"*{TEMPORARY}")]
         if self._chunks is not None:
-            for path in list(signal_chunks.stray(self.path, self._chunks, done)):
-                path.unlink(missing_ok=True)
+            begun += signal_chunks.stray(self.path, self._chunks, self.done())
+        for path in begun:
+            path.unlink()
+
+    def _recover_whole(self, damaged: set[int]) -> set[int]:
+        """Check the file of all rows; where it is not in order, leave parts in its place and return what these lack.
+
+        Of pieces whose newer parts are `damaged` it has rows that are not valid any more.
+        """
+        found = set(self._found())
+        try:
+            whole = self._whole()
+        except StoreError:
+            damaged = {piece.index for piece in self._pieces} - found
+        else:
+            damaged = (self._torn(whole) | damaged) - found
+            if not damaged:
+                return damaged
+            for piece in self._pieces:
+                if piece.index not in found | damaged:
+                    part = self._parts.of_piece(whole, piece)
+                    write_whole(self.path / self._parts.name(piece.index), self._parts.encode(part))
+        (self.path / run_parts.WHOLE).unlink()
+        return damaged
+
+    def _torn(self, part: Part) -> set[int]:
+        """Return the pieces of a part whose signals are not as long as they were when they were written."""
+        return {
+            int(piece)
+            for piece, sizes in part.sizes.items()
+            if self._chunks and [_size(self.path / key) for key in self._chunks.keys(int(piece))] != sizes
+        }
 
     def _note_environment(self, now: Mapping[str, Any]) -> None:
         other = environment.changes(self.metadata.latest, now)
@@ -360,6 +377,11 @@ class CampaignStore(StoredCampaign):
 
 def _overlap(a: Piece, b: Piece) -> range:
     return range(max(a.begin, b.begin), min(a.end, b.end))
+
+
+def _rows(runs: range, of: Piece) -> slice:
+    """Return where runs stand in the arrays of a piece."""
+    return slice(runs.start - of.begin, runs.stop - of.begin)
 
 
 def _size(path: Path) -> int:
