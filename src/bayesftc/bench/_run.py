@@ -20,6 +20,7 @@ SECTIONS = (
     "model_exchange",
     "python_control",
     "full_loop",
+    "campaign",
     "isolation",
     "export",
     "learners",
