@@ -11,9 +11,11 @@ from pathlib import Path
 
 from bayesftc.fmus._platforms import Platform, host
 
-# No contraction to fused multiply-adds and C99 arithmetic: the same digits from every compiler and on every platform.
 FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared", "-s")
+"""No contraction to fused multiply-adds and C99 arithmetic: the same digits from every compiler and on every platform."""
 
+FOREIGN_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
+"""For sources of others: their dialect and their exports are their own."""
 
 _LONGEST = 900.0
 """Seconds that a compiler may take: ziglang builds a C library first where it has none, and waits for ever for a cache that it
@@ -22,10 +24,6 @@ cannot write."""
 
 class CompilerError(RuntimeError):
     """No compiler was found, or it refused the sources."""
-
-
-# For sources of others: their dialect and their exports are their own.
-FOREIGN_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 
 
 def why_no_compiler() -> str:
@@ -58,22 +56,20 @@ def compiler_command(target: Platform | None) -> list[str]:
     CompilerError
         If there is none.
     """
-    if target is None or target == host():
-        chosen = shlex.split(os.environ.get("CC", ""))
-        if chosen:
-            if shutil.which(chosen[0]) is None:
-                raise CompilerError(
-                    f"The environment variable CC names the compiler '{chosen[0]}', which cannot be run; "
-                    "correct or unset CC."
-                )
-            return chosen
-        for name in ("cc", "gcc", "clang"):
-            if shutil.which(name) is not None:
-                return [name]
-    elif target is not None:
+    if target is not None and target != host():
         return cross_command(target)
-    if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "cc", *(["-target", target.zig_target] if target else [])]
+    chosen = shlex.split(os.environ.get("CC", ""))
+    if chosen:
+        if shutil.which(chosen[0]) is None:
+            raise CompilerError(
+                f"The environment variable CC names the compiler '{chosen[0]}', which cannot be run; correct or unset CC."
+            )
+        return chosen
+    for name in ("cc", "gcc", "clang"):
+        if shutil.which(name) is not None:
+            return [name]
+    if _has_ziglang():
+        return _ziglang(target)
     where = target.fmi3 if target else "this machine"
     raise CompilerError(
         f"No C compiler for {where} was found (looked at CC, cc, gcc, clang and ziglang); install one, "
@@ -99,12 +95,20 @@ def cross_command(target: Platform) -> list[str]:
     CompilerError
         If ``ziglang`` is not installed.
     """
-    if importlib.util.find_spec("ziglang") is None:
+    if not _has_ziglang():
         raise CompilerError(
             f"Binaries for {target.name} are made by the package ziglang, which is not installed; "
             "pip install 'bayesftc[export]'."
         )
-    return [sys.executable, "-m", "ziglang", "cc", "-target", target.zig_target]
+    return _ziglang(target)
+
+
+def _has_ziglang() -> bool:
+    return importlib.util.find_spec("ziglang") is not None
+
+
+def _ziglang(target: Platform | None) -> list[str]:
+    return [sys.executable, "-m", "ziglang", "cc", *(["-target", target.zig_target] if target else [])]
 
 
 def compile_library(
@@ -184,7 +188,7 @@ def compile_foreign(
     _run(command, folder, sources, limit)
 
 
-def _run(command: Sequence[str], folder: Path, sources: Sequence[str], limit: float | None = None) -> None:
+def _run(command: Sequence[str], folder: Path, sources: Sequence[str], limit: float) -> None:
     compiler = "ziglang" if "ziglang" in command else command[0]
     try:
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=limit)
