@@ -20,16 +20,15 @@ BASE = ("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "r
 _SAME = 1e-9
 """Relative difference up to which two factors are one: definitions are printed with ten digits or so."""
 
-_LONGEST = 100
+_LONGEST = 200
+"""Characters of a unit, with its number or without; to search longer texts for one may take for ever."""
+
 _SPELLINGS = {"Nm": "N.m", "Ohm": "ohm", "rev": "revolution", "-": "1", "1": "1"}
 _TOKEN = re.compile(
     r"\s*(?:(?P<name>[^\W\d_]+(?:_[^\W\d_]+)*|[°µμΩ%]+[^\W\d_]*)(?:\^|\*\*)?(?P<power>[+-]?\d{1,2})?(?!\d)"
     r"|(?P<one>1(?![\d.]))|(?P<sign>[*.·/() ]))"
 )
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
-_LONGEST = 200
-"""Characters of a number with its unit; to search longer texts for one may take for ever."""
-
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?=.*[^\W\d_]|.*[%°])(\S.*)\Z", re.DOTALL)
 
 
