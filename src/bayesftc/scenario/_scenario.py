@@ -132,7 +132,18 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
         What a block has against its settings (`ModelError`, `FMUError`, ...), with the place in the file before it.
     """
     file = find_scenario(path)
-    content, root = read_toml(file), Place(str(file))
+    return scenario_of(read_toml(file), file)
+
+
+def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
+    """Return the scenario that a file's content is; the file itself is only named, and is where relative paths begin.
+
+    Raises
+    ------
+    BayesFTCError
+        As `load_scenario`.
+    """
+    root = Place(str(file))
     root.refuse_unknown(content, SECTIONS, "section")
     for name in REQUIRED:
         if name not in content:

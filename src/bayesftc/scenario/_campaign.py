@@ -1,0 +1,215 @@
+"""A campaign file: which scenario, which of its lines are varied, how many runs, what is kept of them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import reduce
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.cosim._campaign.design import Design, Grid, LatinHypercube, Points, SaltelliDesign, SobolSequence
+from bayesftc.cosim._campaign.metrics import METRICS, Metric
+from bayesftc.cosim.errors import ScenarioError
+from bayesftc.scenario._files import find_scenario, read_toml
+from bayesftc.scenario._place import Place
+from bayesftc.scenario._scenario import scenario_of
+from bayesftc.scenario._schema import as_table, build, build_one_of, choose
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.campaign import Campaign
+    from bayesftc.cosim.diagram import Diagram
+
+SAMPLES = (LatinHypercube, SobolSequence, SaltelliDesign)
+"""Designs that ``[[samples]]`` may be."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What a campaign file says besides scenario, factors and metrics; see `bayesftc.cosim.Campaign`.
+
+    Attributes
+    ----------
+    seeds : int or sequence of int
+        Runs of each point, or their seeds.
+    seed, independent, record, decimation, time_limit, piece
+        As of a `Campaign`.
+    duration : float or str, optional
+        Seconds of each run; by default the scenario's.
+    """
+
+    seeds: int | Sequence[int] = 1
+    seed: int = 0
+    independent: Sequence[str] = ()
+    record: Sequence[str] = ()
+    decimation: int = 1
+    time_limit: float | None = None
+    piece: int | None = None
+    duration: float | str | None = None
+
+
+@dataclass(frozen=True)
+class ScenarioLoop:
+    """The loop of a scenario file in which some lines say something else: called with factors, it returns the diagram.
+
+    Parameters
+    ----------
+    path : str
+        The file.
+    content : mapping
+        What it says.
+    """
+
+    path: str
+    content: Mapping[str, Any] = field(repr=False)
+
+    def __call__(self, **factors: Any) -> Diagram:
+        """Return the diagram with these lines changed; the names are paths in the file, such as ``"faults[0].start"``."""
+        content = deepcopy(dict(self.content))
+        for name, value in factors.items():
+            _set(content, name, deepcopy(value))
+        return scenario_of(content, Path(self.path)).loop()
+
+
+def load_campaign(path: str | os.PathLike[str]) -> Campaign:
+    """Read a campaign file and check all that it says.
+
+    Parameters
+    ----------
+    path : str or path
+        A TOML file; the scenario that it names is relative to it, or a shipped one.
+
+    Returns
+    -------
+    Campaign
+        Ready to run.
+
+    Raises
+    ------
+    ScenarioError
+        If a file cannot be read, has an unknown key, lacks one, or one of a wrong type: the sentence says which and where.
+    BayesFTCError
+        What the loop has against its settings at the first point.
+    """
+    from bayesftc.cosim.campaign import Campaign
+
+    file = Path(path).expanduser()
+    content, root = dict(read_toml(file)), Place(str(file))
+    root.refuse_unknown(content, ["scenario", "factors", "points", "samples", "metrics", *_names(Runs)])
+    if "scenario" not in content:
+        raise root.error(
+            "lacks 'scenario'; add scenario = '...', a scenario file beside this one, or the name of a shipped one."
+        )
+    named = content.pop("scenario")
+    if not isinstance(named, str):
+        raise (root / "scenario").error(
+            f"is {named!r}; it must be a file or the name of a shipped scenario, in quotes."
+        )
+    beside = file.absolute().parent / named
+    scenario = beside if beside.is_file() else find_scenario(named)
+    loop = ScenarioLoop(str(scenario.absolute()), read_toml(scenario))
+    design = _design(content, root)
+    metrics = _metrics(content.pop("metrics", []), root / "metrics")
+    runs: Runs = build(Runs, content, root)
+    own = scenario_of(loop.content, Path(loop.path)).simulation
+    settings = {name: getattr(runs, name) for name in _names(Runs) if name != "duration"}
+    with root.named():
+        return Campaign(loop, duration=_duration(runs.duration, own.duration), grid=design, metrics=metrics, **settings)
+
+
+def _duration(given: float | str | None, otherwise: float | str) -> float | str | Fraction:
+    return otherwise if given is None else given
+
+
+def _names(cls: Any) -> list[str]:
+    return list(cls.__dataclass_fields__)
+
+
+def _design(content: dict[str, Any], root: Place) -> Design | None:
+    """Return the product of the designs that a file names, without the keys that name them."""
+    designs: list[Design] = []
+    if "points" in content:
+        points = content.pop("points")
+        with (root / "points").named():
+            designs.append(Points(points))
+    samples = content.pop("samples", [])
+    for i, table in enumerate([samples] if isinstance(samples, Mapping) else samples):
+        place = root / "samples" / i
+        cls, rest = choose(SAMPLES, table, place)
+        ranges = as_table(rest.pop("ranges", None), place / "ranges")
+        designs.append(build(cls, rest, place, given={"ranges": {n: _range(r) for n, r in ranges.items()}}))
+    if "factors" in content:
+        place = root / "factors"
+        factors = as_table(content.pop("factors"), place)
+        with place.named():
+            designs.append(Grid({name: _values(values, place / name) for name, values in factors.items()}))
+    return reduce(lambda one, other: one * other, designs) if designs else None
+
+
+def _range(given: Any) -> Any:
+    """Return a range: whole numbers from one to another, both included, where both ends are whole."""
+    if isinstance(given, list) and len(given) == 2 and all(type(end) is int for end in given):
+        return range(given[0], given[1] + 1)
+    return tuple(given) if isinstance(given, list) else given
+
+
+def _values(given: Any, place: Place) -> Any:
+    """Return the values of a factor; a table has labels, and so has a list of tables with a ``label`` or a ``kind``."""
+    if isinstance(given, Mapping):
+        return dict(given)
+    if not isinstance(given, list):
+        raise place.error(f"is {given!r}; it must be a list of values, or a table with a value for each label.")
+    if any(isinstance(value, Mapping | list) for value in given):
+        return {_label(value, i): _without_label(value) for i, value in enumerate(given)}
+    return given
+
+
+def _label(value: Any, i: int) -> Any:
+    if not isinstance(value, Mapping):
+        return str(value) if isinstance(value, list) else value
+    return value.get("label") or value.get("kind") or f"value {i}"
+
+
+def _without_label(value: Any) -> Any:
+    return {name: item for name, item in value.items() if name != "label"} if isinstance(value, Mapping) else value
+
+
+def _metrics(given: Any, place: Place) -> list[Metric]:
+    if not isinstance(given, list):
+        raise place.error(f"is {given!r}; it must be a list of tables, as [[metrics]] with kind = 'RMSE'.")
+    return [
+        build_one_of(METRICS, {"kind": table} if isinstance(table, str) else table, place / i)
+        for i, table in enumerate(given)
+    ]
+
+
+def _set(content: Any, path: str, value: Any) -> None:
+    """Change what stands at a path of keys and numbers; of a table the last key may be new."""
+    steps: list[str | int] = [
+        int(number) if number else key for key, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", path)
+    ]
+    at, so_far = content, ""
+    for i, step in enumerate(steps):
+        last = i == len(steps) - 1
+        if isinstance(at, Mapping) and isinstance(step, str):
+            if last:
+                at[step] = value  # type: ignore[index]
+                return
+            if step not in at:
+                raise ScenarioError(
+                    f"The factor {path!r}: the scenario has no {step!r}{so_far}; name what stands there."
+                )
+        elif isinstance(at, list) and isinstance(step, int) and step < len(at):
+            if last:
+                at[step] = value
+                return
+        else:
+            raise ScenarioError(f"The factor {path!r}: the scenario has no {step!r}{so_far}; name what stands there.")
+        at, so_far = at[step], f" in {'.'.join(map(str, steps[: i + 1]))}"
+
+
+__all__ = ["ScenarioLoop", "load_campaign"]
