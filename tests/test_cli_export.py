@@ -75,6 +75,8 @@ def test_several_blocks_become_one(bayesftc_, scenarios, c_compiler):
     assert done.exit_code == 0, done.output
     assert "front.fmu: FMI 3.0, " in done.output
     assert "inputs   sensors.u in m/s, sensors.noise (2), controller.goal (1)" in done.output
+    assert "tunable  sensors.std in m/s, " in done.output
+    assert "freeze_0.start in s, freeze_0.stop in s, " in done.output
     done = bayesftc_("verify", "front.fmu", "--against", car, "--duration", 8, "--isolate")
     assert done.exit_code == 0, done.output
     assert "what sensors, freeze_0 and controller do: the same numbers" in done.output

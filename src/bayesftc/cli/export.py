@@ -86,9 +86,9 @@ def _report(path: Path) -> None:
     )
     _say(f"inputs   {_listed(fmu.inputs)}")
     _say(f"outputs  {_listed(fmu.outputs)}")
-    tunable = [v.name for v in description.variables if v.causality == "parameter" and v.variability == "tunable"]
+    tunable = [v for v in description.variables if v.causality == "parameter" and v.variability == "tunable"]
     if tunable:
-        _say(f"tunable  {_some(tunable)}")
+        _say(f"tunable  {_some([f'{v.name}{_measured(v.unit)}' for v in tunable])}")
     _say(f"step     {description.default_experiment['stepSize']:g} s, no other")
     _say(f"timing   {_timing(fmu)}")
 
@@ -105,8 +105,12 @@ def _listed(ports: Any) -> str:
     for port in ports:
         whole, bracket, index = port.name.partition("[")
         sizes = [int(i) + 1 for i in index.rstrip("]").split(",")] if bracket else list(port.shape)
-        found[whole] = (f" ({'x'.join(map(str, sizes))})" if sizes else "") + (f" in {port.unit}" if port.unit else "")
+        found[whole] = (f" ({'x'.join(map(str, sizes))})" if sizes else "") + _measured(port.unit)
     return _some([name + rest for name, rest in found.items()]) or "none"
+
+
+def _measured(unit: str | None) -> str:
+    return f" in {unit}" if unit else ""
 
 
 def _some(names: Sequence[str]) -> str:
