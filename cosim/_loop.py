@@ -3,8 +3,9 @@
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba.extending import intrinsic
 
+from bayesftc.cosim._numba_called import callee, inlined
 from bayesftc.cosim.random import CHUNK, fill
 from bayesftc.cosim.schedule import NOT_FINITE
 
@@ -50,7 +51,7 @@ def put_back(typingctx, function, instance, state):
 
 
 # Inlined: as a call of its own, numba passes 32 words of array descriptions, twice a step, which took longer than the FMU.
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
     # Unsigned, so that numba leaves out what would make negative indices count from the end: a tenth of the time of a small loop.
     for c in range(np.uint64(begin), np.uint64(end)):
@@ -78,13 +79,13 @@ def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
     return True
 
 
-@register_jitable(error_model="numpy")
+@callee
 def phase(calls, begin, end, gathers, memory, t, k, failed):
     """Make the calls from row `begin` to `end` at step `k`; return whether all went well, else ``failed`` says which did not."""
     return _phase(calls, begin, end, gathers, memory, memory.ctypes.data, t, k, failed)
 
 
-@register_jitable(error_model="numpy")
+@callee
 def run(
     calls, evaluations, gathers, seed, streams, drawn, buffer, memory, recorded, recording, decimation,
     before, first, begin, end, numerator, denominator, failed,
@@ -121,7 +122,7 @@ def run(
         evaluate = True
 
 
-@register_jitable(error_model="numpy")
+@callee
 def run_many(
     calls, evaluations, gathers, seeds, streams, drawn, buffer, memory, initial, states, fresh, recorded, recordings, decimation,
     end, numerator, denominator, reached, failed,

@@ -5,7 +5,7 @@
 
 from llvmlite import ir
 from numba import carray, types
-from numba.extending import intrinsic, register_jitable
+from numba.extending import intrinsic
 
 from bayesftc.cosim._compiler import as_floats
 from bayesftc.cosim._coupled.steps import PART, RECORD_WORDS, SAVING, STATUS, WORK_ROWS, build
@@ -24,11 +24,8 @@ from bayesftc.cosim._loop import (
     STATE,
     call_block,
 )
-from bayesftc.cosim._numba_ops import OPTIONS
+from bayesftc.cosim._numba_called import callee
 from bayesftc.cosim.schedule import NOT_FINITE
-
-# As functions below a step function, but not inlined wherever they are called.
-_part = register_jitable(**{**OPTIONS, "forceinline": False})
 
 # The table of parts has the columns of the loop's table of calls, and whether the time is that of the end of the step.
 LATE = LOOP_COLUMNS
@@ -67,7 +64,7 @@ def call_state(typingctx, function, component, state):
     return types.int32(types.int64, types.int64, types.int64), codegen
 
 
-@_part
+@callee
 def _sweep(machine, memory, t, h, k, record):
     base, parts, gathers, _, _, _ = machine
     for c in range(parts.shape[0]):
@@ -93,7 +90,7 @@ def _sweep(machine, memory, t, h, k, record):
     return 0
 
 
-@_part
+@callee
 def _save(machine, memory, slot):
     base, _, _, fmus, states, kept = machine
     at = 0
@@ -109,7 +106,7 @@ def _save(machine, memory, slot):
     return 0
 
 
-@_part
+@callee
 def _restore(machine, memory, slot):
     base, _, _, fmus, states, kept = machine
     at = 0
@@ -125,7 +122,7 @@ def _restore(machine, memory, slot):
     return 0
 
 
-@_part
+@callee
 def _forget(machine, memory, slot):
     base, _, _, fmus, _, _ = machine
     for f in range(fmus.shape[0]):
@@ -137,14 +134,14 @@ def _forget(machine, memory, slot):
     return 0
 
 
-@_part
+@callee
 def _resize(machine, memory, h):
     _, _, _, fmus, _, _ = machine
     for f in range(fmus.shape[0]):
         memory[fmus[f, 1]] = h
 
 
-_compute = build(_sweep, _save, _restore, _forget, _resize, _part)
+_compute = build(_sweep, _save, _restore, _forget, _resize, callee)
 
 
 def group(state, parameters, inputs, outputs, t, k):

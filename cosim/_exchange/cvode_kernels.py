@@ -3,8 +3,6 @@
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
 
-from numba.extending import register_jitable
-
 from bayesftc.cosim._exchange.calls import at_time, integrate, restart
 from bayesftc.cosim._exchange.right import indicators, place, slope, step_is_completed
 from bayesftc.cosim._exchange.words import (
@@ -34,6 +32,7 @@ from bayesftc.cosim._exchange.words import (
     X,
 )  # fmt: skip
 from bayesftc.cosim._fmi.kernels import number, put_number, put_word, word
+from bayesftc.cosim._numba_called import callee, inlined
 
 _NORMAL, _ONE_STEP = 1, 2
 _ROOT, _ROOTS_FAILED = 2, -12
@@ -58,7 +57,7 @@ def cvode_roots(t, y, values, table):
     return status
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _cvode_from(table, t, stop):
     """Begin anew at the present states, to go as far as `stop`; return CVODE's flag."""
     memory = word(table, MEMORY)
@@ -66,13 +65,13 @@ def _cvode_from(table, t, stop):
     return at_time(word(table, SET_STOP), memory, stop) if flag == 0 else flag
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _copy(source, target, count):
     for i in range(count):
         put_word(target, i, word(source, i))
 
 
-@register_jitable(error_model="numpy")
+@callee
 def cvode(table, t, end):
     """Do what `runge_kutta` does, by CVODE."""
     memory, y, x, size = word(table, MEMORY), word(table, VECTOR), word(table, X), word(table, STATES)
@@ -119,7 +118,7 @@ def cvode(table, t, end):
     return -1
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _may_do_with_less(table):
     role = word(table, ROLE)
     return word(table, STATUS) == 2 and role in (GET_INDICATORS, NAN_INDICATOR)

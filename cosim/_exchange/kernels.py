@@ -8,8 +8,6 @@ Nothing here returns to Python, so that a right-hand side costs what the FMU's o
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
 
-from numba.extending import register_jitable
-
 from bayesftc.cosim._exchange.calls import at_time, plain, restart, update2, update3, vector
 from bayesftc.cosim._exchange.cvode_kernels import cvode
 from bayesftc.cosim._exchange.right import failed, not_finite
@@ -83,11 +81,12 @@ from bayesftc.cosim._fmi.kernels import (
     word,
 )
 from bayesftc.cosim._fmi.typed_kernels import GROUP_WORDS, put, take
+from bayesftc.cosim._numba_called import callee, inlined
 
 _INFINITY = float("inf")
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _called(table, role, status):
     if failed(table, number(table, TIME), role, status) == 0:
         return 0
@@ -95,7 +94,7 @@ def _called(table, role, status):
     return STOPPED
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _set_tolerances(table):
     """Take absolute tolerances from the nominal values, as they are now."""
     count, tolerances = word(table, STATES), word(table, TOLERANCES)
@@ -120,7 +119,7 @@ def _set_tolerances(table):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _settle(table):
     """Iterate the discrete states until they stay, and go on to continuous-time mode."""
     component, info, nominals = word(table, COMPONENT), table + 8 * INFO, False
@@ -164,12 +163,12 @@ def _settle(table):
     return 0
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _enter_event_mode(table):
     return _called(table, ENTER_EVENT, plain(word(table, ENTER_EVENT), word(table, COMPONENT)))
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _take(table, inputs):
     """Let the inputs jump to what they are now, which is an event."""
     size, held = word(table, IN_SIZE), word(table, INPUTS)
@@ -191,7 +190,7 @@ def _take(table, inputs):
     return _settle(table)
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _read(table, outputs):
     major, component = word(table, MAJOR), word(table, COMPONENT)
     note, first = table + 8 * UNFIT, word(table, OUT_GROUPS)
@@ -202,7 +201,7 @@ def _read(table, outputs):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _refused(table, role, code):
     """Note why inputs could not be set or outputs read."""
     if code in (UNFIT_IN, UNFIT_OUT):
@@ -211,7 +210,7 @@ def _refused(table, role, code):
     return _called(table, role, code - (SET if role == SET_VALUES else GET))
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _stretch(table, target):
     """Go to a time, or to an event before it; return 1 for an event, 0 for none, -1 if the reason is in the table."""
     t, which = number(table, TIME), word(table, INTEGRATOR)
@@ -226,7 +225,7 @@ def _stretch(table, target):
     return answer
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _advance(parameters, inputs, t, k):
     """Take the FMU to the next communication point, from event to event."""
     table, h = word(parameters, 0), number(parameters, STEP_WORD)

@@ -3,8 +3,6 @@
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc"
 
-from numba.extending import register_jitable
-
 from bayesftc.cosim._exchange.calls import at_time, completed, vector
 from bayesftc.cosim._exchange.words import (
     CALL,
@@ -28,9 +26,10 @@ from bayesftc.cosim._exchange.words import (
     WHEN,
 )
 from bayesftc.cosim._fmi.kernels import number, put_number, put_word, word
+from bayesftc.cosim._numba_called import callee, inlined
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def failed(table, t, role, status):
     """Note a call that failed; return 0 for none, 1 to try a smaller step (Discard), -1 to give up."""
     if 0 <= status <= 1:
@@ -41,7 +40,7 @@ def failed(table, t, role, status):
     return 1 if status == 2 else -1
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def place(table, t, x):
     """Bring the FMU to a time and to the states at an address."""
     component, count = word(table, COMPONENT), word(table, STATES)
@@ -51,7 +50,7 @@ def place(table, t, x):
     return failed(table, t, SET_STATES, vector(word(table, SET_STATES), component, x, count))
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def not_finite(values, count):
     """Return whether some of these numbers are NaN or infinite."""
     for i in range(count):
@@ -61,7 +60,7 @@ def not_finite(values, count):
     return False
 
 
-@register_jitable(error_model="numpy")
+@callee
 def slope(table, t, x, values):
     """Write the derivatives; without any states, that of the constant that stands for them."""
     status = place(table, t, x)
@@ -78,7 +77,7 @@ def slope(table, t, x, values):
     return status
 
 
-@register_jitable(error_model="numpy")
+@callee
 def indicators(table, t, x, values):
     """Write the event indicators."""
     status = place(table, t, x)
@@ -92,7 +91,7 @@ def indicators(table, t, x, values):
     return status
 
 
-@register_jitable(error_model="numpy")
+@callee
 def step_is_completed(table, t):
     """Tell the FMU that a step of the integrator is completed; return 1 if it wants event mode, -1 if all is over, else 0."""
     put_word(table, ENTER, 0)

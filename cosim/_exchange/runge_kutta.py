@@ -9,7 +9,6 @@ order one. Tableau, error norm, first step and interpolant (Shampine 1986) are t
 
 import numpy as np
 from numba import carray
-from numba.extending import register_jitable
 
 from bayesftc.cosim._compiler import as_floats
 from bayesftc.cosim._exchange.right import indicators, place, slope, step_is_completed
@@ -32,6 +31,7 @@ from bayesftc.cosim._exchange.words import (
     X,
 )
 from bayesftc.cosim._fmi.kernels import number, put_number, put_word, word
+from bayesftc.cosim._numba_called import callee
 
 NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
 STAGES = (
@@ -60,7 +60,7 @@ VECTORS = 11
 """Vectors of states in the memory to work in: seven slopes, the states of a stage, at the beginning, at the end, in between."""
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _norm(values, scale):
     total = 0.0
     for i in range(len(values)):
@@ -68,7 +68,7 @@ def _norm(values, scale):
     return np.sqrt(total / max(len(values), 1))
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _first_step(table, t, span, x, k, stage, scale, direct):
     """Return a first step size by Hairer, Norsett and Wanner (1993), II.4; `direct` has the places of `stage` and of k[1]."""
     n = len(x)
@@ -88,7 +88,7 @@ def _first_step(table, t, span, x, k, stage, scale, direct):
     return min(100 * h, other, span)
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _same_signs(a, b):
     changes = 0
     for i in range(len(a)):
@@ -96,7 +96,7 @@ def _same_signs(a, b):
     return changes == 0
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _interpolate(x, k, h, part, between):
     for i in range(len(x)):
         total = 0.0
@@ -106,13 +106,13 @@ def _interpolate(x, k, h, part, between):
         between[i] = x[i] + h * total
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _stop(table, reason, flag):
     put_word(table, REASON, reason)
     return flag
 
 
-@register_jitable(error_model="numpy")
+@callee
 def runge_kutta(table, t, end):
     """Integrate to `end`, or to an event before it; return 1 for an event, 0 for none, -1 if the reason is in the table."""
     n, m, work, rtol = word(table, STATES), word(table, INDICATORS), word(table, WORK), number(table, RTOL)

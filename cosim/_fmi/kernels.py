@@ -14,7 +14,9 @@ import math
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba.extending import intrinsic
+
+from bayesftc.cosim._numba_called import callee, inlined
 
 GET, SET, STEP, EVENTS = 100, 200, 300, 500
 EARLY, TERMINATED, ENDLESS = 401, 402, 403
@@ -174,12 +176,12 @@ def put_number(typingctx, address, index, value):
     return types.void(types.int64, types.int64, types.float64), codegen
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def failed(where, status):
     return where + status if status > 1 or status < 0 else 0
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _get2(parameters, outputs):
     count = word(parameters, OUTPUT_COUNT)
     if count == 0:
@@ -188,7 +190,7 @@ def _get2(parameters, outputs):
     return failed(GET, values2(word(parameters, GET_REAL), word(parameters, COMPONENT), references, count, outputs))
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _get3(parameters, outputs):
     count = word(parameters, OUTPUT_COUNT)
     if count == 0:
@@ -199,7 +201,7 @@ def _get3(parameters, outputs):
     )
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _step2(parameters, inputs, t):
     component = word(parameters, COMPONENT)
     count = word(parameters, INPUT_COUNT)
@@ -210,7 +212,7 @@ def _step2(parameters, inputs, t):
     return do_step2(parameters, t)
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def do_step2(parameters, t):
     """Make a step of an FMI 2 instance, in parts if it is discarded and the instance can do that."""
     h = number(parameters, STEP_SIZE)
@@ -220,7 +222,7 @@ def do_step2(parameters, t):
     return failed(STEP, status)
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _in_parts2(parameters, t, h):
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
     answer = scratch + 8 * ANSWER
@@ -256,7 +258,7 @@ def _in_parts2(parameters, t, h):
     return ENDLESS
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _step3(parameters, inputs, t):
     count = word(parameters, INPUT_COUNT)
     if count > 0:
@@ -269,7 +271,7 @@ def _step3(parameters, inputs, t):
     return do_step3(parameters, t)
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def do_step3(parameters, t):
     """Make a step of an FMI 3 instance without event mode, to its end if it returns early or is discarded."""
     h = number(parameters, STEP_SIZE)
@@ -284,7 +286,7 @@ def do_step3(parameters, t):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@callee
 def do_event_step3(parameters, t):
     """Make a step of an FMI 3 instance that uses event mode, with the events within it and at its end."""
     h = number(parameters, STEP_SIZE)
@@ -293,7 +295,7 @@ def do_event_step3(parameters, t):
     return _go_on3(parameters, t, h, size, status)
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _go_on3(parameters, t, h, size, status):
     """Bring a step to its end, of which the first part, of this size, has returned this status."""
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
@@ -328,13 +330,13 @@ def _go_on3(parameters, t, h, size, status):
     return ENDLESS
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _next_event3(scratch):
     """Return when the instance wants the next time event: what fmi3UpdateDiscreteStates said last."""
     return number(scratch, NEXT_TIME) if word(scratch, NEXT_DEFINED) != 0 else np.inf
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _part3(parameters, now, size, slack):
     """Return the size of the next part of a step: no more than to the next time event, where the step may be cut there."""
     if word(parameters, ENTER_EVENT_MODE) == 0:
@@ -349,7 +351,7 @@ def _part3(parameters, now, size, slack):
     return part if part < size - slack else size
 
 
-@register_jitable(error_model="numpy")
+@callee
 def settle3(parameters):
     """Update the discrete states of an FMI 3 instance in event mode until they stay, and go back to step mode."""
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)

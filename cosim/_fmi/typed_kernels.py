@@ -11,7 +11,7 @@ that the type does not hold is an error, never rounded or cut, except that a Flo
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba.extending import intrinsic
 
 from bayesftc.cosim._fmi.kernels import (
     COMPONENT,
@@ -40,6 +40,7 @@ from bayesftc.cosim._fmi.kernels import (
     values3,
     word,
 )
+from bayesftc.cosim._numba_called import callee
 
 # Words of a group.
 FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ = range(11)
@@ -109,7 +110,7 @@ def store(typingctx, address, index, code, value):
     return types.void(types.int64, types.int64, types.int64, types.float64), codegen
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _fits(group, code, value):
     low, limit = number(group, LOW), number(group, LIMIT)
     if code == FLOAT32:
@@ -117,7 +118,7 @@ def _fits(group, code, value):
     return value >= low and value < limit and value == np.floor(value)
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _call(major, component, group, buffer):
     function = word(group, FUNCTION)
     references, count = word(group, REFERENCES), word(group, COUNT)
@@ -126,7 +127,7 @@ def _call(major, component, group, buffer):
     return values3(function, component, references, count, buffer, word(group, SIZE))
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _noted(note, group, status):
     """Remember whose call has failed."""
     if status != 0:
@@ -134,7 +135,7 @@ def _noted(note, group, status):
     return status
 
 
-@register_jitable(error_model="numpy")
+@callee
 def put(major, component, note, inputs, group):
     """Set a group of inputs; return 0, `SET` plus FMI's status, or `UNFIT_INPUT`: the word at `note` has the group or element."""
     begin = inputs + 8 * word(group, BEGIN)
@@ -150,7 +151,7 @@ def put(major, component, note, inputs, group):
     return _noted(note, group, failed(SET, _call(major, component, group, buffer)))
 
 
-@register_jitable(error_model="numpy")
+@callee
 def take(major, component, note, outputs, group):
     """Read a group of outputs; return 0, `GET` plus FMI's status, or `UNFIT_OUTPUT`, with the word at `note` as in `put`."""
     begin = outputs + 8 * word(group, BEGIN)
@@ -170,7 +171,7 @@ def take(major, component, note, outputs, group):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _changed(parameters, inputs, group):
     """Return 1 if a group of discrete inputs is another than the instance has, 0 if it is not, else a status.
 
@@ -189,7 +190,7 @@ def _changed(parameters, inputs, group):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _set_all(major, parameters, inputs):
     """Set the inputs, all of them in event mode if one has changed that may only change at events.
 
@@ -219,7 +220,7 @@ def _set_all(major, parameters, inputs):
     return status
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _get_all(major, parameters, outputs):
     first, component = word(parameters, OUTPUT_GROUPS), word(parameters, COMPONENT)
     note = word(parameters, SCRATCH) + 8 * UNFIT
@@ -230,7 +231,7 @@ def _get_all(major, parameters, outputs):
     return 0
 
 
-@register_jitable(error_model="numpy")
+@callee
 def _step3(parameters, t):
     if word(parameters, ENTER_EVENT_MODE) != 0:
         return do_event_step3(parameters, t)

@@ -9,11 +9,12 @@ one, `serve`, answers steps until something else is asked for.
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba.extending import intrinsic
 
 from bayesftc.cosim._fmi.kernels import number, word
 from bayesftc.cosim._isolation import protocol
 from bayesftc.cosim._loop import call_block
+from bayesftc.cosim._numba_called import inlined
 
 # Words of the host's table.
 SEND, RECEIVE, WHERE, SOCKET, SHARED, INPUT_COUNT, OUTPUT_COUNT, ATTEND, STEP_SIZE = range(9)
@@ -85,7 +86,7 @@ def set_number(typingctx, address, index, value):
     return types.void(types.int64, types.int64, types.float64), codegen
 
 
-@register_jitable(error_model="numpy", forceinline=True)
+@inlined
 def _exchange(command, parameters, inputs, t, k):
     shared = word(parameters, SHARED)
     for i in range(word(parameters, INPUT_COUNT)):
