@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from bayesftc.bench.full_loop import EXPERIMENT, SETTING, full_diagram
 
 if TYPE_CHECKING:
     from bayesftc.cosim.campaign import Campaign
+    from bayesftc.cosim.diagram import Diagram
 
 MANY = 100_000
 """Runs of the large campaign."""
@@ -50,10 +52,10 @@ def measure(quick: bool = False) -> Section:
     runs, few, rounds = (200, 4, 2) if quick else (8_000, 40, 7)
     campaign, diagram = speed_campaign(runs), full_diagram()
     on_cores = {"one": 1, "all": cores()}
-    measured = {name: lambda n=n: _rate(campaign, n) for name, n in on_cores.items()}
-    measured["bare"] = lambda: _bare_rate(diagram, runs * EXPERIMENT // 4)
+    measured = {name: partial(_rate, campaign, n) for name, n in on_cores.items()}
+    measured["bare"] = partial(_bare_rate, diagram, runs * EXPERIMENT // 4)
     with _pool(on_cores["all"]) as pool:
-        measured["user"] = lambda: _user_rate(pool, few, on_cores["all"])
+        measured["user"] = partial(_user_rate, pool, few, on_cores["all"])
         _rate(speed_campaign(2), 1)
         rates = in_turns(measured, rounds)
     seconds, memory, reason = _large(1_000 if quick else MANY, 1 if quick else 3)
@@ -93,10 +95,7 @@ def _rate(campaign: Campaign, threads: int) -> float:
     return campaign.runs * EXPERIMENT / (time.perf_counter() - began)
 
 
-def _bare_rate(diagram: object, steps: int) -> float:
-    from bayesftc.cosim.diagram import Diagram
-
-    assert isinstance(diagram, Diagram)
+def _bare_rate(diagram: Diagram, steps: int) -> float:
     began = time.perf_counter()
     diagram.simulate(steps * diagram.step, seed=1, record=("plant.v", "reference.y"))
     return steps / (time.perf_counter() - began)

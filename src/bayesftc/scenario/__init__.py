@@ -5,11 +5,8 @@
 >>> result = scenario.simulate(duration=1.0)
 """
 
-from bayesftc.scenario._campaign import ScenarioLoop, load_campaign
 from bayesftc.scenario._files import find_scenario, shipped_scenarios
 from bayesftc.scenario._scenario import Scenario, load_scenario
 from bayesftc.scenario._sections import Simulation
 
-__all__ = [
-    "Scenario", "ScenarioLoop", "Simulation", "find_scenario", "load_campaign", "load_scenario", "shipped_scenarios",
-]  # fmt: skip
+__all__ = ["Scenario", "Simulation", "find_scenario", "load_scenario", "shipped_scenarios"]
