@@ -1,6 +1,8 @@
 """The public names of `bayesftc.cosim.statistics`, and where they stand; loaded on first use."""
 
+from ._calibration import Calibration as Calibration, calibration as calibration, mean_reliability as mean_reliability
 from ._compare import compare as compare
+from ._delays import delay_curve as delay_curve
 from ._differences import corrected as corrected, outcomes as outcomes
 from ._intervals import (
     bootstrap_interval as bootstrap_interval,

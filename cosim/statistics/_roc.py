@@ -32,8 +32,8 @@ def roc_rates() -> Floats:
 def roc_curve(faulty: Flags, score: Floats) -> Floats:
     """Return the true positive rate of a single record at each of the false positive rates of `roc_rates`.
 
-    At the rate 0 that is the share of faulty samples whose score is at least the highest healthy one. Where healthy samples tie, the
-    curve is a straight line over them, as if chance decided.
+    At the rate 0 that is the share of faulty samples whose score is at least the highest healthy one. Where healthy samples tie,
+    the curve is a straight line over them, as if chance decided.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import auc as area
 from bayesftc.cosim.probabilities import reliability
 from bayesftc.cosim.signals import Flags
-from bayesftc.cosim.statistics import interval
+from bayesftc.cosim.statistics import interval, mean_reliability
 from bayesftc.reproduce import _residuals
 from bayesftc.reproduce._bound_filter import PosteriorFilter
 from bayesftc.reproduce._detection import GROUP, Bench
@@ -197,8 +197,5 @@ def _calibration(bench: Bench, records: Sequence[Record], odds: Sequence[Floats]
         )
         for r, o in zip(records, odds, strict=True)
     ]
-    errors, scores = (np.array([getattr(r, name) for r in found]) for name in ("calibration_error", "brier"))
-    return {
-        "ece": {"mean": float(errors.mean()), "ci": interval(errors)},
-        "brier": {"mean": float(scores.mean()), "ci": interval(scores)},
-    }
+    means = mean_reliability(found)
+    return {name: means[name] for name in ("ece", "brier")}

@@ -1,0 +1,185 @@
+"""Calibration of fault probabilities over many runs: reliability diagram and scores, with intervals that count runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.metrics import NAN, without_nan
+from bayesftc.cosim.probabilities import Reliability, bins_of, reliability
+from bayesftc.cosim.statistics._intervals import check_level, interval, ratio
+from bayesftc.cosim.statistics._runs import by_run, pooled
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """How well the fault probabilities of many runs agree with what happened; made by `calibration`.
+
+    Attributes
+    ----------
+    pooled : Reliability
+        Diagram, Brier score and calibration error of all samples together.
+    brier_interval, calibration_error_interval : tuple of float
+        Confidence intervals of `pooled.brier` and `pooled.calibration_error`; NaN with less than two runs.
+    observed_low, observed_high : ndarray of shape (bins,)
+        Confidence interval of `pooled.observed`, the share of faulty samples in each bin; NaN where less than two runs have a
+        sample in it.
+    level : float
+        Probability that an interval covers.
+    runs, left_out : int
+        Number of runs with a probability, and of those without one.
+    """
+
+    pooled: Reliability
+    brier_interval: tuple[float, float]
+    calibration_error_interval: tuple[float, float]
+    observed_low: Floats = field(repr=False)
+    observed_high: Floats = field(repr=False)
+    level: float
+    runs: int
+    left_out: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for a JSON file; NaN becomes None."""
+        own = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in vars(self).items() if n != "pooled"}
+        plain: dict[str, Any] = without_nan({**self.pooled.to_dict(), **own})
+        return plain
+
+
+def calibration(
+    probability: ArrayLike | Sequence[ArrayLike],
+    faulty: ArrayLike | Sequence[ArrayLike],
+    *,
+    bins: int = 10,
+    equal: Literal["counts", "widths"] = "counts",
+    level: float = 0.95,
+) -> Calibration:
+    """Return how well the fault probabilities of many runs agree with the truth, with error bars over runs.
+
+    Samples of a run depend on each other, since faults last: an interval that counts samples would be too narrow by far. Here
+    shares are ratios of sums over runs (delta method), and the calibration error, which is none, has the interval of the
+    jackknife (leaving out one run after the other), both with Student's t. In a bin without a faulty sample, or with no other,
+    runs do not scatter: there it is the exact interval of a share (Clopper and Pearson 1934), each run counting as one sample.
+
+    Parameters
+    ----------
+    probability : array_like of shape (runs, steps) or (runs, steps, sensors), or a sequence with a smaller array for each run
+        Fault probabilities; samples without one (NaN), such as those after a run has failed, are left out.
+    faulty : array_like of bool, or a sequence of such
+        The truth, of the same shapes.
+    bins : int
+        Number of bins; the same for all runs.
+    equal : str
+        ``"counts"``: all bins have equally many samples; ``"widths"``: all have the same width. See `bayesftc.cosim.reliability`.
+    level : float
+        Probability that an interval covers.
+
+    Raises
+    ------
+    ModelError
+        What `bayesftc.cosim.reliability` raises.
+    """
+    check_level(level)
+    runs = by_run("probability", probability, faulty)
+    p, truth, run = pooled(runs)
+    total = reliability(p, truth, bins=bins, equal=equal)
+    place, happened = bins_of(p, bins, equal), truth.astype(np.float64)
+    count, predicted, observed = (
+        np.bincount(run * bins + place, weights, len(runs) * bins).reshape(len(runs), bins)
+        for weights in (None, p, happened)
+    )
+    known = count.sum(axis=1) > 0
+    count, predicted, observed = count[known], predicted[known], observed[known]
+    squares = np.bincount(run, (p - happened) ** 2, len(runs))[known]
+    low, high = np.transpose([_share(o, n, level) for o, n in zip(observed.T, count.T, strict=True)])
+    return Calibration(
+        pooled=total,
+        brier_interval=_share(squares, count.sum(axis=1), level),
+        calibration_error_interval=_jackknifed(predicted, observed, count, level),
+        observed_low=low,
+        observed_high=high,
+        level=level,
+        runs=len(count),
+        left_out=len(runs) - len(count),
+    )
+
+
+def _share(part: Floats, whole: Floats, level: float) -> tuple[float, float]:
+    """Return the interval of a share, of sums over runs."""
+    runs = int((whole > 0).sum())
+    if runs < 2:
+        return NAN, NAN
+    if part.sum() in (0.0, whole.sum()):
+        far = ((1.0 - level) / 2) ** (1.0 / runs)
+        return (0.0, 1.0 - far) if part.sum() == 0.0 else (far, 1.0)
+    low, high = ratio(part, whole, level)[1]
+    return max(low, 0.0), min(high, 1.0)
+
+
+def _jackknifed(predicted: Floats, observed: Floats, count: Floats, level: float) -> tuple[float, float]:
+    """Return the interval of the calibration error by the delete-one jackknife."""
+    from scipy.special import stdtrit
+
+    runs = len(count)
+    if runs < 2:
+        return NAN, NAN
+    gap, samples = predicted - observed, count.sum(axis=1)
+    whole = np.abs(gap.sum(axis=0)).sum() / samples.sum()
+    without = np.abs(gap.sum(axis=0) - gap).sum(axis=1) / (samples.sum() - samples)
+    half = stdtrit(runs - 1, 0.5 + level / 2) * (runs - 1) ** 0.5 * without.std()
+    return max(float(whole - half), 0.0), min(float(whole + half), 1.0)
+
+
+def mean_reliability(runs: Sequence[Reliability], level: float = 0.95) -> dict[str, Any]:
+    """Return the mean over runs of what `bayesftc.cosim.reliability` finds in each one, with intervals by Student's t.
+
+    For few long runs, each of which has bins of its own; `calibration` has the same bins for all, and takes short runs.
+
+    Parameters
+    ----------
+    runs : sequence of Reliability
+        At least two, with equally many bins.
+    level : float
+        Probability that an interval covers.
+
+    Returns
+    -------
+    dict
+        ``brier``, ``brier_of_constant`` and ``ece`` (calibration error), each with ``mean`` and ``ci``; ``diagram``: for each bin
+        its ``share`` of the samples, mean probability ``predicted``, and share of faulty samples ``observed`` with its ``ci``.
+        None stands where no run has a sample in the bin (``ci``: less than two).
+    """
+    names = {"brier": "brier", "brier_of_constant": "brier_of_constant", "ece": "calibration_error"}
+    numbers = {name: np.array([getattr(r, attribute) for r in runs]) for name, attribute in names.items()}
+    plain: dict[str, Any] = without_nan(
+        {
+            **{name: {"mean": float(np.mean(v)), "ci": interval(v, level)} for name, v in numbers.items()},
+            "diagram": _diagram(runs, level),
+        }
+    )
+    return plain
+
+
+def _diagram(runs: Sequence[Reliability], level: float) -> list[dict[str, Any]]:
+    samples = np.array([r.samples for r in runs])
+    bins = []
+    for i in range(samples.shape[1]):
+        predicted, observed = (np.array([getattr(r, name)[i] for r in runs]) for name in ("predicted", "observed"))
+        known = ~np.isnan(observed)
+        bins.append(
+            {
+                "share": float(samples[:, i].sum() / samples.sum()),
+                "predicted": float(predicted[known].mean()) if known.any() else None,
+                "observed": float(observed[known].mean()) if known.any() else None,
+                "ci": interval(observed[known], level) if known.sum() > 1 else None,
+            }
+        )
+    return bins
+
+
+__all__ = ["Calibration", "calibration", "mean_reliability"]

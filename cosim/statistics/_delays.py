@@ -1,0 +1,179 @@
+"""What a detector finds, misses and gets wrong as its threshold rises: detection delay against false alarms, over many runs.
+
+Alarms, faults and delays are those of `bayesftc.cosim.alarms`. Intervals count runs: the faults and alarms of one run may depend
+on each other in whichever way, its sensors too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from operator import add
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.alarms import Alarms
+from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.metrics import NAN
+from bayesftc.cosim.signals import Flags
+from bayesftc.cosim.statistics._alarm_counts import AlarmCounts, count_alarms
+from bayesftc.cosim.statistics._intervals import check_level, ratio
+from bayesftc.cosim.statistics._runs import by_run, pooled
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COUNT = 50
+"""Thresholds of a curve, unless they are given."""
+
+
+def delay_curve(
+    score: ArrayLike | Sequence[ArrayLike],
+    faulty: ArrayLike | Sequence[ArrayLike],
+    *,
+    step: float,
+    thresholds: ArrayLike | int = COUNT,
+    level: float = 0.95,
+) -> pd.DataFrame:
+    """Return false alarms, detection delay and missed faults at thresholds from low to high, over many runs.
+
+    Parameters
+    ----------
+    score : array_like of shape (runs, steps) or (runs, steps, sensors), or a sequence with a smaller array for each run
+        What is the higher the more a sample looks faulty. Samples without one (NaN), such as those after a run has failed, are
+        left out.
+    faulty : array_like of bool, or a sequence of such
+        The truth, of the same shapes.
+    step : float
+        Sample time in seconds.
+    thresholds : array_like or int
+        Levels from which on a sample has an alarm; or how many, chosen so that the share of fault-free samples above them falls
+        by the same factor from each to the next.
+    level : float
+        Probability that an interval covers. By Student's t over runs, of the ratio of two sums (delta method); that of the
+        median by Woodruff's (1952) way from that of the share of faults that are found sooner. Where no run has a false alarm, or
+        none or all faults are missed, runs do not scatter: there it is the exact one of `Alarms`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each threshold, in rising order: ``threshold``; ``false_alarms_per_hour`` of one sensor; ``false_share`` of the
+        fault-free time with an alarm; ``missed_share`` of the faults; ``median_delay`` in seconds, of all faults, a missed one's
+        being infinite (NaN where more than half are missed); ``mean_delay`` in seconds, of those that are found, which is the
+        kinder the more are missed. Each but ``false_share`` has an interval in columns ending in ``_low`` and ``_high``. Also
+        ``faults`` and ``runs``: how many there were.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not agree, a threshold or the sample time cannot be one, or there is no fault-free sample with a score.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> faulty = np.tile(np.arange(600) >= 400, (20, 1))  # 20 runs of a minute, with a fault in the last 20 seconds
+    >>> curve = delay_curve(rng.normal(size=(20, 600)) + 2 * faulty, faulty, step=0.1, thresholds=[2.0, 3.0, 4.0])
+    >>> curve[["threshold", "false_alarms_per_hour", "median_delay", "missed_share"]].round(1)
+       threshold  false_alarms_per_hour  median_delay  missed_share
+    0        2.0                  760.5           0.1           0.0
+    1        3.0                   31.5           0.4           0.0
+    2        4.0                    0.0           3.2           0.0
+    """
+    import pandas as pd
+
+    check_level(level)
+    if not (np.isfinite(step) and step > 0):
+        raise ModelError(f"step is {step!r}; it must be the sample time in seconds, above 0.")
+    runs = by_run("score", score, faulty)
+    levels = _levels(thresholds, runs)
+    counts = [count_alarms(own, truth, levels, float(step)) for own, truth in runs]
+    seen = [c for c in counts if c.hours or c.delays.shape[1]]
+    rows = [{"threshold": float(each), **_row(seen, i, level)} for i, each in enumerate(levels)]
+    return pd.DataFrame(rows).assign(runs=len(seen))
+
+
+def _levels(given: ArrayLike | int, runs: Sequence[tuple[Floats, Flags]]) -> Floats:
+    scores, truth, _ = pooled(runs)
+    healthy = scores[~truth]
+    if not len(healthy):
+        raise ModelError("delay_curve has no fault-free sample with a score; give runs that begin before their fault.")
+    if isinstance(given, int | np.integer) and not isinstance(given, bool):
+        if given < 2:
+            raise ModelError(f"delay_curve has thresholds={given}; it takes at least 2, or the levels themselves.")
+        shares = np.geomspace(1.0, 1.0 / len(healthy), int(given))
+        return np.unique(np.quantile(healthy, 1.0 - shares, method="higher"))
+    levels = np.sort(np.atleast_1d(np.asarray(given, dtype=np.float64)).ravel())
+    if not len(levels) or np.isnan(levels).any():
+        raise ModelError("delay_curve has no threshold, or one that is NaN; give the least scores of an alarm.")
+    return levels
+
+
+def _row(counts: Sequence[AlarmCounts], index: int, level: float) -> dict[str, Any]:
+    """Return the figures at one threshold."""
+    each = [c.at(index) for c in counts]
+    total = reduce(add, each)
+    alarms, hours = np.array([a.false_alarms for a in each]), np.array([a.hours for a in each])
+    missed, faults = np.array([a.missed for a in each]), np.array([a.faults for a in each])
+    found = np.array([a.delays[np.isfinite(a.delays)].sum() for a in each]) * total.step
+    return {
+        **_named("false_alarms_per_hour", total.false_alarms_per_hour, _rate(total, alarms, hours, level)),
+        "false_share": total.false_share,
+        **_named("missed_share", total.missed_share, _missed(total, missed, faults, level)),
+        **_named("median_delay", total.delay() * total.step, _median(total, each, faults, level)),
+        **_named("mean_delay", *_mean(found, faults - missed, level)),
+        "faults": total.faults,
+    }
+
+
+def _named(name: str, value: float, bounds: Sequence[float]) -> dict[str, float]:
+    return {name: value, f"{name}_low": float(bounds[0]), f"{name}_high": float(bounds[1])}
+
+
+def _ratio(ours: Floats, theirs: Floats, level: float) -> tuple[float, list[float]]:
+    """Return the ratio of two sums over runs, with its interval; NaN where runs tell nothing."""
+    if not theirs.sum():
+        return NAN, [NAN, NAN]
+    if len(theirs) < 2:
+        return float(ours.sum() / theirs.sum()), [NAN, NAN]
+    return ratio(ours, theirs, level)
+
+
+def _rate(total: Alarms, alarms: Floats, hours: Floats, level: float) -> Sequence[float]:
+    if not total.false_alarms:
+        return total.rate_interval(level)
+    low, high = _ratio(alarms, hours, level)[1]
+    return max(low, 0.0), high
+
+
+def _missed(total: Alarms, missed: Floats, faults: Floats, level: float) -> Sequence[float]:
+    if total.missed in (0, total.faults):
+        return total.missed_interval(level)
+    low, high = _ratio(missed, faults, level)[1]
+    return max(low, 0.0), min(high, 1.0)
+
+
+def _mean(found: Floats, detected: Floats, level: float) -> tuple[float, list[float]]:
+    value, (low, high) = _ratio(found, detected, level)
+    return value, [max(low, 0.0) if low == low else low, high]
+
+
+def _median(total: Alarms, each: Sequence[Alarms], faults: Floats, level: float) -> Sequence[float]:
+    """Return the interval of the median delay in seconds; infinite where it reaches the missed faults."""
+    if not total.faults:
+        return NAN, NAN
+    ordered = np.sort(total.delays)
+    median = np.quantile(ordered, 0.5, method="inverted_cdf")
+    sooner = np.array([(a.delays <= median).sum() for a in each])
+    low, high = _ratio(sooner, faults, level)[1]
+    if np.isnan(low):
+        return NAN, NAN
+    half = (high - low) / 2
+    bounds = np.quantile(ordered, np.clip([0.5 - half, 0.5 + half], 0.0, 1.0), method="inverted_cdf")
+    return float(bounds[0] * total.step), float(bounds[1] * total.step)
+
+
+__all__ = ["delay_curve"]
