@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from fractions import Fraction
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +13,10 @@ import numpy as np
 from bayesftc.cosim._campaign.design import Design, Grid
 from bayesftc.cosim._campaign.job import Job, Loop
 from bayesftc.cosim._campaign.metrics import Metric, as_metrics
-from bayesftc.cosim._campaign.outcomes import CampaignResult, InMemory
-from bayesftc.cosim._campaign.plan import FAILED, Plan
+from bayesftc.cosim._campaign.outcomes import CampaignResult
+from bayesftc.cosim._campaign.plan import Plan
 from bayesftc.cosim._campaign.seeds import seeds_of_points
+from bayesftc.cosim._campaign.working import Progress, in_memory, in_store
 from bayesftc.cosim._interrupts import import_engine
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import ModelError
@@ -29,8 +30,6 @@ STEPS = 2_000_000
 """Steps of a piece: half a second of computing."""
 BYTES = 16_000_000
 """Of the signals of a piece."""
-Progress = Callable[[int, int, int], None]
-"""Called as ``progress(done, of, failed)``, numbers of runs."""
 
 
 class Campaign:
@@ -130,36 +129,61 @@ class Campaign:
         *,
         executor: Executor | None = None,
         progress: Progress | None = None,
+        retry_failed: bool = False,
+        description: Mapping[str, Any] | None = None,
     ) -> CampaignResult:
         """Make all runs, or, of a store that has some already, those that are left.
 
         Parameters
         ----------
         store : str or path, optional
-            Folder to keep the results in; by default they are kept in memory.
+            Folder to keep the results in, made if need be; by default they are kept in memory. Whatever ends this call, a
+            further one goes on where it stopped.
         executor : Executor, optional
             `Threads`, `Processes` or `DaskCluster`; by default threads where every block and FMU allows that, else processes.
+            The result's ``metadata["executor"]`` says which, and why. The bits are the same on each.
         progress : callable, optional
             Called as ``progress(done, of, failed)`` when a piece is done.
+        retry_failed : bool
+            With a store: make the runs that have failed there again; what they come to now stands in their place.
+        description : mapping, optional
+            What else the store is to say of the campaign; a resumption must say the same.
 
         Returns
         -------
         CampaignResult
             The table of runs, and the signals.
-        """
-        from bayesftc.cosim._campaign.executors import Threads
 
-        kept = InMemory(self.job, self.labels)
-        done = failed = 0
-        if progress:
-            progress(done, self.runs, failed)
-        with closing((executor or Threads()).run(self.job, self.job.plan.pieces)) as outcomes:
-            for outcome in outcomes:
-                kept.write(outcome)
-                done, failed = done + len(outcome.piece), failed + outcome.status.count(FAILED)
-                if progress:
-                    progress(done, self.runs, failed)
-        return kept.result()
+        Raises
+        ------
+        StoreError
+            If the store is of another campaign, another process is writing it, or nothing more can be written to it.
+        ModelError
+            If the campaign cannot be sent to the processes of the executor.
+        """
+        why = f"{executor!r}, as asked for."
+
+        def choose() -> Executor:
+            nonlocal executor, why
+            if executor is None:
+                from bayesftc.cosim._campaign.choice import choose_executor
+
+                executor, why = choose_executor(self.job)
+            return executor
+
+        if store is None:
+            if retry_failed:
+                raise ModelError(
+                    "retry_failed=True needs a store: without one nothing is kept that could be made again."
+                )
+            result = in_memory(self.job, self.labels, choose(), progress)
+        else:
+            path = Path(store).expanduser().absolute()
+            said = description or {}
+            result = in_store(self.job, self.labels, path, said, choose, progress, retry_failed=retry_failed)
+        if executor is not None:
+            result.metadata["executor"] = why
+        return result
 
     def replay(self, run: int, *, record: Iterable[str] | None = None, **options: Any) -> Result:
         """Make one run again, alone, with full recording.

@@ -14,6 +14,7 @@ import warnings
 import weakref
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -85,7 +86,7 @@ class _Campaign:
             for content, path in parcel.fmus.items()
         ]
         self._crew = client.submit(_Crew, self._name, parcel.payload, tuple(parcel.fmus), *fmus, key=self._name)
-        self._waiting: dict[Future, Piece] = {}
+        self._waiting: dict[Future[Any], Piece] = {}
         self._slots, self._looked, self._began = 0, 0.0, time.monotonic()
         self._again: deque[Piece] = deque()
         self._parts: dict[int, tuple[Piece, dict[int, Any]]] = {}  # of pieces that are made run by run
@@ -130,15 +131,14 @@ class _Campaign:
             key = f"{self._name}-{piece.begin}-{piece.end}"
             self._waiting[self._client.submit(_run, self._crew, piece, key=key, pure=False)] = piece
 
-    def _done(self) -> list[Future]:
+    def _done(self) -> list[Future[Any]]:
         from distributed import wait
 
-        with suppress(TimeoutError), self._client.as_current():
+        with suppress(TimeoutError, CancelledError), self._client.as_current():
             wait(list(self._waiting), timeout=LOOK, return_when="FIRST_COMPLETED")
         return [future for future in self._waiting if future.status != "pending"]
 
-    def _taken(self, future: Future, piece: Piece) -> Iterator[Any]:
-        from distributed.client import CancelledError
+    def _taken(self, future: Future[Any], piece: Piece) -> Iterator[Any]:
         from distributed.scheduler import KilledWorker
 
         try:
@@ -179,7 +179,7 @@ class _Crew:
 
     def __init__(self, name: str, payload: bytes, contents: tuple[Content, ...], *fmus: bytes):
         self.name = name
-        self._parts = name, payload, contents, *fmus
+        self._parts: tuple[Any, ...] = name, payload, contents, *fmus
         self._lock, self._is_placed, self._is_stopped = threading.Lock(), False, False
         self._crew = Crew(payload)
         _crews.add(self)

@@ -28,10 +28,13 @@ class CampaignResult:
         column for each metric.
     dataset : xarray.Dataset
         The recorded signals over ``run`` and ``time`` (seconds), with point, seed and factors as coordinates of the runs.
+    metadata : dict of str to object
+        How they were made: ``executor``, a sentence that says which one has made the runs, and why that one.
     """
 
     def __init__(self, table: Callable[[], pd.DataFrame], dataset: Callable[[], xr.Dataset]):
         self._make_table, self._make_dataset = table, dataset
+        self.metadata: dict[str, Any] = {}
         self._table: pd.DataFrame | None = None
 
     @property

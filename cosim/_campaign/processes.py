@@ -31,6 +31,10 @@ class Processes:
     def __post_init__(self) -> None:
         check_jobs(self.jobs)
 
+    def check(self, job: object) -> None:
+        """Raise a `ModelError` if a job cannot go to other processes."""
+        pickled(job)
+
     def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:
         """See `Executor.run`."""
         yield from Threads(self.jobs).run(Crew(pickled(job)), pieces)

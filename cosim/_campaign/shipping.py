@@ -6,11 +6,11 @@ import hashlib
 import os
 import tempfile
 from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from bayesftc.cosim._cache import cache_directory
+from bayesftc.cosim._campaign.describing import fmus_of
 from bayesftc.cosim._campaign.job import Job
 from bayesftc.cosim._campaign.pickling import Reduced, pickled
 from bayesftc.cosim._fmi.archive import open_archive, stand_in
@@ -75,7 +75,8 @@ class Parcel:
 
     def __init__(self, job: object):
         self.fmus: dict[Content, Path] = {}
-        table = dict(self._noted(path) for path in _paths(job)) if isinstance(job, Job) else {}
+        paths = fmus_of(job).values() if isinstance(job, Job) else ()
+        table = dict(self._noted(path) for path in paths)
         self.payload = pickled(_Opened(table, job), self._substitute)
 
     def _substitute(self, thing: Any) -> Reduced | None:
@@ -110,16 +111,6 @@ def _restored(kind: type[FMU], content: Content, settings: dict[str, Any]) -> FM
     block = kind.__new__(kind)
     vars(block).update(settings, path=content.path)
     return block
-
-
-def _paths(job: Job) -> set[Path]:
-    """Return the paths from which a function may make FMUs."""
-    found = {Path(node.block.path) for node in job.diagram(0).nodes if isinstance(node.block, FMU)}
-    values = (value for point in job.plan.points for value in point.values())
-    named = {
-        Path(v).expanduser().absolute() for v in values if isinstance(v, str | PathLike) and str(v).endswith(".fmu")
-    }
-    return found | {path for path in named if path.is_file()}
 
 
 __all__ = ["Content", "Parcel"]
