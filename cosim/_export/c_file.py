@@ -10,7 +10,8 @@ from types import FunctionType
 from bayesftc.cosim._export.functions import Functions, Written, words, wrapped
 from bayesftc.cosim._export.kinds import FLOAT, NATURAL, Array
 from bayesftc.cosim._export.layout import Layout, member
-from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim._export.program import Program
+from bayesftc.cosim._export.signals import Signal, Tunable
 from bayesftc.cosim._export.values import literal
 from bayesftc.cosim._opening import OUTSIDE
 from bayesftc.cosim.block import argument_names

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim._export.program import Program
 from bayesftc.cosim._export.sets import Memory, Origins, origins, run
+from bayesftc.cosim._export.signals import Signal, Tunable
 from bayesftc.cosim._opening import OUTSIDE
 from bayesftc.cosim.ports import labels
 

@@ -10,7 +10,8 @@ import numpy as np
 from bayesftc.cosim._export.functions import Functions, table_text
 from bayesftc.cosim._export.kinds import same
 from bayesftc.cosim._export.names import in_c
-from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim._export.program import Program
+from bayesftc.cosim._export.signals import Signal, Tunable
 from bayesftc.cosim._opening import OUTSIDE
 from bayesftc.cosim.block import Floats
 
