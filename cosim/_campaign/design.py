@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bayesftc.cosim._campaign.extras import extra
 from bayesftc.cosim._campaign.ranges import checked, scaled
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, brief
@@ -285,7 +286,9 @@ class SaltelliDesign(Sampled):
     Raises
     ------
     ModelError
-        If a range, the count or the seed cannot be one, or SALib is not installed.
+        If a range, the count or the seed cannot be one.
+    BayesFTCError
+        If SALib is not installed; when the points are asked for.
     """
 
     second_order: bool = field(default=False, kw_only=True)
@@ -313,12 +316,7 @@ class SaltelliDesign(Sampled):
 
     def unit_points(self) -> Floats:
         """Return the points in the unit cube, of shape (points, factors)."""
-        try:
-            from SALib.sample import sobol
-        except ImportError:
-            raise ModelError(
-                "SaltelliDesign takes its points from SALib, which is not installed: pip install 'bayesftc[campaign]'."
-            ) from None
+        sobol = extra("SALib.sample.sobol", "SaltelliDesign")
         return np.asarray(
             sobol.sample(
                 self.problem(),

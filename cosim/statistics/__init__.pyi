@@ -12,4 +12,5 @@ from ._intervals import (
 )
 from ._merit import merit as merit, merit_counts as merit_counts, total_merit as total_merit
 from ._roc import Roc as Roc, roc as roc, roc_curve as roc_curve, roc_rates as roc_rates
+from ._sensitivity import sensitivity as sensitivity
 from ._summary import summary as summary
