@@ -113,8 +113,8 @@ class FMU(ExternalBlock):
 
     @property
     def checks_finite(self) -> bool:  # type: ignore[override]
-        """Whether a NaN in the outputs stops the run: not of an exported controller, where it means a missing sample."""
-        return self.description.timing != "sampled"
+        """Whether a NaN in the outputs stops the run: not of what was exported, but for plants; there it is a missing sample."""
+        return self.description.timing != "sampled" and self.description.finite
 
     def __post_init__(self) -> None:
         if self.timing not in (None, "plant", "direct", "sampled"):

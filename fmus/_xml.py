@@ -66,7 +66,8 @@ def add_experiment(root: ET.Element, model: Model) -> None:
 def add_annotation(parent: ET.Element, model: Model) -> None:
     """Say when the outputs hold, and which blocks and signals these are, for importers that know ``bayesftc``."""
     blocks = {"blocks": " ".join(model.blocks)} if model.blocks else {}
-    element = ET.SubElement(parent, "bayesftc", {"timing": model.timing, **blocks})
+    finite = {} if model.finite else {"finite": "false"}
+    element = ET.SubElement(parent, "bayesftc", {"timing": model.timing, **blocks, **finite})
     for variable in model.variables:
         if variable.origin:
             ET.SubElement(element, "Signal", {"name": variable.name, "origin": variable.origin})

@@ -169,6 +169,9 @@ class Model:
         System libraries that the C file needs, for example ``("m",)``.
     blocks : tuple of str
         Names of the blocks of a diagram that it was exported from. Written as a vendor annotation.
+    finite : bool
+        Whether a NaN among the outputs means that something went wrong, as of a plant, and no missing sample. Written as a
+        vendor annotation where not.
     """
 
     name: str
@@ -182,6 +185,7 @@ class Model:
     timing: Literal["plant", "sampled"] = "plant"
     libraries: tuple[str, ...] = ()
     blocks: tuple[str, ...] = ()
+    finite: bool = True
 
     def __post_init__(self) -> None:
         if not _IDENTIFIER.fullmatch(self.name):

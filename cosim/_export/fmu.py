@@ -122,6 +122,7 @@ def model_of(program: Program, file: CFile, asked: Timing | None, description: s
         timing=timing,
         libraries=("m",),
         blocks=program.blocks,
+        finite=any(node.block.checks_finite for node in program.schedule.nodes),
     )
 
 

@@ -155,6 +155,9 @@ class FMUDescription:
         What the vendor annotation says of the blocks of a diagram that it was exported from, and
     origins : mapping of str to str
         of its signals: what those that were renamed are called there.
+    finite : bool
+        Whether a NaN among its outputs means that something went wrong: not where that annotation says that it is a missing
+        sample.
     """
 
     name: str
@@ -175,6 +178,7 @@ class FMUDescription:
     exchange: ExchangeInfo | None = field(default=None, repr=False)
     blocks: tuple[str, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict, repr=False)
+    finite: bool = True
 
     @property
     def fmi_major(self) -> int:
@@ -258,6 +262,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         units={u.name: _unit(u) for u in model.unitDefinitions},
         exchange=read_exchange(model, root, variables),
         blocks=tuple(name for annotation in annotations for name in annotation.get("blocks", "").split()),
+        finite=all(annotation.get("finite") != "false" for annotation in annotations),
         origins={s.get("name", ""): s.get("origin", "") for a in annotations for s in a.iter("Signal")},
     )
 

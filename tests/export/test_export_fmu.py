@@ -33,6 +33,7 @@ BLOCKS = {
         control.ss([[0.5, 0.2], [0.0, 0.9]], np.eye(2), [[1.0, 1.0]], 0, 0.1), process_noise=np.eye(2)
     ),
     "sine": cosim.Sine(amplitude=1.0, period=0.7),
+    "delay": cosim.UnitDelay(),  # a plant to FMI, whose NaNs are missing samples all the same
 }
 
 
@@ -69,7 +70,9 @@ def car(tmp_path_factory):
     }
 
 
-@pytest.mark.parametrize(("kind", "fmi"), [*((kind, "3.0") for kind in BLOCKS), ("gamma", "2.0"), ("faults", "2.0")])
+@pytest.mark.parametrize(
+    ("kind", "fmi"), [*((k, "3.0") for k in BLOCKS), *((k, "2.0") for k in ("gamma", "faults", "delay"))]
+)
 def test_the_same_bits_as_the_block_missing_samples_and_noise_included(kind, fmi, tmp_path):
     diagram = surrounded(BLOCKS[kind])
     path = cosim.export_fmu(diagram, tmp_path / "one.fmu", blocks="block", fmi=fmi)
@@ -80,7 +83,8 @@ def test_the_same_bits_as_the_block_missing_samples_and_noise_included(kind, fmi
     assert not found.notes
     assert {d.signal for d in found.beside} == {f"block.{port.name}" for port in BLOCKS[kind].outputs}
     fmu = cosim.FMU(path)
-    assert fmu.timing == ("plant" if kind in {"system", "sine"} else "sampled")
+    assert fmu.timing == ("plant" if kind in {"system", "sine", "delay"} else "sampled")
+    assert fmu.checks_finite == BLOCKS[kind].checks_finite
     assert {v.name.partition("[")[0] for v in fmu.description.variables if v.causality == "input"} == {
         port.name for port in BLOCKS[kind].inputs
     }
