@@ -62,7 +62,9 @@ BLOCKS = {
     "saturation": cosim.Saturation(-1.0, 1.5, size=2),
     "sensors": cosim.Sensors(count=3, signals=2, std=0.3, bias=0.1, resolution=0.05, matrix=[[1, 0], [0, 1], [1, 1]]),
     "sine": cosim.Sine(amplitude=1.0, period=0.7),
+    "constant": cosim.Constant(2.0),
     "step": cosim.Step(time=1.0, before=2.0, after=3.0),
+    "ramp": cosim.Ramp(slope=2.0, offset=1.0, start=1.0),
     "table": cosim.Table([0.0, 1.0, 2.5], [1.0, -1.0, 4.0]),
     "noise": cosim.Gaussian(std=2.0, mean=1.0),
     "system": cosim.StateSpace(
@@ -106,6 +108,8 @@ BLOCKS = {
         0.5,
         inner_steps=2,
     ),
+    "proportional": controllers.Proportional([[2.0, 1.0], [0.0, 3.0]], u_min=-1.0, u_max=(2.0, 3.0)),
+    "proportional derivative": controllers.ProportionalDerivative(2.0, derivative_gain=0.5, states=3, u_max=3.0),
     "PID": controllers.PID(1.0, states=2, derivative_gain=0.1, integral_gain=0.5, u_max=3.0),
     "monitor": controllers.FaultMonitor(
         2, ("beta", "precision"), 0.4, controllers.LogisticMap((1.0, 2.0), (0.0, 0.5), (1.0, 2.0), -1.0)
@@ -113,6 +117,12 @@ BLOCKS = {
     "estimator": controllers.StateEstimator(MODEL, precision=controllers.GammaPrecision()),
 }
 """Every kind of block, learner, fault and law."""
+
+
+@pytest.fixture(scope="session")
+def blocks():
+    """Return `BLOCKS`."""
+    return BLOCKS
 
 
 @pytest.fixture(params=BLOCKS.values(), ids=BLOCKS)

@@ -1,6 +1,12 @@
 """The C of step functions: the bits of plain Python, for every kind of block, and sentences for what has no C."""
 
+import inspect
+
 import numpy as np
+
+from bayesftc import controllers, cosim
+
+BASES = {cosim.Block, cosim.Fault, cosim.Source}
 
 
 def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compiled, same_bits):
@@ -12,3 +18,11 @@ def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compil
         assert list(expected) == list(got)
         for name, value in expected.items():
             same_bits(got[name], np.ravel(value), name)
+
+
+def test_every_kind_of_block_is_among_them(blocks):
+    public = [getattr(module, name) for module in (cosim, controllers) for name in module.__all__]
+    kinds = {kind for kind in public if inspect.isclass(kind) and issubclass(kind, cosim.Block)}
+    kinds = {kind for kind in kinds - BASES if not issubclass(kind, cosim.ExternalBlock | cosim.FMU)}
+    assert len(kinds) > 25
+    assert not kinds - {type(block) for block in blocks.values()}
