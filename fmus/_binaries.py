@@ -8,6 +8,7 @@ from pathlib import Path
 
 from bayesftc.fmus._compiler import compile_library
 from bayesftc.fmus._platforms import Platform, host
+from bayesftc.fmus._processes import Processes
 
 __all__ = ["binaries"]
 
@@ -50,6 +51,7 @@ def binaries(
         If there is no compiler or it fails.
     """
     targets = tuple(dict.fromkeys(platforms)) if platforms is not None else (host(),)
+    compilers = Processes()
 
     def library(target: Platform) -> bytes:
         # A folder for each: compilers leave import libraries and symbol files beside what they are asked for.
@@ -58,11 +60,16 @@ def binaries(
             for file, content in sources.items():
                 (folder / file).write_bytes(content)
             path = folder / f"{name}{target.suffix}"
-            compile_library(folder, compiled, path, target, libraries, portable=platforms is not None)
+            portable = platforms is not None
+            compile_library(folder, compiled, path, target, libraries, portable=portable, processes=compilers)
             return path.read_bytes()
 
     with ThreadPoolExecutor(max_workers=len(targets) or 1) as pool:
-        built = dict(zip(targets, pool.map(library, targets), strict=True))
+        try:
+            built = dict(zip(targets, pool.map(library, targets), strict=True))
+        except BaseException:  # an error of one, or Ctrl-C: nobody waits for the others
+            compilers.end()
+            raise
     return {f"binaries/{folder}/{name}{suffix}": content for (folder, suffix), content in _placed(built, fmi).items()}
 
 

@@ -6,10 +6,12 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from bayesftc.fmus._platforms import Platform, host
+from bayesftc.fmus._processes import Processes
 
 FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared", "-s")
 """No contraction to fused multiply-adds and C99 arithmetic: the same digits from every compiler and on every platform."""
@@ -18,8 +20,7 @@ FOREIGN_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 """For sources of others: their dialect and their exports are their own."""
 
 _LONGEST = 900.0
-"""Seconds that a compiler may take: ziglang builds a C library first where it has none, and waits for ever for a cache that it
-cannot write."""
+"""Seconds that a compiler may take: ziglang builds a C library first where it has none."""
 
 
 class CompilerError(RuntimeError):
@@ -119,6 +120,7 @@ def compile_library(
     libraries: Sequence[str] = (),
     *,
     portable: bool = False,
+    processes: Processes | None = None,
 ) -> None:
     """Compile sources into a shared library.
 
@@ -138,6 +140,8 @@ def compile_library(
     portable : bool
         Whether ``ziglang`` is to compile also for this machine's own platform: for old systems, and with the same bytes
         wherever it runs.
+    processes : Processes, optional
+        Those that the compiler is one of.
 
     Raises
     ------
@@ -154,7 +158,24 @@ def compile_library(
         str(library.relative_to(folder) if library.is_relative_to(folder) else library),
         *(f"-l{name}" for name in libraries),
     ]
-    _run(command, folder, sources, _LONGEST)
+    if "ziglang" in command:
+        _check_cache()
+    _run(command, folder, sources, _LONGEST, processes)
+
+
+def _check_cache() -> None:
+    """Say it where ziglang cannot keep what it makes: it would wait for that for ever."""
+    home = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+    cache = Path(os.environ.get("ZIG_GLOBAL_CACHE_DIR") or Path(home, "zig"))
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=cache):
+            pass
+    except OSError as error:
+        raise CompilerError(
+            f"The C compiler 'ziglang' keeps what it makes in {cache}, where nothing can be written "
+            f"({error.strerror or error}); name another folder in the environment variable ZIG_GLOBAL_CACHE_DIR."
+        ) from None
 
 
 def compile_foreign(
@@ -188,10 +209,12 @@ def compile_foreign(
     _run(command, folder, sources, limit)
 
 
-def _run(command: Sequence[str], folder: Path, sources: Sequence[str], limit: float) -> None:
+def _run(
+    command: Sequence[str], folder: Path, sources: Sequence[str], limit: float, processes: Processes | None = None
+) -> None:
     compiler = "ziglang" if "ziglang" in command else command[0]
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=limit)
+        done = (processes or Processes()).run(command, folder, limit)
     except OSError as error:
         raise CompilerError(f"The C compiler '{compiler}' could not be started: {error}.") from error
     except subprocess.TimeoutExpired:
