@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim._campaign.describing import described, fmus_of
+from bayesftc.cosim._campaign.durable import written_to
 from bayesftc.cosim._campaign.job import Job
 from bayesftc.cosim._campaign.metadata import NAME
 from bayesftc.cosim._campaign.outcomes import CampaignResult, InMemory
 from bayesftc.cosim._campaign.plan import FAILED, Outcome, Piece
+from bayesftc.cosim._campaign.repeating import keep_job
 from bayesftc.cosim._campaign.store import CampaignStore
 
 if TYPE_CHECKING:
@@ -77,6 +79,8 @@ def in_store(
     with begin(
         path, {**described(job), **description}, job.plan, signals, job.time, job.columns, fmus_of(job), labels
     ) as store:
+        with written_to(path):
+            keep_job(path, job)
         done = store.done()
         left = [piece for piece in store.plan.pieces if piece.index not in done]
         runs = sum(len(piece) for piece in store.plan.pieces) - sum(map(len, left))

@@ -42,6 +42,14 @@ class Engine(StrEnum):
     interpreted = "interpreted"
 
 
+class Executor(StrEnum):
+    """What makes the runs of a campaign."""
+
+    threads = "threads"
+    processes = "processes"
+    dask = "dask"
+
+
 EXPERIMENTS = """Run the paper's experiments, with our numbers beside its own, and ours beyond it.
 
 \b
@@ -286,6 +294,64 @@ def reproduce(
 
         options = {"seed": seed, "jobs": jobs, "runs": runs, "beyond": not paper_only}
         reproduce_experiments(experiment, out, options, json=json, quiet=quiet)
+
+
+@app.command()
+def campaign(
+    file: Annotated[Path, typer.Argument(help="A campaign file (TOML): a scenario, what is varied, how many runs.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="STORE",
+            help="Folder of the results; by default named after the file. What it has stays.",
+        ),
+    ] = None,
+    executor: Annotated[
+        Executor | None, typer.Option(help="What makes the runs; by default threads where they use all cores.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Number of workers; by default one for each core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, as tcp://10.0.0.1:8786.")
+    ] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Make runs that have failed again.")] = False,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Run a campaign: a scenario at many settings with many seeds. One that was stopped goes on."""
+    with guarded(debug):
+        from bayesftc.cli.campaign import run_campaign
+
+        run_campaign(
+            file,
+            out,
+            executor=executor.value if executor else None,
+            jobs=jobs,
+            scheduler=scheduler,
+            retry_failed=retry_failed,
+            json=json,
+            quiet=quiet,
+        )
+
+
+@app.command()
+def replay(
+    store: Annotated[Path, typer.Argument(help="The folder of a campaign's results.")],
+    run: Annotated[int, typer.Argument(help="Number of the run, as the table has it.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Write result.npz, figure.png and figures.json there.")
+    ] = None,
+    json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Make one run of a campaign again, with everything recorded. It unpickles: only for stores that you trust."""
+    with guarded(debug):
+        from bayesftc.cli.replay import replay_run
+
+        replay_run(store, run, out, json=json, quiet=quiet)
 
 
 @app.command()

@@ -109,8 +109,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
         raise (root / "scenario").error(
             f"is {named!r}; it must be a file or the name of a shipped scenario, in quotes."
         )
-    beside = file.absolute().parent / named
-    scenario = beside if beside.is_file() else find_scenario(named)
+    scenario = _scenario_file(file, named)
     loop = ScenarioLoop(str(scenario.absolute()), read_toml(scenario))
     design = _design(content, root)
     metrics = _metrics(content.pop("metrics", []), root / "metrics")
@@ -119,6 +118,18 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     settings = {name: getattr(runs, name) for name in _names(Runs) if name != "duration"}
     with root.named():
         return Campaign(loop, duration=_duration(runs.duration, own.duration), grid=design, metrics=metrics, **settings)
+
+
+def texts(path: str | os.PathLike[str]) -> dict[str, str]:
+    """Return the text of a campaign file, and of the scenario that it names."""
+    file = Path(path).expanduser()
+    scenario = _scenario_file(file, read_toml(file)["scenario"])
+    return {key: file.read_text(encoding="utf-8-sig") for key, file in (("campaign", file), ("scenario", scenario))}
+
+
+def _scenario_file(file: Path, named: str) -> Path:
+    beside = file.absolute().parent / named
+    return beside if beside.is_file() else find_scenario(named)
 
 
 def _duration(given: float | str | None, otherwise: float | str) -> float | str | Fraction:
@@ -212,4 +223,4 @@ def _set(content: Any, path: str, value: Any) -> None:
         at, so_far = at[step], f" in {'.'.join(map(str, steps[: i + 1]))}"
 
 
-__all__ = ["ScenarioLoop", "load_campaign"]
+__all__ = ["ScenarioLoop", "load_campaign", "texts"]

@@ -1,0 +1,66 @@
+"""The job of a stored campaign: kept beside its results, so that any run can be made again from the store alone."""
+
+from __future__ import annotations
+
+import pickle
+from contextlib import suppress
+from pathlib import Path
+
+from bayesftc.cosim._campaign.durable import write_whole
+from bayesftc.cosim._campaign.job import Job
+from bayesftc.cosim._campaign.reading import StoredCampaign
+from bayesftc.cosim._campaign.shipping import Content, Parcel
+from bayesftc.cosim.errors import ModelError, StoreError
+
+FILE = "job.pickle"
+
+
+def keep_job(folder: Path, job: Job) -> None:
+    """Write a job into the folder of its store, unless it is there; one that cannot be pickled is not kept.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    if (folder / FILE).exists():
+        return
+    with suppress(ModelError):
+        parcel = Parcel(job)
+        names = {content.digest: content.name for content in parcel.fmus}
+        write_whole(folder / FILE, pickle.dumps((names, parcel.payload)))
+
+
+def kept_job(store: StoredCampaign) -> Job:
+    """Return the job of a stored campaign, whose FMUs are the copies in the store.
+
+    The file is a pickle, which can make Python do anything: read stores of people whose programs you would run.
+
+    Raises
+    ------
+    StoreError
+        If the store has none, or it cannot be read here.
+    """
+    try:
+        names, payload = pickle.loads((store.path / FILE).read_bytes())
+        for digest, name in names.items():
+            Content(digest, name).place(store.fmu(digest).read_bytes())
+        job = pickle.loads(payload)
+    except FileNotFoundError:
+        raise StoreError(
+            f"The campaign in {store.path} cannot be repeated from its store, since its loop could not be pickled; make it "
+            "anew in Python, and call its method replay."
+        ) from None
+    except StoreError:
+        raise
+    except Exception as error:
+        raise StoreError(
+            f"The campaign in {store.path} cannot be repeated here ({type(error).__name__}: {error}). It needs the modules and "
+            "versions that it was made with; campaign.json names them."
+        ) from error
+    if not isinstance(job, Job):
+        raise StoreError(f"{store.path / FILE} holds no job of a campaign.")
+    return job
+
+
+__all__ = ["keep_job", "kept_job"]

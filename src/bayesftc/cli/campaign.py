@@ -1,0 +1,217 @@
+"""``bayesftc campaign``: a campaign file to a store, and a table of what came out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bayesftc.cli import output
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from rich.table import Table
+
+    from bayesftc.cosim._campaign.executors import Executor
+    from bayesftc.cosim._campaign.working import Progress
+
+POINTS = 40
+"""Rows of the printed table; the store has all."""
+METRICS = 4
+"""Metrics in the printed table."""
+BREATH = 0.2
+"""Seconds between two moves of the progress bar."""
+
+
+def run_campaign(
+    path: Path,
+    store: Path | None,
+    *,
+    executor: str | None,
+    jobs: int | None,
+    scheduler: str | None,
+    retry_failed: bool,
+    json: bool,
+    quiet: bool,
+) -> None:
+    """Run a campaign, or what is left of it, and print its figures.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The campaign file.
+    store : pathlib.Path or None
+        Folder of the results; by default the file's name without its ending, in the present folder.
+    executor, jobs, scheduler : str, int, str or None
+        ``threads``, ``processes`` or ``dask``; the number of workers; the address of a Dask scheduler.
+    retry_failed : bool
+        Whether runs that have failed are made again.
+    json, quiet : bool
+        How the figures are printed: as JSON, or not at all.
+    """
+    from bayesftc.scenario.campaigns import load_campaign, texts
+
+    campaign = load_campaign(path)
+    chosen = _executor(executor, jobs, scheduler)
+    folder = Path(path.stem) if store is None else store
+    began = time.perf_counter()
+    with _progress(path.stem, shown=sys.stderr.isatty() and not quiet and not json) as progress:
+        result = campaign.run(
+            folder, executor=chosen, progress=progress, retry_failed=retry_failed, description={"files": texts(path)}
+        )
+    seconds = time.perf_counter() - began
+    numbers = _numbers(result.table, list(campaign.labels[0]), list(campaign.job.columns))
+    numbers |= {"store": str(folder), "seconds": seconds, "executor": result.metadata.get("executor")}
+    if json:
+        typer.echo(output.as_json(numbers))
+    elif not quiet:
+        _print(numbers)
+
+
+def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Executor | None:
+    from bayesftc import cosim
+
+    if scheduler is not None:
+        if name not in {None, "dask"} or jobs is not None:
+            raise ModelError(
+                "--scheduler is for a Dask cluster, which has its own workers: leave --executor and --jobs out."
+            )
+        return cosim.DaskCluster(scheduler)
+    if name == "dask":
+        return cosim.DaskCluster(workers=jobs)
+    if name == "processes":
+        return cosim.Processes(jobs)
+    if name == "threads" or jobs is not None:
+        return cosim.Threads(jobs)
+    return None
+
+
+def _numbers(table: pd.DataFrame, factors: list[str], metrics: list[str]) -> dict[str, Any]:
+    """Return what is printed: for each point its factors, and of each metric the mean with its confidence interval."""
+    from bayesftc.cosim.statistics import summary
+
+    names = [name if name in table else f"factor:{name}" for name in factors]
+    points: list[dict[str, Any]] = [
+        {
+            "point": int(rows["point"].iloc[0]),
+            "factors": {f: _plain(rows[n].iloc[0]) for f, n in zip(factors, names, strict=True)},
+            "runs": len(rows),
+            "failed": int((rows["status"] == "failed").sum()),
+            "metrics": {},
+        }
+        for _, rows in table.groupby("point", sort=True)
+    ]
+    for metric in metrics:
+        cells = summary(table, metric, by=["point"]).set_index("point")
+        for row in points:
+            if row["point"] in cells.index:
+                cell = cells.loc[row["point"]]
+                row["metrics"][metric] = {k: float(cell[k]) for k in ("mean", "low", "high", "sd", "n") if k in cell}
+    reasons = table["reason"][table["status"] == "failed"].value_counts().head(3)
+    return {
+        "runs": len(table),
+        "failed": int((table["status"] == "failed").sum()),
+        "points": points,
+        "reasons": {str(reason): int(count) for reason, count in reasons.items()},
+    }
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") else value
+
+
+def _print(numbers: Mapping[str, Any]) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=110)
+    if numbers["points"] and numbers["points"][0]["metrics"]:
+        console.print(_table(numbers["points"]))
+        hidden = [f"{len(numbers['points']) - POINTS} more points"] if len(numbers["points"]) > POINTS else []
+        more = len(numbers["points"][0]["metrics"]) - METRICS
+        hidden += [f"{more} more metrics"] if more > 0 else []
+        if hidden:
+            console.print(Text(f"{' and '.join(hidden)} are in the store."))
+    done = f"{numbers['runs']} runs" + (f", of which {numbers['failed']} have failed" if numbers["failed"] else "")
+    console.print(Text(f"{done}, in {numbers['store']} ({numbers['seconds']:.1f} s)."))
+    for reason, count in numbers["reasons"].items():
+        console.print(Text(f"{count} of them: {reason}"))
+    console.print(
+        Text(f"bayesftc report {numbers['store']} draws them; bayesftc replay {numbers['store']} RUN repeats one.")
+    )
+
+
+def _table(points: list[dict[str, Any]]) -> Table:
+    from rich.table import Table
+
+    table = Table(title="Mean of each metric ± half of its 95 % confidence interval", title_justify="left")
+    for name in points[0]["factors"]:
+        table.add_column(name, overflow="fold")
+    table.add_column("runs", justify="right")
+    metrics = list(points[0]["metrics"])[:METRICS]
+    for name in metrics:
+        table.add_column(name, justify="right", overflow="fold")
+    for point in points[:POINTS]:
+        cells = [point["metrics"].get(name) for name in metrics]
+        runs = f"{point['runs']}" + (f" ({point['failed']} failed)" if point["failed"] else "")
+        table.add_row(*(_shown(value) for value in point["factors"].values()), runs, *map(_interval, cells))
+    return table
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _interval(cell: Mapping[str, float] | None) -> str:
+    if cell is None or cell["mean"] != cell["mean"]:
+        return output.DASH
+    half = cell["high"] - cell["mean"]
+    return f"{cell['mean']:.4g} ± {half:.2g}" if half == half else f"{cell['mean']:.4g}"
+
+
+@contextmanager
+def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
+    """Give a function that moves a progress bar on stderr, or None."""
+    if not shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[failed]}"),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(name, total=None, rate="", failed="")
+        yield _mover(lambda **fields: bar.update(task, **fields))
+
+
+def _mover(update: Callable[..., None]) -> Progress:
+    """Return a function that tells a bar how far it is, and at which rate since it was first told."""
+    first: list[tuple[float, int]] = []
+    last = 0.0
+
+    def move(done: int, of: int, failed: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if not first:
+            first.append((now, done))
+        if now - last < BREATH and done < of:
+            return
+        last = now
+        began, before = first[0]
+        rate = f"{(done - before) / (now - began):.3g} runs/s" if now > began and done > before else ""
+        update(total=of, completed=done, rate=rate, failed=f"{failed} failed" if failed else "")
+
+    return move
