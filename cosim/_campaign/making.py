@@ -37,11 +37,12 @@ def metadata_of(
     names = {digest: Path(path).name for digest, path in (fmus or {}).items()}
     times = hash_of(time) if signals else ""
     metrics = tuple(metrics)
-    own = next((name for name in metrics if name in parts.OWN), None)
-    if own is not None:
-        raise StoreError(
-            f"A metric cannot be called {own!r}, as each campaign has a column of that name; name it otherwise."
-        )
+    for what, known in (("metric", metrics), ("signal", signals)):
+        own = next((name for name in known if name in parts.OWN), None)
+        if own is not None:
+            raise StoreError(
+                f"A {what} cannot be called {own!r}, as each campaign has a column of that name; name it otherwise."
+            )
     return Metadata(description, shown, dict(signals), rows, times, metrics, names)
 
 
