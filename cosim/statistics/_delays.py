@@ -79,9 +79,9 @@ def delay_curve(
     >>> curve = delay_curve(rng.normal(size=(20, 600)) + 2 * faulty, faulty, step=0.1, thresholds=[2.0, 3.0, 4.0])
     >>> curve[["threshold", "false_alarms_per_hour", "median_delay", "missed_share"]].round(1)
        threshold  false_alarms_per_hour  median_delay  missed_share
-    0        2.0                  760.5           0.1           0.0
-    1        3.0                   31.5           0.4           0.0
-    2        4.0                    0.0           3.2           0.0
+    0        2.0                  796.5           0.0           0.0
+    1        3.0                   45.0           0.4           0.0
+    2        4.0                    0.0           1.4           0.0
     """
     import pandas as pd
 
