@@ -16,6 +16,10 @@ from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from threading import Timer
 
+# The tests' matrices are small. What threads of their own for products of them do is wait, on the cores of the other tests.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 
