@@ -18,6 +18,7 @@ from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
 
 from bayesftc.cosim import ops
+from bayesftc.cosim._instead import instead_of, line_of
 from bayesftc.cosim.errors import KernelError
 
 _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
@@ -63,16 +64,21 @@ def functions_called(function: FunctionType) -> list[FunctionType]:
 def _visit(function: FunctionType, ordered: list[FunctionType], path: list[FunctionType]) -> None:
     if function in path:
         names = " -> ".join(f.__name__ for f in [*path, function])
-        raise KernelError(f"The step function calls itself ({names}); a recursion cannot be compiled: write a loop.")
+        at = where(path[-1], line_of(path[-1], function.__name__))
+        raise KernelError(
+            f"The step function calls itself ({names}): {at}; a recursion cannot be compiled: write a loop."
+        )
     if function in ordered:
         return
     for name, value in references(function):
         if isinstance(value, FunctionType) and value not in _OPERATIONS:
             _visit(value, ordered, [*path, function])
         elif not _allowed(value):
+            at = where(function, line_of(function, name))
             raise KernelError(
-                f"Step function {where(function)} uses {name!r} ({_describe(value)}); a step function may use only numbers, "
+                f"Step function {at} uses {name!r} ({_describe(value)}); a step function may use only numbers, "
                 f"range, len, other such functions, and the mathematics of bayesftc.cosim.ops ({', '.join(ops.NAMES)})."
+                f"{instead_of(function, name, value)}"
             )
     _check_code(function, function.__code__)
     ordered.append(function)
@@ -88,7 +94,8 @@ def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
             elif hasattr(builtins, name):
                 yield name, getattr(builtins, name)
             else:
-                raise KernelError(f"Step function {where(function)} uses {name!r}, which is not defined.")
+                at = where(function, line_of(function, name))
+                raise KernelError(f"Step function {at} uses {name!r}, which is not defined.")
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
             yield name, cell.cell_contents
@@ -138,29 +145,33 @@ def _check_code(function: FunctionType, code: CodeType) -> None:
         raise KernelError(
             f"Function {where(function)} has a default that is no number; a step function cannot call it so."
         )
+
+    def at(instruction: dis.Instruction) -> str:
+        return where(function, instruction.positions.lineno if instruction.positions else None)
+
     for instruction in dis.get_instructions(code):
         if instruction.opname in _FORBIDDEN:
-            raise KernelError(f"Step function {where(function)} {_FORBIDDEN[instruction.opname]}.")
+            raise KernelError(f"Step function {at(instruction)} {_FORBIDDEN[instruction.opname]}.")
         if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("@"):
             raise KernelError(
-                f"Step function {where(function)} uses '@', which allocates and sums in another order; write loops."
+                f"Step function {at(instruction)} uses '@', which allocates and sums in another order; write loops."
             )
         if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("**"):
             raise KernelError(
-                f"Step function {where(function)} uses '**', which rounds differently in compiled code: "
+                f"Step function {at(instruction)} uses '**', which rounds differently in compiled code: "
                 "multiply, or use ops.square, ops.sqrt or ops.exp."
             )
         if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and instruction.argval not in _ATTRIBUTES:
             raise KernelError(
-                f"Step function {where(function)} uses the attribute {instruction.argval!r}; of arrays only shape, size and "
+                f"Step function {at(instruction)} uses the attribute {instruction.argval!r}; of arrays only shape, size and "
                 "indexing are available to a step function."
             )
 
 
-def where(function: Callable[..., Any]) -> str:
-    """Return a readable name and place of a function."""
+def where(function: Callable[..., Any], line: int | None = None) -> str:
+    """Return a readable name and place of a function, or of a line in it."""
     code = inspect.unwrap(function).__code__
-    return f"{function.__name__!r} ({Path(code.co_filename).name}, line {code.co_firstlineno})"
+    return f"{function.__name__!r} ({Path(code.co_filename).name}, line {line or code.co_firstlineno})"
 
 
 def _describe(value: Any) -> str:

@@ -5,9 +5,11 @@ import importlib.util
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -151,6 +153,63 @@ def test_refused(kernel, make_block):
     for run in (lambda: diagram.simulate(0, engine="compiled"), lambda: block.online(1)):
         with pytest.raises(cosim.KernelError, match=REFUSED[kernel]):
             run()
+
+
+def tells_a_root(y):
+    y[0] = 1.0
+    y[0] = math.sqrt(y[0])  # this line
+
+
+def limits(y):
+    y[0] = max(y[0], 0.0)  # this line
+
+
+def looks_up(y):
+    for i in range(2):
+        y[0] = UNSUITABLE[i]  # this line
+
+
+def draws(y):
+    y[0] = np.random.random()  # this line  # noqa: NPY002
+
+
+def catches(y):
+    try:
+        y[0] = 1.0 / y[0]
+    except ZeroDivisionError:  # this line
+        y[0] = 0.0
+
+
+def squares(y):
+    y[0] = (
+        y[0] ** 2  # this line
+    )
+
+
+def calls_squares(y):
+    squares(y)
+
+
+INSTEAD = {
+    tells_a_root: "Instead of math.sqrt take ops.sqrt.",
+    limits: "Instead of max take ops.maximum.",
+    looks_up: "as a parameter of the block.",
+    draws: 'Port("noise", draw="normal").',
+    catches: "choose with ops.select",
+    squares: "ops.square",
+    calls_squares: "ops.square",
+}
+
+
+@pytest.mark.parametrize("kernel", INSTEAD, ids=lambda f: f.__name__)
+def test_a_refusal_names_the_line_and_what_to_write_instead(kernel, make_block):
+    block = make_block(outputs=[Port("y")], output=kernel)
+    with pytest.raises(cosim.KernelError) as refused:
+        block.online(1)
+    said = str(refused.value)
+    line = int(re.search(r"line (\d+)\)", said)[1])
+    assert "# this line" in Path(__file__).read_text().splitlines()[line - 1]
+    assert INSTEAD[kernel] in said
 
 
 def allowed_kernel(y, a):

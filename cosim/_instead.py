@@ -1,0 +1,77 @@
+"""What to write in a step function instead of what it may not use."""
+
+from __future__ import annotations
+
+import dis
+from types import FunctionType, ModuleType
+from typing import Any
+
+from bayesftc.cosim import ops
+
+_SAME = {name: f"ops.{name}" for name in ops.NAMES}
+_INSTEAD = _SAME | {
+    "abs": "ops.absolute",
+    "all": "a loop",
+    "any": "a loop",
+    "array": "a state or a parameter of the block",
+    "bool": "a comparison",
+    "clip": "ops.minimum and ops.maximum",
+    "dot": "loops",
+    "empty": "a state of the block",
+    "enumerate": "range(len(...))",
+    "fabs": "ops.absolute",
+    "float": "the number itself: all are floats",
+    "fmax": "ops.maximum",
+    "fmin": "ops.minimum",
+    "int": "ops.floor",
+    "matmul": "loops",
+    "max": "ops.maximum",
+    "min": "ops.minimum",
+    "open": "a parameter of the block that holds what is in the file",
+    "pi": "a parameter of the block, or a number of the file: PI = math.pi",
+    "pow": "ops.square, ops.sqrt, ops.exp or products",
+    "power": "ops.square, ops.sqrt, ops.exp or products",
+    "print": "an output of the block",
+    "round": "ops.floor(x + 0.5)",
+    "sum": "a loop",
+    "tan": "ops.sin and ops.cos",
+    "tanh": "ops.exp",
+    "trunc": "ops.floor",
+    "where": "ops.select",
+    "zeros": "a state of the block",
+    "zip": "range(len(...))",
+}
+
+
+def line_of(function: FunctionType, name: str) -> int:
+    """Return the line in which a function reads a global or enclosing name first."""
+    for instruction in dis.get_instructions(function.__code__):
+        if instruction.argval == name and instruction.positions and instruction.positions.lineno:
+            return instruction.positions.lineno
+    return function.__code__.co_firstlineno
+
+
+def instead_of(function: FunctionType, name: str, value: Any) -> str:
+    """Return a sentence with what to write instead of a name that a step function may not use; empty where there is none."""
+    if isinstance(value, type) and issubclass(value, BaseException):
+        return " Errors cannot be raised or caught: choose with ops.select, or let a NaN tell."
+    if not callable(value) and not isinstance(value, ModuleType):
+        return " Give what is in it to the step function as a parameter of the block."
+    if isinstance(value, ModuleType):
+        member = _member(function, name)
+        if value.__name__.partition(".")[0] == "random" or member == "random":
+            return ' Random numbers are inputs: Port("noise", draw="normal").'
+        found, meant = _INSTEAD.get(member), f"{name}.{member}"
+    else:
+        found, meant = _INSTEAD.get(name), name
+    return f" Instead of {meant} take {found}." if found else ""
+
+
+def _member(function: FunctionType, module: str) -> str:
+    """Return what a function takes of a module first."""
+    before = None
+    for instruction in dis.get_instructions(function.__code__):
+        if before == module and instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"}:
+            return str(instruction.argval)
+        before = instruction.argval
+    return ""
