@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from math import ceil
 from typing import Literal
 
 from bayesftc.cosim._export.c_file import CFile
-from bayesftc.cosim._export.dependencies import feeding, feeding_elements
-from bayesftc.cosim._export.program import Program, Signal, Tunable
+from bayesftc.cosim._export.dependencies import Elements, feeding, feeding_elements
+from bayesftc.cosim._export.program import Program
+from bayesftc.cosim._export.signals import Signal, Tunable
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.units import BASE, parse
@@ -85,45 +86,57 @@ def model_of(program: Program, file: CFile, asked: Timing | None, description: s
     ModelError
         If the outputs cannot be those at the end of a step.
     """
-    variables = [_variable(signal, "input") for signal in program.inputs]
-    given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
-    single = feeding_elements(program)
-    whole = feeding(program, single)
+    fed = feeding_elements(program)
+    whole = feeding(program, fed)
     timing = _timing(program, whole, asked, once=file.changes_state)
-    names = {signal.name: i for i, signal in enumerate(given)}
-    elements = {name: i for i, name in enumerate(n for s in given for n in labels(s.name, s.shape))}
-    for signal in program.outputs:
-        initial = tuple(sorted(whole[signal.name], key=names.__getitem__))
-        each = tuple(tuple(sorted(of, key=elements.__getitem__)) for of in single[signal.name])
-        variables.append(_variable(signal, "output", initial, each))
-    variables += [_variable(tunable, "parameter") for tunable in program.tunables]
-    sizes = [
-        sum(len(signal.start) for signal in group) for group in (program.inputs, program.outputs, program.tunables)
-    ]
-    tune = "    (void)x;"
-    if program.tunables:
-        tune = f"    {file.name} *program = PROGRAM;\n\n"
-        tune += f"    memcpy(&program->parameters, x + {sizes[0] + sizes[1]}, sizeof program->parameters);"
-    glue = _BEHIND_FMI.format(
-        name=file.name,
-        inputs=sizes[0],
-        tune=tune,
-        after=f"\n    {file.name}_evaluate(PROGRAM, INPUTS, OUTPUTS);" if timing == "plant" else "",
-    )
     return Model(
         name=file.name,
         description=description,
-        source={f"{file.name}.h": file.header, f"{file.name}.c": file.source, f"{file.name}_fmu.c": glue},
-        variables=tuple(variables),
+        source={
+            f"{file.name}.h": file.header,
+            f"{file.name}.c": file.source,
+            f"{file.name}_fmu.c": _behind_fmi(program, file, timing),
+        },
+        variables=(
+            *(_variable(signal, "input") for signal in program.inputs),
+            *_outputs(program, whole, fed),
+            *(_variable(tunable, "parameter") for tunable in program.tunables),
+        ),
         step=float(program.step),
         fixed_step=True,
         stop_time=float(program.step * max(ceil(_SECONDS / program.step), _STEPS)),
-        hidden=file.memory + sizes[2] + 2,
+        hidden=file.memory + _size(program.tunables) + 2,  # time of the first step, and how many have been made
         timing=timing,
         libraries=("m",),
         blocks=program.blocks,
         finite=any(node.block.checks_finite for node in program.schedule.nodes),
     )
+
+
+def _outputs(program: Program, whole: Mapping[str, frozenset[str]], fed: Elements) -> Iterator[Variable]:
+    """Yield the outputs; what each depends on, in the order of the variables."""
+    given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
+    names = {signal.name: i for i, signal in enumerate(given)}
+    elements = {name: i for i, name in enumerate(n for s in given for n in labels(s.name, s.shape))}
+    for signal in program.outputs:
+        initial = tuple(sorted(whole[signal.name], key=names.__getitem__))
+        each = tuple(tuple(sorted(of, key=elements.__getitem__)) for of in fed[signal.name])
+        yield _variable(signal, "output", initial, each)
+
+
+def _behind_fmi(program: Program, file: CFile, timing: Timing) -> str:
+    """Return the C between the program and the wrappers."""
+    inputs = _size(program.inputs)
+    tune = "    (void)x;"
+    if program.tunables:
+        tune = f"    {file.name} *program = PROGRAM;\n\n"
+        tune += f"    memcpy(&program->parameters, x + {inputs + _size(program.outputs)}, sizeof program->parameters);"
+    after = f"\n    {file.name}_evaluate(PROGRAM, INPUTS, OUTPUTS);" if timing == "plant" else ""
+    return _BEHIND_FMI.format(name=file.name, inputs=inputs, tune=tune, after=after)
+
+
+def _size(group: Sequence[Signal | Tunable]) -> int:
+    return sum(len(each.start) for each in group)
 
 
 def _timing(program: Program, fed: Mapping[str, frozenset[str]], asked: Timing | None, *, once: bool) -> Timing:
@@ -172,6 +185,5 @@ def _unit(text: str | None) -> Unit | None:
     meaning = parse(text)
     if meaning is None:
         return Unit(text, defined=False)
-    short = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-    powers = {name: meaning.powers.get(base, 0) for name, base in zip(short, BASE, strict=True)}
-    return Unit(text, **powers, factor=meaning.factor, offset=meaning.offset)
+    kg, m, s, A, K, mol, cd, rad = (meaning.powers.get(base, 0) for base in BASE)  # noqa: N806
+    return Unit(text, kg, m, s, A, K, mol, cd, rad, meaning.factor, meaning.offset)
