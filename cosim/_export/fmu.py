@@ -185,5 +185,5 @@ def _unit(text: str | None) -> Unit | None:
     meaning = parse(text)
     if meaning is None:
         return Unit(text, defined=False)
-    kg, m, s, A, K, mol, cd, rad = (meaning.powers.get(base, 0) for base in BASE)  # noqa: N806
+    kg, m, s, A, K, mol, cd, rad = (meaning.powers.get(base, 0) for base in BASE)
     return Unit(text, kg, m, s, A, K, mol, cd, rad, meaning.factor, meaning.offset)
