@@ -44,6 +44,8 @@ def _memory(program: Program) -> tuple[Memory, list[str]]:
     schedule = program.schedule
     memory: Memory = np.array([*map(np.float64, schedule.initial.tolist()), None], dtype=object)[:-1]
     names: list[str] = []
+    Origins.made = 0  # by another program
+    nothing = Origins(0)
 
     def known(name: str, shape: tuple[int, ...]) -> list[Origins]:
         before = len(names)
@@ -54,8 +56,7 @@ def _memory(program: Program) -> tuple[Memory, list[str]]:
         for section, offset, shape in slots.sections.values():
             if section in {"state", "outputs"}:
                 begin = slots.start[section] + offset
-                for place in range(begin, begin + int(np.prod(shape, dtype=int))):
-                    memory[place] = Origins(0)
+                memory[begin : begin + int(np.prod(shape, dtype=int))] = nothing
         if node.name == OUTSIDE:
             given = [element for signal in program.inputs for element in known(signal.name, signal.shape)]
             for place, element in enumerate(given, slots.start["outputs"]):

@@ -123,11 +123,10 @@ def run(kernel: Kernel, slots: Slots, memory: Memory) -> None:
             rebound(kernel, _OPERATIONS)(**views, **rest)
     except (TypeError, ArithmeticError, IndexError, ValueError, TooLong):
         Origins.made = 0
+        anything = Origins(before)
         for name in read:
             if slots.sections[name][0] == "outputs":
-                view = _view(name, slots, memory)
-                for index in np.ndindex(view.shape):
-                    view[index] = Origins(before)
+                _view(name, slots, memory)[...] = anything
 
 
 def _view(name: str, slots: Slots, memory: Memory) -> Memory:

@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 from bayesftc import cosim
 from bayesftc.cosim._export.dependencies import feeding, feeding_elements
 from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim._export.sets import MOST
 from bayesftc.cosim.ports import labels
 
 
@@ -110,3 +111,36 @@ class Branching(cosim.Block):
 
 def test_where_a_step_function_branches_all_that_it_reads_counts():
     assert feeding_elements(program_of(Branching(), dt=0.1))["y"] == ({"u", "other"},) * 2
+
+
+def adding(u, y):
+    total = 0.0
+    for _ in range(MOST + 1):
+        total = total + u[0]
+    y[0] = total
+
+
+def remembering(u, x, y):
+    y[0] = x[0]
+    x[0] = u[0]
+
+
+@dataclass(frozen=True)
+class Long(cosim.Block):
+    """A block whose step function makes as many operations as are followed, or that has more numbers than that."""
+
+    adds: bool
+    inputs = (cosim.Port("u"),)
+    outputs = (cosim.Port("y"),)
+
+    def define(self, step: Fraction):
+        if self.adds:
+            return cosim.Definition(adding)
+        return cosim.Definition(remembering, state={"x": np.zeros(MOST + 1)})
+
+
+def test_only_operations_are_counted_and_each_program_by_itself():
+    """Neither what was exported before it nor a large state makes a program too long."""
+    for long, fed in ((Long(adds=True), {"u"}), (Long(adds=False), set()), (Long(adds=True), {"u"})):
+        assert feeding_elements(program_of(long, dt=0.1))["y"] == (fed,)
+    assert feeding_elements(program_of(cosim.UnitDelay(), dt=0.1))["y"] == (set(),)
