@@ -8,18 +8,11 @@ from bayesftc.fmus.spec import Model, Variable
 
 
 def _add_variable(parent: ET.Element, variable: Variable, reference: int) -> None:
-    attributes = {
-        "name": variable.name,
-        "valueReference": str(reference),
-        "description": variable.description,
-        "causality": variable.causality,
-        "variability": variable.variability,
-    }
-    calculated = variable.causality in {"output", "local"}
-    if calculated:
+    attributes = _xml.variable_attributes(variable, reference)
+    if variable.calculated:
         attributes["initial"] = "calculated"
     real = {"unit": variable.unit.name} if variable.unit is not None else {}
-    if not calculated:
+    if not variable.calculated:
         real["start"] = repr(float(variable.starts[0]))
     ET.SubElement(ET.SubElement(parent, "ScalarVariable", attributes), "Real", real)
 

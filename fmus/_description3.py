@@ -7,16 +7,10 @@ from bayesftc.fmus.spec import Model, Variable
 
 
 def _add_variable(parent: ET.Element, variable: Variable, reference: int) -> None:
-    attributes = {
-        "name": variable.name,
-        "valueReference": str(reference),
-        "description": variable.description,
-        "causality": variable.causality,
-        "variability": variable.variability,
-    }
+    attributes = _xml.variable_attributes(variable, reference)
     if variable.unit is not None:
         attributes["unit"] = variable.unit.name
-    if variable.causality in {"output", "local"}:
+    if variable.calculated:
         attributes["initial"] = "calculated"
     else:
         attributes["start"] = " ".join(repr(float(start)) for start in variable.starts)

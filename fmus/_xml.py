@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
-from bayesftc.fmus.spec import Model
+from bayesftc.fmus.spec import Model, Variable
 
 # Constant, so that building twice gives the same bytes: the earliest time that a zip file can hold.
 GENERATED = "1980-01-01T00:00:00Z"
@@ -48,6 +48,17 @@ def add_units(root: ET.Element, model: Model) -> None:
         element = ET.SubElement(definitions, "Unit", {"name": unit.name})
         if unit.defined:  # without exponents it would be a number
             ET.SubElement(element, "BaseUnit", attributes)
+
+
+def variable_attributes(variable: Variable, reference: int) -> dict[str, str]:
+    """Return what a variable's element begins with."""
+    return {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.description,
+        "causality": variable.causality,
+        "variability": variable.variability,
+    }
 
 
 def add_log_categories(root: ET.Element) -> None:

@@ -135,6 +135,11 @@ class Variable:
         return tuple(self.name + (f"[{','.join(map(str, index))}]" if index else "") for index in indices)
 
     @property
+    def calculated(self) -> bool:
+        """Whether the model computes it, so that nobody gives it a start value."""
+        return self.causality in {"output", "local"}
+
+    @property
     def symbol(self) -> str:
         """The C name of its index in the vector of values."""
         return "X_" + re.sub(r"[^A-Za-z0-9_]", "_", self.name)
