@@ -95,6 +95,11 @@ WRONG = {
     "an FMU": (9, "The block 'plant' is an FMU", ("--block", "plant")),
     "no folder": (12, "does not exist; make the folder", ("--block", "controller", "-o", "no/brain.fmu")),
     "another ending": (12, "call it brain.fmu", ("--block", "controller", "-o", "brain.zip")),
+    "C by the name of a file": (
+        12,
+        "C is written into a folder",
+        ("--block", "controller", "--format", "c", "-o", "x.c"),
+    ),
     "another version": (9, "must be one of '2.0', '3.0'", ("--block", "controller", "--fmi", "1.0")),
     "another platform": (5, "did you mean", ("--block", "controller", "--platform", "linux-x86-64")),
     "feedthrough": (9, "acts on the output", ("--block", "controller", "--timing", "plant")),

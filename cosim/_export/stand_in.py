@@ -63,8 +63,11 @@ class StandIn:
         """Yield in sentences what is not compared, and what the FMU cannot be given."""
         if strange:
             yield f"Not compared, as the diagram does not have them: {_some(strange)}."
-        compared = {at[:2] for at in self.out}
-        missing = [f"{n.name}.{p.name}" for n in nodes for p in n.block.outputs if (n.name, p.name) not in compared]
+        missing: list[str] = []
+        for name, port in [(n.name, p) for n in nodes for p in n.block.outputs]:
+            lacking = [i for i in range(port.size) if (name, port.name, i) not in self.out]
+            whole = f"{name}.{port.name}"
+            missing += [whole] if len(lacking) == port.size else [labels(whole, port.shape)[i] for i in lacking]
         if missing:
             yield f"Not compared, as the FMU does not have them: {_some(missing)}."
         unfed = [

@@ -326,6 +326,18 @@ def test_without_an_output_that_others_hear_the_loop_stays_as_it_is(car, tmp_pat
     assert "the diagram hears controller.u[0], which the FMU does not have" in repr(found)
 
 
+def test_elements_that_an_fmu_lacks_are_named(tmp_path):
+    def noisy(count):
+        diagram = cosim.Diagram("1/10")
+        gain = diagram.add(cosim.Gain(np.eye(count)), "gain")
+        diagram.connect([diagram.add(cosim.Gaussian(std=1.0), f"noise{i}")["y"] for i in range(count)], gain["u"])
+        return diagram
+
+    path = cosim.export_fmu(noisy(2), tmp_path / "two.fmu", blocks="gain")
+    found = cosim.verify_fmu(path, noisy(3), duration=2.0, engine="interpreted")
+    assert "Not compared, as the FMU does not have them: gain.y[2]." in found.notes
+
+
 def test_an_isolated_fmu_gives_the_same(car):
     assert cosim.verify_fmu(car[1]["2.0"], car[0], duration=2.0, engine="interpreted", isolate=True).agrees()
 
@@ -338,6 +350,8 @@ def test_nothing_is_left_where_an_export_fails(tmp_path):
     for path, error, says in (
         (tmp_path / "no" / "x.fmu", cosim.ResultFileError, "does not exist; make the folder"),
         (tmp_path / "x", cosim.ResultFileError, "does not end in .fmu"),
+        (tmp_path / ".fmu", cosim.ResultFileError, "call it controller.fmu, say"),
+        (tmp_path / ("x" * 300 + ".fmu"), cosim.ResultFileError, "too long for a file"),
         (tmp_path / "file" / "x.fmu", cosim.ResultFileError, "no folder, but a file"),
     ):
         (tmp_path / "file").write_text("")
