@@ -6,9 +6,9 @@
 typedef char the_status_values_agree[(int)fmi2OK == OK && (int)fmi2Warning == WARNING && (int)fmi2Discard == DISCARD
                                      && (int)fmi2Error == ERROR ? 1 : -1];
 
-static void emit(const Instance *instance, int status, const char *category, const char *line)
+static void emit(const Importer *importer, int status, const char *category, const char *line)
 {
-    const fmi2CallbackLogger logger = (fmi2CallbackLogger)instance->logger;
+    const fmi2CallbackLogger logger = (fmi2CallbackLogger)importer->logger;
     char format[1024]; /* a line has at most 511 characters, and each may double */
     size_t used = 0;
 
@@ -20,7 +20,7 @@ static void emit(const Instance *instance, int status, const char *category, con
         format[used++] = *line;
     }
     format[used] = '\0';
-    logger(instance->environment, instance->name, (fmi2Status)status, category, format);
+    logger(importer->environment, importer->name, (fmi2Status)status, category, format);
 }
 
 /* Inquiry, creation and destruction */
@@ -44,17 +44,17 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nC
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID, fmi2String fmuResourceLocation,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
 {
-    Instance template;
+    Importer importer;
 
     (void)fmuResourceLocation;
     (void)visible;
     (void)loggingOn;
-    memset(&template, 0, sizeof template);
+    memset(&importer, 0, sizeof importer);
     if (functions != NULL) {
-        template.logger = (void (*)(void))functions->logger;
-        template.environment = functions->componentEnvironment;
+        importer.logger = (void (*)(void))functions->logger;
+        importer.environment = functions->componentEnvironment;
     }
-    return instantiate(&template, instanceName, fmuGUID, fmuType == fmi2CoSimulation ? NULL : "model exchange");
+    return instantiate(&importer, instanceName, fmuGUID, fmuType == fmi2CoSimulation ? NULL : "model exchange");
 }
 
 void fmi2FreeInstance(fmi2Component c)
@@ -184,7 +184,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
         return fmi2Error;
     }
     if (s != fmi2LastSuccessfulTime) {
-        return (fmi2Status)refuse(instance, DISCARD, "fmi2GetRealStatus: no answer for the status kind %d.", (int)s);
+        return (fmi2Status)refuse(&instance->importer, DISCARD, "fmi2GetRealStatus: no answer for the status kind %d.", (int)s);
     }
     *value = instance->state.x[X_TIME];
     return fmi2OK;
@@ -198,7 +198,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
         return fmi2Error;
     }
     if (s != fmi2Terminated) {
-        return (fmi2Status)refuse(instance, DISCARD, "fmi2GetBooleanStatus: no answer for the status kind %d.", (int)s);
+        return (fmi2Status)refuse(&instance->importer, DISCARD, "fmi2GetBooleanStatus: no answer for the status kind %d.", (int)s);
     }
     *value = fmi2False; /* no model asks to end the simulation */
     return fmi2OK;
@@ -211,8 +211,8 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
         if (c == NULL) { \
             return fmi2Error; \
         } \
-        return (fmi2Status)refuse((Instance *)c, DISCARD, "%s: no answer for the status kind %d, because no step is ever " \
-                                  "pending.", #function, (int)s); \
+        return (fmi2Status)refuse(&((Instance *)c)->importer, DISCARD, "%s: no answer for the status kind %d, because no step " \
+                                  "is ever pending.", #function, (int)s); \
     }
 
 NO_STATUS(fmi2GetStatus, fmi2Status)

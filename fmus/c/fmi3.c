@@ -6,9 +6,9 @@
 typedef char the_status_values_agree[(int)fmi3OK == OK && (int)fmi3Warning == WARNING && (int)fmi3Discard == DISCARD
                                      && (int)fmi3Error == ERROR ? 1 : -1];
 
-static void emit(const Instance *instance, int status, const char *category, const char *line)
+static void emit(const Importer *importer, int status, const char *category, const char *line)
 {
-    ((fmi3LogMessageCallback)instance->logger)(instance->environment, (fmi3Status)status, category, line);
+    ((fmi3LogMessageCallback)importer->logger)(importer->environment, (fmi3Status)status, category, line);
 }
 
 /* Inquiry, creation and destruction */
@@ -27,12 +27,12 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, siz
 static fmi3Instance start(fmi3String name, fmi3String token, const char *obstacle, fmi3InstanceEnvironment environment,
                           fmi3LogMessageCallback logger)
 {
-    Instance template;
+    Importer importer;
 
-    memset(&template, 0, sizeof template);
-    template.logger = (void (*)(void))logger;
-    template.environment = environment;
-    return instantiate(&template, name, token, obstacle);
+    memset(&importer, 0, sizeof importer);
+    importer.logger = (void (*)(void))logger;
+    importer.environment = environment;
+    return instantiate(&importer, name, token, obstacle);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(

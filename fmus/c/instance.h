@@ -47,40 +47,44 @@ typedef struct {
     double x[MODEL_SIZE];
 } State;
 
+/* A serialised state is the token and the bytes of the state. A state may be large: none is ever put on the stack. */
+#define TOKEN 64
+#define SERIALISED (TOKEN + sizeof(State))
+typedef char the_token_has_room[sizeof MODEL_TOKEN <= TOKEN ? 1 : -1];
+
 typedef struct {
-    char token[64];
-    State state;
-} Serialised;
+    void (*logger)(void); /* the importer's callback; each wrapper casts it back to its own type */
+    void *environment;
+    const char *name; /* of the instance */
+} Importer;
 
 typedef struct {
     State state;
-    void (*logger)(void); /* the importer's callback; each wrapper casts it back to its own type */
-    void *environment;
-    const char *name;
+    Importer importer;
 } Instance;
 
 /* The wrapper hands one finished line to the importer. */
-static void emit(const Instance *instance, int status, const char *category, const char *line);
+static void emit(const Importer *importer, int status, const char *category, const char *line);
 
-static void report(const Instance *instance, int status, const char *format, va_list arguments)
+static void report(const Importer *importer, int status, const char *format, va_list arguments)
 {
     static const char *const categories[] = { "", "logStatusWarning", "logStatusDiscard", "logStatusError" };
     char line[512];
 
-    if (instance->logger == NULL) {
+    if (importer->logger == NULL) {
         return;
     }
     vsnprintf(line, sizeof line, format, arguments);
-    emit(instance, status, categories[status], line);
+    emit(importer, status, categories[status], line);
 }
 
 /* A refusal that changes nothing: the importer may go on. */
-static int refuse(const Instance *instance, int status, const char *format, ...)
+static int refuse(const Importer *importer, int status, const char *format, ...)
 {
     va_list arguments;
 
     va_start(arguments, format);
-    report(instance, status, format, arguments);
+    report(importer, status, format, arguments);
     va_end(arguments);
     return status;
 }
@@ -91,7 +95,7 @@ static int fail(Instance *instance, const char *format, ...)
 
     instance->state.phase = FAILED;
     va_start(arguments, format);
-    report(instance, ERROR, format, arguments);
+    report(&instance->importer, ERROR, format, arguments);
     va_end(arguments);
     return ERROR;
 }
@@ -152,40 +156,40 @@ static void reset_state(State *state)
 }
 
 /* The name is copied behind the instance: one allocation, and none after it but for saved states. */
-static Instance *new_instance(const Instance *template)
+static Instance *new_instance(const Importer *importer)
 {
-    const size_t length = strlen(template->name) + 1;
+    const size_t length = strlen(importer->name) + 1;
     Instance *instance = (Instance *)calloc(1, sizeof *instance + length);
 
     if (instance == NULL) {
-        refuse(template, ERROR, "Instantiation: no memory for the instance '%s'.", template->name);
+        refuse(importer, ERROR, "Instantiation: no memory for the instance '%s'.", importer->name);
         return NULL;
     }
-    *instance = *template;
-    instance->name = (const char *)memcpy(instance + 1, template->name, length);
+    instance->importer = *importer;
+    instance->importer.name = (const char *)memcpy(instance + 1, importer->name, length);
     reset_state(&instance->state);
     return instance;
 }
 
 /* The part of instantiation that FMI 2 and 3 have in common; NULL after a message where it cannot be. */
-static Instance *instantiate(Instance *template, const char *name, const char *token, const char *obstacle)
+static Instance *instantiate(Importer *importer, const char *name, const char *token, const char *obstacle)
 {
-    template->name = name == NULL ? "" : name;
-    if (template->name[0] == '\0') {
-        refuse(template, ERROR, "Instantiation: the instance of %s has no name; give a name that is not empty.", MODEL_NAME);
+    importer->name = name == NULL ? "" : name;
+    if (importer->name[0] == '\0') {
+        refuse(importer, ERROR, "Instantiation: the instance of %s has no name; give a name that is not empty.", MODEL_NAME);
         return NULL;
     }
     if (token == NULL || strcmp(token, MODEL_TOKEN) != 0) {
-        refuse(template, ERROR, "Instantiation: the token '%s' is not that of this %s, '%s'; the model description and the "
+        refuse(importer, ERROR, "Instantiation: the token '%s' is not that of this %s, '%s'; the model description and the "
                "binary come from different builds.", token == NULL ? "" : token, MODEL_NAME, MODEL_TOKEN);
         return NULL;
     }
     if (obstacle != NULL) {
-        refuse(template, ERROR, "Instantiation: %s is for co-simulation only, without event mode and intermediate updates; "
+        refuse(importer, ERROR, "Instantiation: %s is for co-simulation only, without event mode and intermediate updates; "
                "%s was asked for.", MODEL_NAME, obstacle);
         return NULL;
     }
-    return new_instance(template);
+    return new_instance(importer);
 }
 
 static int set_times(Instance *instance, const char *function, double start, int stop_defined, double stop)
@@ -420,41 +424,35 @@ static int serialised_size(Instance *instance, const char *function, const void 
     if (saved == NULL || size == NULL) {
         return fail(instance, "%s: the saved state or the place for its size is NULL.", function);
     }
-    *size = sizeof(Serialised);
+    *size = SERIALISED;
     return OK;
 }
 
 static int serialise(Instance *instance, const char *function, const void *saved, void *bytes, size_t size)
 {
-    Serialised whole;
-
     if (instance == NULL) {
         return ERROR;
     }
-    if (saved == NULL || bytes == NULL || size < sizeof whole) {
+    if (saved == NULL || bytes == NULL || size < SERIALISED) {
         return fail(instance, "%s: the saved state or the buffer is NULL, or the buffer is smaller than %lu bytes.", function,
-                    (unsigned long)sizeof whole);
+                    (unsigned long)SERIALISED);
     }
-    memset(&whole, 0, sizeof whole);
-    strncpy(whole.token, MODEL_TOKEN, sizeof whole.token - 1);
-    memcpy(&whole.state, saved, sizeof whole.state);
-    memcpy(bytes, &whole, sizeof whole);
+    memset(bytes, 0, TOKEN);
+    memcpy(bytes, MODEL_TOKEN, sizeof MODEL_TOKEN);
+    memcpy((char *)bytes + TOKEN, saved, sizeof(State));
     return OK;
 }
 
 static int deserialise(Instance *instance, const char *function, const void *bytes, size_t size, void **saved)
 {
-    Serialised whole;
-
     if (instance == NULL) {
         return ERROR;
     }
-    if (bytes == NULL || saved == NULL || size != sizeof whole) {
+    if (bytes == NULL || saved == NULL || size != SERIALISED) {
         return fail(instance, "%s: a serialised state of %s has %lu bytes, not %lu.", function, MODEL_NAME,
-                    (unsigned long)sizeof whole, (unsigned long)(bytes == NULL ? 0 : size));
+                    (unsigned long)SERIALISED, (unsigned long)(bytes == NULL ? 0 : size));
     }
-    memcpy(&whole, bytes, sizeof whole);
-    if (strncmp(whole.token, MODEL_TOKEN, sizeof whole.token) != 0) {
+    if (memcmp(bytes, MODEL_TOKEN, sizeof MODEL_TOKEN) != 0) {
         return fail(instance, "%s: the bytes are not a serialised state of this build of %s.", function, MODEL_NAME);
     }
     if (*saved == NULL) {
@@ -463,7 +461,7 @@ static int deserialise(Instance *instance, const char *function, const void *byt
     if (*saved == NULL) {
         return fail(instance, "%s: no memory for a saved state.", function);
     }
-    memcpy(*saved, &whole.state, sizeof whole.state);
+    memcpy(*saved, (const char *)bytes + TOKEN, sizeof(State));
     return OK;
 }
 
@@ -499,7 +497,7 @@ static int set_logging(Instance *instance, const char *function, size_t count, c
 
         if (strcmp(category, "logStatusWarning") != 0 && strcmp(category, "logStatusDiscard") != 0
             && strcmp(category, "logStatusError") != 0) {
-            return refuse(instance, WARNING, "%s: %s has no log category '%s'.", function, MODEL_NAME, category);
+            return refuse(&instance->importer, WARNING, "%s: %s has no log category '%s'.", function, MODEL_NAME, category);
         }
     }
     return OK;

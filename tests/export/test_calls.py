@@ -110,6 +110,34 @@ def test_a_state_is_refused_where_it_does_not_belong(exported, instance, fmi):
     assert "not a serialised state" in it.refused(lambda c: c.fmu.deserializeFMUState(bytes(len(data))))
 
 
+def remember(u, x, y):
+    y[0] = x[0]
+    x[0] = u[0]
+
+
+class Large(cosim.Block):
+    """A block with more numbers than a stack holds, which has 8 MB on most systems."""
+
+    inputs = (cosim.Port("u"),)
+    outputs = (cosim.Port("y"),)
+
+    def define(self, step):
+        return cosim.Definition(remember, state={"x": np.zeros(1_100_000)})
+
+
+def test_a_state_may_be_larger_than_the_stack(instance, tmp_path, fmi, c_compiler):
+    it = instance(cosim.export_fmu(Large(), tmp_path / "large.fmu", fmi=fmi, dt=H)).begin()
+    it.step(0, H, u=3.0)
+    state = it.fmu.getFMUState()
+    it.step(1, H, u=4.0)
+    restored = it.fmu.deserializeFMUState(it.fmu.serializeFMUState(state))
+    it.fmu.setFMUState(restored)
+    it.step(1, H, u=5.0)
+    assert it.get("y") == 3.0
+    for each in (state, restored):
+        it.fmu.freeFMUState(each)
+
+
 def test_a_saved_run_goes_on_in_this_packages_own_import(exported, name, fmi, fed, same_bits):
     """The state of the whole run is pickled and restored in a session of its own."""
     block, fmu = BLOCKS[name], cosim.FMU(exported[name, fmi])
