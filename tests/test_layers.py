@@ -6,7 +6,7 @@ from pathlib import Path
 import bayesftc
 
 ROOT = Path(bayesftc.__file__).resolve().parent
-LAYERS = ("fmus", "cosim", "controllers", "scenario", "monitoring", "bench", "reproduce", "examples", "cli")
+LAYERS = ("fmus", "cosim", "controllers", "scenario", "monitoring", "bench", "reproduce", "report", "examples", "cli")
 """Each may use those before it."""
 
 

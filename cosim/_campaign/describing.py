@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from bayesftc.cosim._campaign.job import Job
+from bayesftc.cosim._campaign.metrics import Metric
 from bayesftc.cosim._campaign.pickling import Reduced, pickled
 from bayesftc.cosim._fmi.archive import open_archive
+from bayesftc.cosim._wiring import faults_before, find_controller, find_sensors
+from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import FMUError, ModelError
 from bayesftc.cosim.fmu import FMU
 
@@ -24,7 +27,8 @@ def described(job: Job) -> dict[str, Any]:
         "step": f"{job.step} s",
         "decimation": job.decimation,
         "blocks": {node.name: _said(node.block) for node in diagram.nodes},
-        "metrics": [_said(metric) for metric in job.metrics],
+        "metrics": [_settings(metric) for metric in job.metrics],
+        "roles": _roles(diagram),
     }
 
 
@@ -63,6 +67,27 @@ def paths_among(job: Job) -> list[Path]:
             continue
         found.append(path)
     return found
+
+
+def _settings(metric: Metric) -> dict[str, Any]:
+    """Return the kind and the settings of a metric, as a campaign file would say them, and the names of its numbers."""
+    settings = {name: value for name, value in vars(metric).items() if not callable(value)}
+    function = {
+        n: f"{getattr(f, '__module__', '')}.{getattr(f, '__qualname__', _said(f))}" for n, f in vars(metric).items()
+    }
+    plain = {n: v if isinstance(v, bool | int | float | str | None) else _said(v) for n, v in settings.items()}
+    return {"kind": type(metric).__name__, **plain, **{n: f for n, f in function.items() if n not in settings}}
+
+
+def _roles(diagram: Diagram) -> dict[str, Any]:
+    """Return which block is the controller of a closed loop, and for each of its sensors the faults on the way; else nothing."""
+    try:
+        find_sensors(diagram)
+        brain = find_controller(diagram)
+    except ModelError:
+        return {}
+    sensors = [faults_before(diagram, brain, i) for i in range(brain.block.port("y").size)]
+    return {"controller": brain.name, "faults_of_sensors": sensors}
 
 
 def _said(thing: Any) -> str:

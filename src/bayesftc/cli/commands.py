@@ -337,6 +337,28 @@ def campaign(
 
 
 @app.command()
+def report(
+    store: Annotated[Path, typer.Argument(help="The folder of a campaign's results.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The page; by default report.html in the folder.")
+    ] = None,
+    metric: Annotated[str | None, typer.Option(help="The metric that counts; by default the first.")] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(metavar="FACTOR", help="The factor whose levels are compared, as controller.precision."),
+    ] = None,
+    title: Annotated[str | None, typer.Option(help="The question; by default the folder's name.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Write a campaign's report: one page with its tables and figures, for any browser and for print."""
+    with guarded(debug):
+        from bayesftc.cli.report import write_report
+
+        write_report(store, out, metric=metric, compare=compare, title=title, quiet=quiet)
+
+
+@app.command()
 def replay(
     store: Annotated[Path, typer.Argument(help="The folder of a campaign's results.")],
     run: Annotated[int, typer.Argument(help="Number of the run, as the table has it.")],

@@ -1,0 +1,87 @@
+"""Errors over time: for each level of the compared factor the median over runs, and the band in which nine runs of ten lie."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.report.svg import COLOURS, INK, figure, legend
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from bayesftc.cosim.block import Floats
+    from bayesftc.report.contents import Contents
+
+POINTS = 250
+"""Instants at which quantiles are taken: more would not be seen."""
+QUANTILES = (0.05, 0.5, 0.95)
+PANELS = 4
+
+
+def error_bands(contents: Contents) -> tuple[Figure, str] | None:
+    """Return a figure of the absolute errors over time, or of the signals where no error is known, and what it shows."""
+    errors = contents.errors()[:PANELS]
+    names = contents.scalars()[:PANELS]
+    if not errors and not names:
+        return None
+    time = contents.store.time
+    stride = max(1, -(-len(time) // POINTS))
+    collected = (
+        [_gathered(contents, (e.signal, e.reference), e.shift, stride) for e in errors]
+        if errors
+        else [_gathered(contents, (name,), 0, stride) for name in names]
+    )
+    made, axes = figure(0.5 + 2.3 * len(collected), len(collected), sharex=True)
+    for i, (axis, values) in enumerate(zip(axes, collected, strict=True)):
+        shift = errors[i].shift if errors else 0
+        at = time[shift:][::stride]
+        for level, colour in zip(contents.levels(), _colours(), strict=False):
+            runs = contents.runs_of(level)["run"].to_numpy()
+            low, middle, high = _quantiles(values[runs])
+            axis.fill_between(at, low, high, color=colour, alpha=0.18, lw=0)
+            axis.plot(at, middle, color=colour, lw=1.5, label=None if level is None else str(level))
+        signal = errors[i].signal if errors else names[i]
+        axis.set_ylabel(f"|{signal} error|{contents.unit(signal)}" if errors else f"{signal}{contents.unit(signal)}")
+        if errors:
+            axis.set_ylim(bottom=0)
+    axes[-1].set_xlabel("time (s)")
+    axes[-1].set_xlim(float(time[0]), float(time[-1]))
+    legend(axes[0])
+    what = "Absolute error over time" if errors else "Signals over time"
+    return made, f"{what}: median over runs, and the band from the 5 % to the 95 % quantile."
+
+
+def _colours() -> list[str]:
+    return [*COLOURS, INK]
+
+
+def _gathered(contents: Contents, names: tuple[str, ...], shift: int, stride: int) -> Floats:
+    """Return for each run the signal, or its absolute difference from a reference, at every `stride`-th time."""
+    rows = len(contents.store.time) - shift
+    values = np.full((contents.store.plan.runs, -(-rows // stride)), np.nan)
+    for piece, signals in contents.store.pieces_of_signals(names):
+        own = signals[names[0]][:, shift:][:, ::stride]
+        if len(names) > 1:
+            own = np.abs(own - signals[names[1]][:, :rows][:, ::stride])
+        values[piece.begin : piece.end] = own
+    return values
+
+
+def _quantiles(values: Floats) -> Any:
+    """Return the quantiles over runs at each time; NaN where no run has a value."""
+    ordered = np.sort(values, axis=0)  # NaN comes last
+    count = np.isfinite(ordered).sum(axis=0)
+    found = []
+    for q in QUANTILES:
+        place = q * np.maximum(count - 1, 0)
+        low = np.floor(place).astype(int)
+        high = np.minimum(low + 1, np.maximum(count - 1, 0))
+        columns = np.arange(values.shape[1])
+        a, b = ordered[low, columns], ordered[high, columns]
+        found.append(np.where(count > 0, a + (place - low) * (b - a), np.nan))
+    return found
+
+
+__all__ = ["error_bands"]
