@@ -16,25 +16,8 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim._export.deviations import deviation
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
-MODEL = controllers.LinearModel(
-    A=[[0.95, 0.1], [0.0, 0.9]],
-    B=[[0.0], [0.1]],
-    C=[[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
-    process_covariance=np.diag([1e-4, 1e-3]),
-    sensor_covariance=[0.04, 0.09, 0.01],
-    dt="1/10",
-)
-LAW = {"control_covariance": 100.0}
-BLOCKS = {
-    "gamma": controllers.BayesianController(MODEL, precision=controllers.GammaPrecision(window=7), **LAW),
-    "PID": controllers.PID(1.0, states=2, derivative_gain=0.1, integral_gain=0.5, u_max=3.0),
-    "faults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
-    "system": cosim.StateSpace(
-        control.ss([[0.5, 0.2], [0.0, 0.9]], np.eye(2), [[1.0, 1.0]], 0, 0.1), process_noise=np.eye(2)
-    ),
-    "sine": cosim.Sine(amplitude=1.0, period=0.7),
-    "delay": cosim.UnitDelay(),  # a plant to FMI, whose NaNs are missing samples all the same
-}
+PLANTS = ("system", "sine", "delay")
+"""Blocks that are plants to FMI; a delay's NaNs are missing samples all the same."""
 
 
 @pytest.fixture(autouse=True)
@@ -71,22 +54,26 @@ def car(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("kind", "fmi"), [*((k, "3.0") for k in BLOCKS), *((k, "2.0") for k in ("gamma", "faults", "delay"))]
+    ("kind", "fmi"),
+    [
+        *((k, "3.0") for k in ("lqg", "PID", "RandomFaults", *PLANTS)),
+        *((k, "2.0") for k in ("lqg", "RandomFaults", "delay")),
+    ],
 )
-def test_the_same_bits_as_the_block_missing_samples_and_noise_included(kind, fmi, tmp_path):
-    diagram = surrounded(BLOCKS[kind])
+def test_the_same_bits_as_the_block_missing_samples_and_noise_included(kind, fmi, blocks, tmp_path):
+    diagram = surrounded(blocks[kind])
     path = cosim.export_fmu(diagram, tmp_path / "one.fmu", blocks="block", fmi=fmi)
     assert validate_fmu(str(path)) == []
     found = cosim.verify_fmu(path, diagram, duration=15.0, seed=5, engine="interpreted")
     assert found.agrees(), found
     assert found.in_loop
     assert not found.notes
-    assert {d.signal for d in found.beside} == {f"block.{port.name}" for port in BLOCKS[kind].outputs}
+    assert {d.signal for d in found.beside} == {f"block.{port.name}" for port in blocks[kind].outputs}
     fmu = cosim.FMU(path)
-    assert fmu.timing == ("plant" if kind in {"system", "sine", "delay"} else "sampled")
-    assert fmu.checks_finite == BLOCKS[kind].checks_finite
+    assert fmu.timing == ("plant" if kind in PLANTS else "sampled")
+    assert fmu.checks_finite == blocks[kind].checks_finite
     assert {v.name.partition("[")[0] for v in fmu.description.variables if v.causality == "input"} == {
-        port.name for port in BLOCKS[kind].inputs
+        port.name for port in blocks[kind].inputs
     }
 
 
