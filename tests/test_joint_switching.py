@@ -238,15 +238,18 @@ def test_correlated_sensors_and_wrapped_learners_are_judged_one_by_one():
 
 
 def test_both_engines_give_the_same_bits_whatever_the_samples_are():
-    """Also after samples that no sensor sends; beliefs stay numbers, and come back."""
+    """Also after samples that no sensor sends; beliefs stay numbers, and come back.
+
+    Of an estimator, which test_estimator compiles too; that of a controller is compiled with modes of actuators as well.
+    """
     rng = np.random.default_rng(7)
     absurd = [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e150, 1e-300, 0.0, 1e9, -1e20]
     rows = np.concatenate([rng.normal(size=(60, 2)), rng.choice(absurd, size=(200, 2)), rng.normal(size=(60, 2))])
-    controller = controllers.BayesianController(model(), precision=SwitchingPrecision())
-    plain, fast = controller.online(compiled=False), controller.online(compiled=True)
+    estimator = controllers.StateEstimator(model(), SwitchingPrecision())
+    plain, fast = estimator.online(compiled=False), estimator.online(compiled=True)
     for row in rows:
-        one, other = plain(y=list(row), goal=[0.0]), fast(y=list(row), goal=[0.0])
-        for name in ("u", "x_hat", "P", "fault_probability", "mode_probability", "fault_size"):
+        one, other = (step(y=list(row), u=[50.0]) for step in (plain, fast))
+        for name in ("x_hat", "P", "fault_probability", "mode_probability", "fault_size"):
             np.testing.assert_array_equal(one[name], other[name])
         assert np.isfinite(one.x_hat).all()
         assert 0 < one.P[0, 0] < np.inf

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, assume, given, settings, strategies as st
 from bayesftc import controllers
 from bayesftc.controllers.validation import compare, ser_reference
 
-STEPS = 500
+STEPS = 250
 
 
 def detectable(A, C):
