@@ -51,7 +51,12 @@ class LocalCluster:
         from distributed import LocalCluster
 
         self._scheduler: Any = LocalCluster(
-            n_workers=0, host=HOST, protocol="tcp", dashboard_address=None, processes=True, silence_logs=logging.ERROR
+            n_workers=0,
+            host=HOST,
+            protocol="tcp",
+            processes=True,
+            silence_logs=logging.ERROR,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{HOST}:0"},
         )
         self.address: str = self._scheduler.scheduler_address
         self._folder = tempfile.mkdtemp(prefix="bayesftc-dask-")

@@ -140,7 +140,7 @@ class ManyRuns:
         self._spares.close()
 
     def _how_many(self, left: int) -> int:
-        if self._pace == 0.0:
+        if self._pace == 0.0 or self._repeats is None:  # the run that is made once more is compared with memory after it
             return 1
         return max(1, min(left, self._few, int(BREATH / self._pace)))
 
