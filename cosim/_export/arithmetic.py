@@ -30,7 +30,7 @@ class Arithmetic(Context):
 
     def get_Constant(self, node: ast.Constant) -> Value:
         if not isinstance(node.value, int | float):
-            self.refuse(node, f"uses {node.value!r}, which is no number")
+            self.refuse(node, f"uses {node.value!r}, which is no number; give each case a number")
         return self.known(node, node.value)
 
     def known(self, node: ast.AST, value: Any) -> Value:
@@ -104,7 +104,10 @@ class Arithmetic(Context):
         if isinstance(index.kind, Constant):
             at = int(index.kind.value)
             if not -length <= at < length:
-                self.refuse(node, f"takes element {at} of {length}")
+                self.refuse(
+                    node,
+                    f"takes element {at} of {length} ({ast.unparse(node)}); the last one is {length - 1}",
+                )
             return constant(at % length)
         if self.number(node, index).natural:
             return as_whole(index)

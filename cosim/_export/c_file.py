@@ -281,6 +281,6 @@ def _structure(title: str, members: Sequence[Signal | Tunable]) -> list[str]:
 
 
 def _remark(signal: Signal | Tunable) -> str:
-    parts = [f"{signal.shape[0]} rows"] if len(signal.shape) > 1 else []
+    parts = [f"{signal.shape[0]} row{'s' * (signal.shape[0] != 1)}"] if len(signal.shape) > 1 else []
     parts += [signal.unit] if signal.unit else []
     return f" /* {', '.join(parts)} */" if parts else ""

@@ -253,7 +253,7 @@ REFUSED = {
     "loop over array": (lambda: block_of(loops_over_array), "loops over what is no range; write for i in range"),
     "two kinds": (lambda: block_of(two_kinds), "keeps values of different kinds in 'a'; take two names"),
     "float index": (lambda: block_of(float_index), "counts with what is no whole number (y[u[0]])"),
-    "out of range": (lambda: block_of(out_of_range), "takes element 4 of 4"),
+    "out of range": (lambda: block_of(out_of_range), "takes element 4 of 4 (y[4]); the last one is 3"),
     "row": (lambda: block_of(stores_row), "stores into a whole row or a tuple"),
     "lambda": (lambda: block_of(lambda u, y: None), "define it with def"),
     "callback": (lambda: cosim.StateSpace(NONLINEAR), "calls back into Python, which the exported C has not"),
