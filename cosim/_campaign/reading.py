@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -121,7 +121,7 @@ class StoredCampaign:
         from bayesftc.cosim._campaign.masked import MaskedGroup
 
         done = {int(i) for i in np.unique(runs // self.plan.size)}
-        group = MaskedGroup(
+        group: Any = MaskedGroup(  # xarray's own types do not know what it takes
             self.path / signal_chunks.FOLDER,
             map(escaped, self.metadata.signals),
             done,
@@ -183,7 +183,13 @@ class StoredCampaign:
 
     def _found(self) -> list[int]:
         """Return the numbers of the pieces that have a part, in order."""
-        numbers = map(self._parts.piece, self._redo.names(run_parts.FOLDER))
+        try:
+            numbers = map(self._parts.piece, self._redo.names(run_parts.FOLDER))
+        except OSError as error:
+            raise StoreError(
+                f"The folder {self.path / run_parts.FOLDER} cannot be read ({error.strerror or error}); without it the "
+                "campaign is damaged: run it again in another folder."
+            ) from None
         return sorted(i for i in numbers if i is not None and i < len(self._pieces))
 
     def _read(self) -> Part:

@@ -12,6 +12,7 @@ import time as clock
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -151,6 +152,8 @@ class CampaignStore(StoredCampaign):
     def close(self) -> None:
         """Let others write."""
         if self._pool is not None:
+            with suppress(OSError):  # what was written is there, if not after a power cut
+                self._sync()
             self._pool.shutdown()
             self._pool = None
         if self._lock is not None:
@@ -368,8 +371,7 @@ class CampaignStore(StoredCampaign):
         n, of = len(outcome.piece), self.metadata
         shapes = {name: np.shape(values) for name, values in outcome.signals.items()}
         wanted = {name: (n, of.rows, *shape) for name, (shape, _) in of.signals.items()}
-        lengths = {np.size(column) for column in (outcome.steps, outcome.status, outcome.reasons)}
-        lengths |= {np.size(values) for values in outcome.metrics.values()}
+        lengths = {len(outcome.steps), len(outcome.status), len(outcome.reasons), *map(len, outcome.metrics.values())}
         known = set(outcome.status) <= {OK, FAILED} and set(outcome.metrics) == set(of.metrics)
         if shapes != wanted or lengths != {n} or not known or outcome.piece.end > self.plan.runs:
             raise StoreError(f"What {outcome.piece} has come to does not fit the campaign in {self.path}.")
