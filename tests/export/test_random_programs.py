@@ -51,6 +51,37 @@ def blend(a, b, X):
     X[0, 1] = a[0] + b[1]
     b[0] = a[2] - X[0, 1]
     return 1 if a[0] > b[0] else b[2]
+
+
+def ending(a, n):
+    for i in range(n, -n - 1, -3):
+        for j in range(i, n, 2):
+            while True:
+                n = n - 1
+                if n < -2 or a > n:
+                    return n
+                elif n == 3:
+                    continue
+                if j == i:
+                    break
+            a = a * 0.5 - j
+            if a < -9.0:
+                return i
+    return -i - 7
+
+
+def large(a):
+    return a > 0.5 or isnan(a)
+
+
+def applied(f, a):
+    return f(a)
+
+
+def three(a, n):
+    if a > n:
+        return a, n, a > n
+    return a - 1, -n, True
 '''
 
 
@@ -92,7 +123,7 @@ class Writer:
 
     def number(self, depth):
         """Return an expression of a float."""
-        kind = self.random.randint(0, 13) if depth else self.random.randint(0, 2)
+        kind = self.random.randint(0, 14) if depth else self.random.randint(0, 2)
         if kind == 0:
             return self.element()
         if kind <= 2:
@@ -122,6 +153,9 @@ class Writer:
             return f"WEIGHTS[({self.whole(depth - 1)}) % 4] * {self.element()}"
         if kind == 11:
             return f"{self.element()} {self.of('*', '/', '+', '-')} {self.element()} {self.of('*', '/', '-')} {self.element()}"
+        if kind == 14 and depth > 1:
+            quotient = f"(t_1 - {self.of('0.25', 'n')}) / {self.of('3', '-7', '(k + 2)')}"
+            return f"{quotient} - applied({self.of('sqrt', 'large')}, u[0]) * 2"
         if kind == 12 and depth > 1:
             return self.of(
                 "put(x, 1)", *(["put(x, i=2, by=u[0])", "put(by=x[0], x=row, i=1)"] if self.keywords else [])
@@ -130,7 +164,7 @@ class Writer:
 
     def whole(self, depth):
         """Return an expression of a whole number."""
-        kind = self.random.randint(0, 8) if depth else 0
+        kind = self.random.randint(0, 11) if depth else 0
         if kind <= 1:
             return self.of(*self.wholes, *self.loops, "k", "2", "-3", "x.shape[0]", "len(X)", "(k > 2) * 2", "True * n")
         if kind == 2:
@@ -141,6 +175,13 @@ class Writer:
             return f"TABLE[({self.whole(depth - 1)}) % 4]"
         if kind == 5:
             return f"({self.test(depth - 1)}) * {self.of('3', '2147483647', 'n')} + {self.of('1', 'FLAGS[k % 4]', '(u[0] > 0)')}"
+        if kind == 6:
+            literals = self.of("3", "2147483647"), self.of("-2", "-2147483647", "2147483646")
+            return f"({literals[0]} if {self.test(depth - 1)} else {literals[1]}) + {self.of('7', '-7')}"
+        if kind == 7:
+            return f"({self.whole(depth - 1)}) // {self.of('(-3 if k % 2 else 4)', '(2 if flag else -5)', '-7')}"
+        if kind == 8 and depth > 1:
+            return f"ending({self.number(1)}, ({self.whole(1)}) % 5)"
         return f"({self.whole(depth - 1)}) {self.of('+', '-', '*')} ({self.whole(depth - 1)}) % 7"
 
     def test(self, depth):
@@ -213,7 +254,12 @@ class Writer:
         elif kind == 12:
             self.emit(f"flag = {self.test(2)}")
         elif kind == 13:
-            self.emit(f"mixed = {self.of('2', 'k % 2 + 1', self.element())}")
+            self.emit(
+                self.of(
+                    f"mixed = {self.of('2', 'k % 2 + 1', self.element())}",
+                    f"a, n, flag = three({self.number(1)}, ({self.whole(1)}) % 50)",
+                )
+            )
         elif kind <= 15:
             self.inner(f"if {self.of(self.test(2), 'put(x, 1) < a')}:", depth)
             if self.of(True, False):
