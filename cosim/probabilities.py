@@ -76,15 +76,11 @@ def reliability(
         raise ModelError(f"reliability has probabilities of shape {p.shape} and a truth of shape {truth.shape}.")
     known = ~np.isnan(p)
     p, happened = p[known], truth[known].astype(np.float64)
-    if isinstance(bins, bool) or not isinstance(bins, int) or not 1 <= bins <= len(p):
-        raise ModelError(
-            f"reliability has bins={bins!r} for {len(p)} samples; it takes a whole number from 1 up to that."
-        )
-    if p.min() < 0 or p.max() > 1:
-        raise ModelError(
-            f"reliability got probabilities from {p.min():g} to {p.max():g}; they must lie between 0 and 1."
-        )
-    place = bins_of(p, bins, equal)
+    return of_bins(p, happened, bins_of(p, bins, equal), bins)
+
+
+def of_bins(p: Floats, happened: Floats, place: np.ndarray[Any, np.dtype[np.intp]], bins: int) -> Reliability:
+    """Return how well probabilities agree with what happened (0 or 1), given the number of the bin that each one lies in."""
     samples, predicted, observed = (np.bincount(place, weights, bins) for weights in (None, p, happened))
     with np.errstate(invalid="ignore"):
         shown = [np.where(samples > 0, total / samples, NAN) for total in (predicted, observed)]
@@ -100,7 +96,15 @@ def reliability(
 
 
 def bins_of(probability: Floats, bins: int, equal: str) -> np.ndarray[Any, np.dtype[np.intp]]:
-    """Return the number of the bin that each probability lies in, see `reliability`."""
+    """Return the number of the bin that each probability lies in, see `reliability`, which raises what this raises."""
+    if isinstance(bins, bool) or not isinstance(bins, int) or not 1 <= bins <= len(probability):
+        raise ModelError(
+            f"reliability has bins={bins!r} for {len(probability)} samples; it takes a whole number from 1 up to that."
+        )
+    if probability.min() < 0 or probability.max() > 1:
+        raise ModelError(
+            f"reliability got probabilities from {probability.min():g} to {probability.max():g}; they must lie between 0 and 1."
+        )
     if equal == "counts":
         order = np.argsort(probability, kind="stable")
         place = np.empty(len(probability), dtype=np.intp)

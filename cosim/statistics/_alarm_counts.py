@@ -1,7 +1,8 @@
-"""What `judge_alarms` finds, at many thresholds at a time: each record is looked at once, and sorted."""
+"""What `judge_alarms` finds, at many thresholds at a time: each run is looked at once, and sorted."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,80 +15,88 @@ from bayesftc.cosim.metrics import periods
 
 @dataclass(frozen=True, eq=False)
 class AlarmCounts:
-    """The alarms of one run at several thresholds; as of `Alarms`, see there for the definitions.
+    """The alarms of many runs at several thresholds; as of `Alarms`, see there for the definitions.
 
     Attributes
     ----------
     delays : ndarray of shape (thresholds, faults)
-        In samples, infinite if missed.
-    false_alarms : ndarray of shape (thresholds,)
+        Of the faults of all runs, in samples, infinite if missed.
+    runs : ndarray of int, of shape (faults,)
+        The run of each fault.
+    false_alarms : ndarray of shape (runs, thresholds)
         Their number.
-    hours : float
+    hours : ndarray of shape (runs,)
         Fault-free time of all sensors.
-    false_hours : ndarray of shape (thresholds,)
+    false_hours : ndarray of shape (runs, thresholds)
         How much of it had an alarm.
     step : float
         Sample time in seconds.
     """
 
     delays: Floats
+    runs: Any
     false_alarms: Floats
-    hours: float
+    hours: Floats
     false_hours: Floats
     step: float
 
     def at(self, index: int) -> Alarms:
-        """Return the alarms at one of the thresholds."""
+        """Return the alarms of all runs at one of the thresholds."""
         return Alarms(
             self.step,
             self.delays[index],
-            int(self.false_alarms[index]),
-            self.hours,
-            float(self.false_hours[index]),
+            int(self.false_alarms[:, index].sum()),
+            float(self.hours.sum()),
+            float(self.false_hours[:, index].sum()),
         )
 
 
-def count_alarms(score: Floats, faulty: Any, thresholds: Floats, step: float) -> AlarmCounts:
-    """Return the alarms of a run at several thresholds.
+def count_alarms(runs: Sequence[tuple[Floats, Any]], thresholds: Floats, step: float) -> AlarmCounts:
+    """Return the alarms of runs at several thresholds; runs without any score are left out.
 
     Parameters
     ----------
-    score, faulty : ndarray of shape (steps, sensors)
-        As `judge_alarms` takes them.
+    runs : sequence of (score, faulty)
+        Of each run two ndarrays of shape (steps, sensors), as `judge_alarms` takes them.
     thresholds : ndarray of shape (thresholds,)
         In any order.
     step : float
         Sample time in seconds.
     """
+    delays: list[Floats] = [np.empty((len(thresholds), 0))]
+    owners: list[int] = []
+    counts: list[tuple[Floats, Floats, int]] = []
+    for score, faulty in runs:
+        known = ~np.isnan(score)
+        if not known.any():
+            continue
+        alarms, samples, healthy_samples = np.zeros(len(thresholds)), np.zeros(len(thresholds)), 0
+        for values, truth, there in zip(score.T, faulty.T, known.T, strict=True):
+            for begin, end in periods(truth):
+                if len(seen := begin + np.flatnonzero(there[begin:end])):
+                    delays.append(_delays(values, seen, thresholds)[:, None])
+                    owners.append(len(counts))
+            scores, healthy = values[there], ~truth[there]
+            on = _at_least(scores[healthy], thresholds)
+            # An alarm begins where this sample has one and the one before has none: those that have one, minus those in both.
+            both = np.minimum(scores, np.concatenate([[-np.inf], scores[:-1]]))
+            alarms += on - _at_least(both[healthy], thresholds)
+            samples += on
+            healthy_samples += int(healthy.sum())
+        counts.append((alarms, samples, healthy_samples))
     hour = step / HOUR
-    delays: list[Floats] = []
-    false_alarms = np.zeros(len(thresholds))
-    false_samples = np.zeros(len(thresholds))
-    healthy_samples = 0
-    for values, truth in zip(score.T, faulty.T, strict=True):
-        known = ~np.isnan(values)
-        delays += [_delays(values, a + np.flatnonzero(known[a:b]), thresholds) for a, b in periods(truth)]
-        seen, healthy = values[known], ~truth[known]
-        before = np.concatenate([[-np.inf], seen[:-1]])
-        on = _at_least(seen[healthy], thresholds)
-        # An alarm begins where this sample has one and the one before has none: those that have one, minus those in both.
-        false_alarms += on - _at_least(np.minimum(seen, before)[healthy], thresholds)
-        false_samples += on
-        healthy_samples += int(healthy.sum())
-    there = [d for d in delays if len(d)]
     return AlarmCounts(
-        np.transpose(there) if there else np.empty((len(thresholds), 0)),
-        false_alarms,
-        healthy_samples * hour,
-        false_samples * hour,
+        np.concatenate(delays, axis=1),
+        np.array(owners, dtype=np.intp),
+        np.array([alarms for alarms, _, _ in counts]).reshape(-1, len(thresholds)),
+        np.array([healthy * hour for _, _, healthy in counts]),
+        np.array([samples * hour for _, samples, _ in counts]).reshape(-1, len(thresholds)),
         step,
     )
 
 
-def _delays(score: Floats, there: np.ndarray[tuple[int], np.dtype[np.intp]], thresholds: Floats) -> Floats:
-    """Return the delay of a fault at each threshold; nothing if none of its samples has a score."""
-    if not len(there):
-        return np.empty(0)
+def _delays(score: Floats, there: Any, thresholds: Floats) -> Floats:
+    """Return the delay of a fault at each threshold, given its samples that have a score."""
     first = np.searchsorted(np.maximum.accumulate(score[there]), thresholds, side="left")
     return np.append(there - there[0], np.inf)[first]
 

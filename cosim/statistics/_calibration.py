@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import NAN, without_nan
-from bayesftc.cosim.probabilities import Reliability, bins_of, reliability
+from bayesftc.cosim.probabilities import Reliability, bins_of, of_bins
 from bayesftc.cosim.statistics._intervals import check_level, interval, ratio
 from bayesftc.cosim.statistics._runs import by_run, pooled
 
@@ -87,7 +87,6 @@ def calibration(
     check_level(level)
     runs = by_run("probability", probability, faulty)
     p, truth, run = pooled(runs)
-    total = reliability(p, truth, bins=bins, equal=equal)
     place, happened = bins_of(p, bins, equal), truth.astype(np.float64)
     count, predicted, observed = (
         np.bincount(run * bins + place, weights, len(runs) * bins).reshape(len(runs), bins)
@@ -98,7 +97,7 @@ def calibration(
     squares = np.bincount(run, (p - happened) ** 2, len(runs))[known]
     low, high = np.transpose([_share(o, n, level) for o, n in zip(observed.T, count.T, strict=True)])
     return Calibration(
-        pooled=total,
+        pooled=of_bins(p, happened, place, bins),
         brier_interval=_share(squares, count.sum(axis=1), level),
         calibration_error_interval=_jackknifed(predicted, observed, count, level),
         observed_low=low,

@@ -7,8 +7,6 @@ on each other in whichever way, its sensors too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import reduce
-from operator import add
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -90,10 +88,9 @@ def delay_curve(
         raise ModelError(f"step is {step!r}; it must be the sample time in seconds, above 0.")
     runs = by_run("score", score, faulty)
     levels = _levels(thresholds, runs)
-    counts = [count_alarms(own, truth, levels, float(step)) for own, truth in runs]
-    seen = [c for c in counts if c.hours or c.delays.shape[1]]
-    rows = [{"threshold": float(each), **_row(seen, i, level)} for i, each in enumerate(levels)]
-    return pd.DataFrame(rows).assign(runs=len(seen))
+    counts = count_alarms(runs, levels, float(step))
+    rows = [{"threshold": float(each), **_row(counts, i, level)} for i, each in enumerate(levels)]
+    return pd.DataFrame(rows).assign(runs=len(counts.hours))
 
 
 def _levels(given: ArrayLike | int, runs: Sequence[tuple[Floats, Flags]]) -> Floats:
@@ -112,19 +109,25 @@ def _levels(given: ArrayLike | int, runs: Sequence[tuple[Floats, Flags]]) -> Flo
     return levels
 
 
-def _row(counts: Sequence[AlarmCounts], index: int, level: float) -> dict[str, Any]:
+def _row(counts: AlarmCounts, index: int, level: float) -> dict[str, Any]:
     """Return the figures at one threshold."""
-    each = [c.at(index) for c in counts]
-    total = reduce(add, each)
-    alarms, hours = np.array([a.false_alarms for a in each]), np.array([a.hours for a in each])
-    missed, faults = np.array([a.missed for a in each]), np.array([a.faults for a in each])
-    found = np.array([a.delays[np.isfinite(a.delays)].sum() for a in each]) * total.step
+    total, owners = counts.at(index), counts.runs
+    found, median = np.isfinite(total.delays), total.delay()
+
+    def of_runs(which: Any, weights: Floats | None = None) -> Any:
+        return np.bincount(owners[which], weights, len(counts.hours))
+
+    faults, detected = of_runs(slice(None)), of_runs(found)
+    seconds = of_runs(found, total.delays[found] * total.step)
+    # Where more than half are missed, those that are not tell how sure that is.
+    sooner = of_runs(found if np.isnan(median) else total.delays <= median)
+    rate = _rate(total, counts.false_alarms[:, index], counts.hours, level)
     return {
-        **_named("false_alarms_per_hour", total.false_alarms_per_hour, _rate(total, alarms, hours, level)),
+        **_named("false_alarms_per_hour", total.false_alarms_per_hour, rate),
         "false_share": total.false_share,
-        **_named("missed_share", total.missed_share, _missed(total, missed, faults, level)),
-        **_named("median_delay", total.delay() * total.step, _median(total, each, faults, level)),
-        **_named("mean_delay", *_mean(found, faults - missed, level)),
+        **_named("missed_share", total.missed_share, _missed(total, faults - detected, faults, level)),
+        **_named("median_delay", median * total.step, _median(total, sooner, faults, level)),
+        **_named("mean_delay", *_mean(seconds, detected, level)),
         "faults": total.faults,
     }
 
@@ -161,18 +164,14 @@ def _mean(found: Floats, detected: Floats, level: float) -> tuple[float, list[fl
     return value, [max(low, 0.0) if low == low else low, high]
 
 
-def _median(total: Alarms, each: Sequence[Alarms], faults: Floats, level: float) -> Sequence[float]:
-    """Return the interval of the median delay in seconds; infinite where it reaches the missed faults."""
-    if not total.faults:
-        return NAN, NAN
-    ordered = np.sort(total.delays)
-    median = np.quantile(ordered, 0.5, method="inverted_cdf")
-    sooner = np.array([(a.delays <= median).sum() for a in each])
+def _median(total: Alarms, sooner: Floats, faults: Floats, level: float) -> Sequence[float]:
+    """Return the interval of the median delay in seconds, given how many faults of each run are found by then."""
     low, high = _ratio(sooner, faults, level)[1]
     if np.isnan(low):
         return NAN, NAN
     half = (high - low) / 2
-    bounds = np.quantile(ordered, np.clip([0.5 - half, 0.5 + half], 0.0, 1.0), method="inverted_cdf")
+    shares = np.clip([0.5 - half, 0.5 + half], 0.0, 1.0)
+    bounds = np.quantile(total.delays, shares, method="inverted_cdf")
     return float(bounds[0] * total.step), float(bounds[1] * total.step)
 
 

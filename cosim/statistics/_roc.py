@@ -176,19 +176,23 @@ def _area(score: Floats, faulty: Flags, run: Any, runs: int, level: float) -> tu
     """Return the area under the curve of all samples, and its interval."""
     from scipy.special import expit, logit, stdtrit
 
-    healthy, positive = np.sort(score[~faulty]), np.sort(score[faulty])
-    # Of each faulty sample the share of the healthy ones that it is above, and the other way round.
-    above = _mean_rank(healthy, score[faulty])
-    below = 1.0 - _mean_rank(positive, score[~faulty])
+    (positive, its), (healthy, others) = (_ordered(score[which], run[which]) for which in (faulty, ~faulty))
     area = auc(faulty, score)
-    own = np.bincount(run[faulty], above - area, runs) / len(positive)
-    own += np.bincount(run[~faulty], below - area, runs) / len(healthy)
+    # Of each faulty sample the share of the healthy ones that it is above, and the other way round.
+    own = np.bincount(its, _mean_rank(healthy, positive) - area, runs) / len(positive)
+    own += np.bincount(others, 1.0 - area - _mean_rank(positive, healthy), runs) / len(healthy)
     n = int((np.bincount(run, minlength=runs) > 0).sum())
     if n < 2 or not 0 < area < 1:
         return area, NAN, NAN
     error = float(np.sqrt(n / (n - 1) * (own**2).sum()))
     half = stdtrit(n - 1, 0.5 + level / 2) * error / (area * (1.0 - area))
     return area, float(expit(logit(area) - half)), float(expit(logit(area) + half))
+
+
+def _ordered(score: Floats, run: Any) -> tuple[Floats, Any]:
+    """Return scores in order, and the runs that they belong to: places of ordered scores are found ten times as fast."""
+    order = np.argsort(score)
+    return score[order], run[order]
 
 
 def _mean_rank(ordered: Floats, values: Floats) -> Floats:

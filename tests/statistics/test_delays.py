@@ -21,7 +21,7 @@ def test_counts_at_all_thresholds_are_those_of_judging_each(rows):
     score = np.array([(a, c) for a, _, c, _ in rows])
     faulty = np.array([(b, d) for _, b, _, d in rows])
     thresholds = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0, np.inf])
-    counts = count_alarms(score, faulty, thresholds, 0.5)
+    counts = count_alarms([(score, faulty)], thresholds, 0.5)
     for i, threshold in enumerate(thresholds):
         wanted, mine = judge_alarms(score, faulty, threshold=threshold, step=0.5), counts.at(i)
         assert mine.delays.tolist() == wanted.delays.tolist()
@@ -80,9 +80,8 @@ def test_thresholds_that_are_chosen_go_from_always_to_hardly_ever():
 def test_intervals_are_those_of_the_bootstrap_over_runs():
     rng = np.random.default_rng(2)
     score, faulty = streams(rng, 60)
-    thresholds = np.array([2.5])
-    (row,) = delay_curve(score, faulty, step=0.1, thresholds=thresholds).to_dict("records")
-    each = [count_alarms(s[:, None], f[:, None], thresholds, 0.1).at(0) for s, f in zip(score, faulty)]
+    (row,) = delay_curve(score, faulty, step=0.1, thresholds=[2.5]).to_dict("records")
+    each = [judge_alarms(s, f, threshold=2.5, step=0.1) for s, f in zip(score, faulty)]
     drawn = [reduce(add, [each[i] for i in rng.integers(0, 60, 60)]) for _ in range(1000)]
     figures = {
         "false_alarms_per_hour": [a.false_alarms_per_hour for a in drawn],
@@ -95,6 +94,19 @@ def test_intervals_are_those_of_the_bootstrap_over_runs():
         width = high - low
         assert row[f"{name}_low"] == pytest.approx(low, abs=0.25 * width)
         assert row[f"{name}_high"] == pytest.approx(high, abs=0.25 * width)
+
+
+def test_the_median_may_be_finite_although_most_of_what_was_seen_is_missed():
+    rng = np.random.default_rng(5)
+    score, faulty = streams(rng, 60, size=1.5)
+    (row,) = delay_curve(score, faulty, step=0.1, thresholds=[2.95]).to_dict("records")
+    assert 0.5 < row["missed_share"] < 0.6
+    each = [judge_alarms(s, f, threshold=2.95, step=0.1) for s, f in zip(score, faulty)]
+    drawn = [reduce(add, [each[i] for i in rng.integers(0, 60, 60)]) for _ in range(1000)]
+    low = np.quantile(np.nan_to_num([0.1 * a.delay() for a in drawn], nan=np.inf), 0.025, method="inverted_cdf")
+    assert np.isnan(row["median_delay"])
+    assert row["median_delay_high"] == np.inf
+    assert row["median_delay_low"] == pytest.approx(low, abs=0.11)
 
 
 def test_intervals_cover_as_often_as_they_say():
