@@ -63,7 +63,7 @@ def _read(contents: Contents, score: str, active: list[str], chains: list[list[s
     for level in contents.levels():
         rows = contents.runs_of(level)
         good = rows["run"][rows["status"] == "ok"].tolist()
-        places = np.unique(np.linspace(0, len(good) - 1, min(len(good), RUNS)).astype(int)) if good else []
+        places: Any = np.unique(np.linspace(0, len(good) - 1, min(len(good), RUNS)).astype(int)) if good else []
         chosen |= {good[int(i)]: level for i in places}
     found: dict[Any, list[tuple[Floats, Any]]] = {}
     for piece, signals in contents.store.pieces_of_signals([score, *active]):

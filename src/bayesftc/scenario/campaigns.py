@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim._campaign.design import Design, Grid, LatinHypercube, Points, SaltelliDesign, SobolSequence
 from bayesftc.cosim._campaign.metrics import METRICS, Metric
-from bayesftc.cosim.errors import ScenarioError
+from bayesftc.cosim.errors import BayesFTCError, ScenarioError
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import scenario_of
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 SAMPLES = (LatinHypercube, SobolSequence, SaltelliDesign)
 """Designs that ``[[samples]]`` may be."""
+
+
+MOST = 30
+"""Values of a factor that are tried before the campaign runs."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,35 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     own = scenario_of(loop.content, Path(loop.path)).simulation
     settings = {name: getattr(runs, name) for name in _names(Runs) if name != "duration"}
     with root.named():
-        return Campaign(loop, duration=_duration(runs.duration, own.duration), grid=design, metrics=metrics, **settings)
+        campaign = Campaign(
+            loop, duration=_duration(runs.duration, own.duration), grid=design, metrics=metrics, **settings
+        )
+    _check_values(loop, campaign.job.plan.points)
+    return campaign
+
+
+def _check_values(loop: ScenarioLoop, points: Sequence[Mapping[str, Any]]) -> None:
+    """Say what the scenario cannot be with a value of a factor, each alone, before hundreds of runs fail of it.
+
+    What an FMU or a block has against a value is another thing: such runs are recorded as failed.
+
+    Raises
+    ------
+    ScenarioError
+        If it is no scenario with one of the values.
+    """
+    for name in points[0]:
+        values: list[Any] = []
+        for point in points:
+            if len(values) < MOST and not any(point[name] is value or point[name] == value for value in values):
+                values.append(point[name])
+        for value in values[1:]:  # the first has been tried
+            try:
+                loop(**{**points[0], name: value})
+            except ScenarioError:
+                raise
+            except BayesFTCError:
+                continue
 
 
 def texts(path: str | os.PathLike[str]) -> dict[str, str]:

@@ -1,0 +1,170 @@
+"""A campaign file from the command line: run, resumed, reported, replayed; and what can be wrong with it."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from bayesftc.scenario.campaigns import load_campaign
+
+pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
+
+FILE = """
+scenario = "cruise_control"
+seeds = 3
+duration = 2.0
+record = ["plant.v", "reference.y", "controller.beta", "freeze_0.active"]
+piece = 5
+
+[[metrics]]
+kind = "rmse"
+signal = "plant.v"
+reference = "reference.y"
+shift = 1
+name = "rmse"
+
+[factors]
+"faults[0].start" = [0.5, 1.0]
+
+[factors."controller.precision"]
+gamma = { kind = "gamma_precision", forgetting = 0.9 }
+fixed = { kind = "fixed_precision" }
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "tracking.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_from_file_to_report_and_replay(bayesftc_, file, tmp_path, same_bits):
+    done = bayesftc_("campaign", file, "--jobs", 2)
+    assert done.exit_code == 0, done.output
+    assert "12 runs, in tracking" in done.stdout
+    numbers = json.loads(bayesftc_("campaign", file, "--json").stdout)
+    assert (numbers["runs"], numbers["failed"], len(numbers["points"])) == (12, 0, 4)
+    # What is printed is what the same loops give in Python, one by one.
+    campaign = load_campaign(file)
+    errors = []
+    for run in range(3):
+        result = campaign.replay(run)
+        errors.append(np.sqrt(np.mean((result["plant.v"][1:] - result["reference.y"][:-1]) ** 2)))
+    first = numbers["points"][0]
+    assert first["factors"] == {"faults[0].start": 0.5, "controller.precision": "gamma"}
+    assert first["metrics"]["rmse"]["mean"] == pytest.approx(np.mean(errors), rel=1e-12)
+
+    again = bayesftc_("replay", "tracking", 7, "--out", "run7")
+    assert again.exit_code == 0, again.output
+    assert "It has the bits of the run in the store." in again.stdout.replace("\n", " ")
+    assert {p.name for p in (tmp_path / "run7").iterdir()} == {"result.npz", "figure.png", "figures.json"}
+
+    page = bayesftc_("report", "tracking", "-o", "report.html", "--title", "Does <it> track?")
+    assert page.exit_code == 0, page.output
+    text = (tmp_path / "report.html").read_text()
+    assert "Does &lt;it&gt; track?" in text
+    assert not re.search(r'(src|href)="(?!#)', text)  # it needs no other file
+    mean = first["metrics"]["rmse"]["mean"]
+    assert f"{mean:.4g} ±" in text
+    worst = result_of_worst(tmp_path / "tracking")
+    assert f"bayesftc replay {tmp_path / 'tracking'} {worst}" in text
+
+
+def result_of_worst(folder):
+    import pandas as pd
+
+    table = pd.read_parquet(folder / "runs.parquet")
+    return int(table["run"][table["rmse"].idxmax()])
+
+
+def test_factors_reach_the_scenario_that_the_file_would_say(file, same_bits, tmp_path):
+    campaign = load_campaign(file)
+    text = (tmp_path / "other.toml").write_text  # the same lines, changed by hand
+    from bayesftc.scenario import find_scenario, load_scenario
+
+    said = find_scenario("cruise_control").read_text()
+    changed = re.sub(r"(?m)^start = 6\.0.*$", "start = 1.0", said)
+    changed = re.sub(r"(?s)\[controller\.precision\].*", '[controller.precision]\nkind = "FixedPrecision"\n', changed)
+    assert changed != said
+    text(changed)
+    loop = load_scenario(tmp_path / "other.toml").loop()
+    seed = campaign.job.plan.seeds[3][1]
+    same_bits(loop.simulate(2.0, seed=seed)["plant.v"], campaign.replay(10)["plant.v"])
+
+
+@pytest.mark.parametrize(
+    ("line", "instead", "message"),
+    [
+        ("seeds = 3", "sedes = 3", "did you mean 'seeds'"),
+        ('scenario = "cruise_control"', "", "lacks 'scenario'"),
+        ('scenario = "cruise_control"', 'scenario = "cruise"', "did you mean 'cruise_control'"),
+        ('kind = "rmse"', 'kind = "rms"', "did you mean 'RMSE'"),
+        ('signal = "plant.v"', "", "lacks 'signal'"),
+        ('"faults[0].start"', '"faults[3].start"', "the scenario has no 3 in faults"),
+        ('"faults[0].start"', '"fault[0].start"', "the scenario has no 'fault'"),
+        ('"faults[0].start"', '"faults[0].begin"', "unknown key 'begin'"),
+        ("[0.5, 1.0]", "0.5", "must be a list of values"),
+        ('kind = "fixed_precision"', 'kind = "fixed"', "no kind that can stand here"),
+        ("duration = 2.0", "duration = 2.001", "duration"),
+        ("piece = 5", "piece = 0", "piece"),
+        ('"plant.v", "reference.y"', '"plant.w"', "no signal 'plant.w'"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_and_leaves_nothing(bayesftc_, file, tmp_path, line, instead, message):
+    assert line in FILE
+    file.write_text(FILE.replace(line, instead))
+    done = bayesftc_("campaign", file)
+    assert 1 < done.exit_code < 70, done.output
+    assert message in re.sub(r"\s+", " ", done.stderr)
+    assert [p.name for p in tmp_path.iterdir()] == ["tracking.toml"]
+
+
+def test_wrong_stores_and_runs_are_said(bayesftc_, file, tmp_path):
+    for command in (["report", "nowhere"], ["replay", "nowhere", 0]):
+        done = bayesftc_(*command)
+        assert done.exit_code == 20
+        assert "There is no campaign" in done.stderr
+    bayesftc_("campaign", file, "-q")
+    assert "the runs 0 to 11" in bayesftc_("replay", "tracking", 12).stderr
+    assert "did you mean 'rmse'" in bayesftc_("report", "tracking", "--metric", "rmsse").stderr
+    assert "no factor" in bayesftc_("report", "tracking", "--compare", "mass").stderr
+    file.write_text(FILE.replace("seeds = 3", "seeds = 4"))
+    other = bayesftc_("campaign", file)
+    assert other.exit_code == 20
+    assert "is another one" in other.stderr
+    assert bayesftc_("campaign", file, "--scheduler", "tcp://127.0.0.1:1", "--jobs", 2).exit_code == 9
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
+def test_ctrl_c_keeps_what_is_done_and_goes_on(file, tmp_path, bayesftc_):
+    file.write_text(FILE.replace("seeds = 3", "seeds = 400").replace("duration = 2.0", "duration = 200.0"))
+    command = [sys.executable, "-m", "bayesftc", "campaign", str(file), "--jobs", "1"]
+    process = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    parts = tmp_path / "tracking" / "runs"
+    deadline = time.monotonic() + 60
+    while not (parts.is_dir() and any(parts.glob("part-*.parquet"))) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    kept = len(list(parts.glob("part-*.parquet")))
+    assert 0 < kept < 320
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL)
+    while len(list(parts.glob("part-*.parquet"))) <= kept and time.monotonic() < deadline + 60:
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    assert len(list(parts.glob("part-*.parquet"))) > kept
