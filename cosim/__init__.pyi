@@ -2,14 +2,7 @@
 
 from . import errors as errors, ops as ops, random as random, statistics as statistics
 from ._campaign.dask import DaskCluster as DaskCluster
-from ._campaign.design import (
-    Design as Design,
-    Grid as Grid,
-    LatinHypercube as LatinHypercube,
-    Points as Points,
-    SaltelliDesign as SaltelliDesign,
-    SobolSequence as SobolSequence,
-)
+from ._campaign.design import Design as Design, Grid as Grid, Points as Points
 from ._campaign.executors import Threads as Threads
 from ._campaign.factors import varied as varied
 from ._campaign.metrics import (
@@ -25,6 +18,11 @@ from ._campaign.metrics import (
 )
 from ._campaign.outcomes import CampaignResult as CampaignResult
 from ._campaign.processes import Processes as Processes
+from ._campaign.samples import (
+    LatinHypercube as LatinHypercube,
+    SaltelliDesign as SaltelliDesign,
+    SobolSequence as SobolSequence,
+)
 from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
 from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim._campaign.design import SaltelliDesign
 from bayesftc.cosim._campaign.extras import extra
+from bayesftc.cosim._campaign.samples import SaltelliDesign
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.statistics._intervals import check_level

@@ -11,13 +11,7 @@ import scipy.stats
 from SALib.sample import sobol
 from scipy.stats import qmc
 
-from bayesftc.cosim._campaign.design import (
-    Grid,
-    LatinHypercube,
-    Points,
-    SaltelliDesign,
-    SobolSequence,
-)
+from bayesftc.cosim import Grid, LatinHypercube, Points, SaltelliDesign, SobolSequence
 from bayesftc.cosim.errors import ModelError
 
 RANGES = {"a": (-1.0, 3.0), "n": range(2, 12, 3), "g": scipy.stats.norm(1.0, 2.0), "k": scipy.stats.poisson(3.0)}

@@ -12,8 +12,9 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim._campaign.design import Design, Grid, LatinHypercube, Points, SaltelliDesign, SobolSequence
+from bayesftc.cosim._campaign.design import Design, Grid, Points
 from bayesftc.cosim._campaign.metrics import METRICS, Metric
+from bayesftc.cosim._campaign.samples import LatinHypercube, SaltelliDesign, SobolSequence
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
