@@ -7,8 +7,8 @@ weight, mean, variance) and ``codes`` (sensors x capacity), from which they bran
 """
 
 import numpy as np
-from numba.extending import register_jitable
 
+from bayesftc.cosim._numba_called import callee
 from bayesftc.cosim.ops import exp, log
 
 HEALTHY, FROZEN, INJECTED, DRIFTING = range(4)
@@ -26,7 +26,7 @@ SIGNATURE = (
 )
 
 
-@register_jitable(error_model="numpy")
+@callee
 def branch(i, y, repeats, first, model, floats, codes, now, count):
     """Let sensor `i` fail or recover in every way, weigh what comes of it by its sample, and return how many there are.
 
@@ -73,7 +73,7 @@ def branch(i, y, repeats, first, model, floats, codes, now, count):
     return made
 
 
-@register_jitable(error_model="numpy")
+@callee
 def copy(floats, codes, now, p, made, weight):
     """Copy hypothesis `p` to the place `made` of the other buffer, with a weight."""
     floats[1 - now, LOG_WEIGHT, made] = weight
@@ -83,7 +83,7 @@ def copy(floats, codes, now, p, made, weight):
         codes[1 - now, j, made] = codes[now, j, p]
 
 
-@register_jitable(error_model="numpy")
+@callee
 def merge(weights, tolerance, floats, codes, table, keys, now, count):
     """Merge hypotheses that say the same of all that is to come, drop those without weight, and return how many there are.
 
@@ -124,7 +124,7 @@ def merge(weights, tolerance, floats, codes, table, keys, now, count):
     return made
 
 
-@register_jitable(error_model="numpy")
+@callee
 def resample(weights, uniform, limit, floats, codes, now, count):
     """Reduce the hypotheses to `limit`, as Fearnhead and Clifford (2003) do, and return how many there are.
 
@@ -161,7 +161,7 @@ def resample(weights, uniform, limit, floats, codes, now, count):
     return made
 
 
-@register_jitable(error_model="numpy")
+@callee
 def step(y, k, uniform, model, limit, tolerance, floats, codes, weights, table, keys, log_odds, now, count):
     """Take the samples of step `k`, write the log odds of each sensor's fault, and return how many hypotheses are left."""
     sensors, first = y.shape[1], k == 0
