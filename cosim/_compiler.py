@@ -44,6 +44,12 @@ from bayesftc.cosim.errors import BayesFTCError, KernelError
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
 """(state, parameters, inputs, outputs, t, k) -> status; the four addresses travel as integers."""
 
+KERNEL_SIGNATURE = types.int32(*[types.CPointer(types.float64)] * 4, types.float64, types.int64)
+"""The same for what is compiled from a step function: to whoever calls it by address, a pointer is an integer."""
+
+LARGE = 16
+"""Rows and columns of a matrix from which vector instructions gain more than what LLVM finds out about aliases."""
+
 STATISTICS = {"compiled": 0, "loaded": 0}
 """How many functions this process has compiled, and how many came ready from the disk."""
 
@@ -65,6 +71,16 @@ def as_floats(typingctx, address):
         return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
 
     return types.CPointer(types.float64)(types.int64), codegen
+
+
+@intrinsic
+def floats(typingctx, section, offset):
+    """Return the float64 array that begins at a place in a section of memory: LLVM then knows what lies beside it."""
+
+    def codegen(context, builder, signature, args):
+        return builder.gep(args[0], [args[1]])
+
+    return section(section, types.int64), codegen
 
 
 def compile_kernel(kernel: Kernel, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> int:
@@ -204,17 +220,25 @@ def _arguments(function: FunctionType) -> tuple[str, ...]:
 
 
 def _entry_text(kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> str:
+    names = _arguments(kernel)
+    # Loops over matrices of one section LLVM does not turn into vector instructions, for it cannot prove them apart; where it
+    # knows nothing of two addresses, it has that checked before the loop. Small ones are unrolled, and need no check.
+    shapes = [sections[name][2] for name in names if name not in {"t", "k"}]
+    apart = any(len(shape) > 1 and min(shape[-2:]) >= LARGE for shape in shapes)
+    signature, array = ("SIGNATURE", "as_floats") if apart else ("KERNEL_SIGNATURE", "floats")
     arguments = []
-    for name in _arguments(kernel):
+    for name in names:
         if name in {"t", "k"}:
             arguments.append(name)
         else:
             section, offset, shape = sections[name]
-            arguments.append(f"carray(as_floats({section} + {8 * offset}), {shape!r})")
+            place = f"{section} + {8 * offset}" if apart else f"{section}, {offset}"
+            arguments.append(f"carray({array}({place}), {shape!r})")
     return (
         "from numba import carray, cfunc\n"
-        "from bayesftc.cosim._compiler import SIGNATURE, as_floats\n\n"
-        '@cfunc(SIGNATURE, error_model="numpy", cache=True)\n'
+        f"from bayesftc.cosim._compiler import {signature}, {array}\n"
+        "from bayesftc.cosim._numba_ops import ENTRY_OPTIONS\n\n"
+        f"@cfunc({signature}, cache=True, **ENTRY_OPTIONS)\n"
         "def entry(state, parameters, inputs, outputs, t, k):\n"
         f"    kernel({', '.join(arguments)})\n"
         "    return 0\n"

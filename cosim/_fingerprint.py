@@ -10,6 +10,7 @@ import builtins
 import dis
 import hashlib
 import inspect
+import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from numbers import Number
@@ -48,8 +49,13 @@ def environment() -> str:
 
     features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
     # The code that this process has loaded, not the files, which may have been edited since.
-    sources = [f"{_numba_ops.OPTIONS}{_code_text(_compiler.as_floats._defn.__code__)}"]
+    options = _numba_ops.OPTIONS, _numba_ops.ENTRY_OPTIONS
+    sources = [str(options), *(_code_text(f._defn.__code__) for f in (_compiler.as_floats, _compiler.floats))]
     sources += [_code_text(f.__code__) for _, f in sorted(vars(_numba_ops).items()) if isinstance(f, FunctionType)]
+    for pipeline in (o["pipeline_class"] for o in options if "pipeline_class" in o):
+        classes = [c for _, c in sorted(vars(sys.modules[pipeline.__module__]).items()) if isinstance(c, type)]
+        methods = [f for c in classes if c.__module__ == pipeline.__module__ for _, f in sorted(vars(c).items())]
+        sources += [_code_text(f.__code__) for f in methods if isinstance(f, FunctionType)]
     parts = [platform.python_version(), numba.__version__, llvmlite.__version__, llvm.get_host_cpu_name(), features]
     return "|".join(parts + sources)
 
