@@ -174,7 +174,7 @@ def export_c(
     if target.suffix.lower() in {".c", ".h", ".fmu"} and not target.is_dir():
         raise ResultFileError(
             f"C is written into a folder, as <name>.c and <name>.h, and {target} is called as a file; give a folder, such as "
-            f"{target.parent}."
+            f"{target.stem}."
         )
     _folder(target if target.exists() else target.parent)
     program = program_of(exported, name=name, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
