@@ -21,6 +21,7 @@ SECTIONS = (
     "python_control",
     "full_loop",
     "campaign",
+    "report",
     "isolation",
     "export",
     "learners",
