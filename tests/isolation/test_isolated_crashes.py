@@ -158,7 +158,7 @@ def test_what_an_fmu_does_to_its_connections(engine, lying, nothing_left):
     while len(v) < 51:
         v.append((1 - ways["BABBLES"] / 100.0 * 0.02) * v[-1] + 0.02)
     try:
-        found = alone(lying, "BABBLES", fmi).simulate(1.0, engine=engine)["car.v"]
+        found = alone(lying, "BABBLES", fmi, time_limit=2.0).simulate(1.0, engine=engine)["car.v"]
     except FMUCrashed as error:
         found = error.result["car.v"]
     np.testing.assert_allclose(found, v[: len(found)], rtol=1e-12)
