@@ -28,7 +28,7 @@ class MaskedGroup(Store):
         Returns the bytes of a file, by its name in the group.
     """
 
-    supports_writes = supports_deletes = False
+    supports_writes = supports_deletes = supports_partial_writes = False
     supports_listing = True
 
     def __init__(self, folder: Path, signals: Iterable[str], done: Iterable[int], read: Callable[[str], bytes]):
@@ -74,6 +74,10 @@ class MaskedGroup(Store):
 
     async def set(self, key: str, value: Buffer) -> None:
         """Refuse: a campaign's own writer does that."""
+        self._check_writable()
+
+    async def set_partial_values(self, key_start_values: Iterable[tuple[str, int, Any]]) -> None:
+        """Refuse; zarr 3.1 asks for it."""
         self._check_writable()
 
     async def delete(self, key: str) -> None:

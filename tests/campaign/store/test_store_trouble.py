@@ -11,6 +11,7 @@ import threading
 import time
 import warnings
 from contextlib import ExitStack, contextmanager
+from importlib.metadata import version
 from pathlib import Path
 from unittest import mock
 
@@ -333,6 +334,8 @@ def start(name, *arguments):
 @pytest.mark.skipif(os.name == "nt", reason="needs POSIX")
 @pytest.mark.parametrize("forks", [0, 1])
 def test_one_process_writes_at_a_time_and_a_killed_one_no_more(tmp_path, forks):
+    if forks and int(version("filelock").split(".")[0]) < 4:
+        pytest.skip("the forked children of a killed writer keep its lock before filelock 4")
     process = start("hold", tmp_path / "s", forks)
     forked = int(process.stdout.readline())  # lives on, and has the lock's file open
     try:
