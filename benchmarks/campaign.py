@@ -3,4 +3,4 @@
 from bayesftc.bench import main
 
 if __name__ == "__main__":
-    main(sections=("campaign", "report"))
+    main(sections=("campaign", "executors", "report"))

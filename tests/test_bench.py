@@ -16,6 +16,7 @@ BARS = {
     "coupled.engine", "coupled.difference",
     "model_exchange.free_cvode_over_fmpy", "model_exchange.driven_cvode_over_fmpy",
     "full_loop.engine", "full_loop.engine_over_user", "full_loop.difference", "full_loop.rmse_ratio",
+    "executors.dask_over_process",
     "isolation.isolated", "isolation.difference", "isolation.lives",
     "learners.per_sensor", "learners.growth",
     "startup.import", "startup.help", "startup.scenario", "startup.scenario_compiled", "startup.second_engine",

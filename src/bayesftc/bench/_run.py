@@ -21,6 +21,7 @@ SECTIONS = (
     "python_control",
     "full_loop",
     "campaign",
+    "executors",
     "report",
     "isolation",
     "export",
