@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -40,6 +41,15 @@ _CAREFUL = """\
 #pragma GCC optimize("peel-loops") /* short loops are unrolled: a fifth faster, and a fifth longer */
 #endif
 #endif"""
+_OF_LIBRARY = ("cos", "exp", "log", "sin")
+_BY_LIBRARY = """\
+static double op_{name}(double x)
+{{
+    const volatile double told = x;
+
+    return {name}(told);
+}}
+#define {name} op_{name}"""
 _HOW = """\
 /* {name}: a step every {step} s.
  *
@@ -154,6 +164,11 @@ def _source(
         # The quotient of two whole numbers: the double nearest to the time, as in the engines.
         "t": f"const double t = c->start + c->step * {step.numerator}.0 / {step.denominator}.0;",
     }
+    body = "\n\n".join(parts)
+    library = [_BY_LIBRARY.format(name=each) for each in _OF_LIBRARY if re.search(rf"\b{each}\(", body)]
+    if library:
+        who = "#if !defined __GNUC__ || defined __clang__ /* who compute those of constants themselves, unlike the library */"
+        library = [who, *library, "#endif", ""]
     signature = f"({name} *c, const {name}_inputs *u, {name}_outputs *y)"
     lines = [
         f"/* {name}: {name}.h says how to use it. */",
@@ -168,7 +183,8 @@ def _source(
         "",
         _CAREFUL,
         "",
-        "\n\n".join(parts),
+        *library,
+        body,
         "",
         *_function(f"void {name}_init({name} *c)", {}, init),
         *_function(f"void {name}_evaluate{signature}", known, evaluate),

@@ -16,6 +16,7 @@ from fmpy import supported_platforms
 from fmpy.validation import validate_fmu
 
 from bayesftc import controllers, cosim, fmus
+from bayesftc.cosim import ops
 from bayesftc.cosim._export.platforms import platforms_of
 from bayesftc.cosim.export import export_fmu
 from bayesftc.fmus import _binaries, _compiler
@@ -345,6 +346,34 @@ def recorded(block):
         outputs.append(np.concatenate([np.ravel(value) for value in dict(out).values()]))
         speed = 0.99 * speed + 0.002 * float(np.ravel(out["u"])[0]) + 0.03 * rng.normal()
     return np.array(inputs), np.array(outputs)
+
+
+def of_settings(u, angles, y):
+    y[0] = ops.exp(angles[0]) * u[0]
+    y[1] = ops.exp(angles[1]) * u[0]
+    y[2] = ops.sin(angles[2]) * u[0]
+    y[3] = ops.cos(angles[3]) * u[0]
+
+
+class OfSettings(cosim.Block):
+    """Functions of numbers that never change, for which zig 0.17 and glibc 2.36 have other last digits."""
+
+    inputs = (cosim.Port("u", default=1.0),)
+    outputs = (cosim.Port("y", (4,)),)
+
+    def define(self, step):
+        return cosim.Definition(of_settings, parameters={"angles": [-5.21, 4.22, 0.83, -4.82]})
+
+
+@needs_zig
+@pytest.mark.skipif(host().name not in {"linux-x86_64", "linux-aarch64"}, reason="another C library than Python's")
+def test_what_the_library_computes_is_not_computed_by_the_compiler(tmp_path):
+    """Clang folds an exponential of a constant by itself, and not to the digits of the library that Python calls."""
+    diagram = cosim.Diagram(0.1)
+    diagram.add(OfSettings(), "it")
+    path = export_fmu(diagram, tmp_path / "it.fmu", platforms=host().name)
+    found = cosim.verify_fmu(path, diagram, duration=0.2)
+    assert found.agrees(), found
 
 
 @pytest.mark.slow
