@@ -12,7 +12,7 @@ from bayesftc import controllers, cosim, fmus, monitoring
 from bayesftc.fmus._compiler import why_no_compiler
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"]  # last: its loops are compiled by then
 PUBLIC = {
     f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, cosim.statistics, controllers, monitoring) for n in m.__all__
 }
