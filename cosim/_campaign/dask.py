@@ -103,8 +103,9 @@ class _Campaign:
                     yield from self._taken(future, self._waiting.pop(future))
         finally:
             with suppress(Exception):  # a cluster that is gone has nothing left to stop
-                self._client.cancel(list(self._waiting))
-                self._client.run(_stop, self._name, on_error="ignore")
+                if self._client.status == "running":
+                    self._client.cancel(list(self._waiting))
+                    self._client.run(_stop, self._name, on_error="ignore")
             self._waiting.clear()
             self._crew.release()
 
@@ -124,12 +125,24 @@ class _Campaign:
             self._began = 0.0
 
     def _submit(self, pieces: Iterator[Piece]) -> None:
+        if (
+            self._again
+        ):  # Dask suspects all that a worker had when it died: a run is alone with its workers, or it is not proven
+            if not self._waiting:
+                self._send(self._again.popleft())
+            return
         while len(self._waiting) < AHEAD * max(self._slots, 1):
-            piece = self._again.popleft() if self._again else next(pieces, None)
+            piece = next(pieces, None)
             if piece is None:
                 return
-            key = f"{self._name}-{piece.begin}-{piece.end}"
-            self._waiting[self._client.submit(_run, self._crew, piece, key=key, pure=False)] = piece
+            self._send(piece)
+
+    def _send(self, piece: Piece) -> None:
+        future = self._client.submit(_run, self._crew, piece, key=self._key(piece), pure=False)
+        self._waiting[future] = piece
+
+    def _key(self, piece: Piece) -> str:
+        return f"{self._name}-{piece.begin}-{piece.end}{'-alone' if piece.index in self._parts else ''}"
 
     def _done(self) -> list[Future[Any]]:
         from distributed import wait
@@ -144,9 +157,9 @@ class _Campaign:
         try:
             outcome = future.result()
         except KilledWorker as error:
-            if not hasattr(self._job, "failed"):
-                raise BayesFTCError(f"Workers of the Dask cluster die with {piece}: {error}") from None
-            if len(piece) > 1:  # which of the runs it is, is to be found out
+            if not hasattr(self._job, "failed") or error.task != self._key(piece):
+                raise BayesFTCError(f"The workers of the Dask cluster die one after the other: {error}") from None
+            if piece.index not in self._parts:  # which of the runs it is, is to be found out
                 self._parts[piece.index] = piece, {}
                 self._again += [Piece(piece.index, run, run + 1) for run in range(piece.begin, piece.end)]
                 return

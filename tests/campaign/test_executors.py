@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,13 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
 DISTRIBUTED = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="needs the package distributed"
 )
-EXECUTORS = [Threads(2), Processes(2), pytest.param(DaskCluster(workers=2), marks=DISTRIBUTED)]
+EXECUTORS = [Threads(2), Processes(2), DaskCluster(workers=2)]
 """Each way to make the runs; a new one is tested by being added here."""
+
+
+def case(executor, *more, slow=False):
+    marks = [DISTRIBUTED, *([pytest.mark.slow] if slow else [])] if isinstance(executor, DaskCluster) else []
+    return pytest.param(executor, *more, marks=marks, id="-".join([type(executor).__name__, *more]))
 
 
 @pytest.fixture(scope="module")
@@ -67,16 +73,17 @@ KINDS = ("in process", "isolated", "drawn", "time limit")
 
 @pytest.fixture(scope="module")
 def alone(campaign):
-    """Return what each campaign comes to if all its runs are made in one thread."""
-    return {kind: campaign(kind).run(executor=Threads(1)) for kind in KINDS}
+    """Return a function that returns what a campaign comes to if all its runs are made in one thread."""
+    return cache(lambda kind: campaign(kind).run(executor=Threads(1)))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("executor", EXECUTORS, ids=str)
+@pytest.mark.parametrize(
+    ("executor", "kind"), [case(e, kind, slow=kind != "in process") for e in EXECUTORS for kind in KINDS]
+)
 def test_the_same_bits_everywhere(executor, kind, alone, campaign, living, same_bits):
     told, before = [], living()
     result = campaign(kind).run(executor=executor, progress=lambda *counts: told.append(counts))
-    table, expected = result.table, alone[kind].table
+    table, expected = result.table, alone(kind).table
     assert table["status"].tolist() == expected["status"].tolist()
     assert set(table["status"]) == ({"ok"} if kind == "drawn" else {"ok", "failed"})
     compared = slice(None)
@@ -89,7 +96,7 @@ def test_the_same_bits_everywhere(executor, kind, alone, campaign, living, same_
     for name in ("size", "spread"):
         same_bits(table[name].to_numpy(), expected[name].to_numpy(), name)
     for name in ("plant.v", "sensors.y"):
-        same_bits(result.dataset[name].values[compared], alone[kind].dataset[name].values[compared], name)
+        same_bits(result.dataset[name].values[compared], alone(kind).dataset[name].values[compared], name)
     assert told[0] == (0, len(table), 0)
     assert told[-1] == (len(table), len(table), int((table["status"] == "failed").sum()))
     assert living() <= before
@@ -111,7 +118,7 @@ def crashing(car, lying, **options):
     )
 
 
-@pytest.mark.parametrize("executor", EXECUTORS[1:], ids=str)
+@pytest.mark.parametrize("executor", [case(e, slow=True) for e in EXECUTORS[1:]])
 def test_a_run_that_ends_its_process_fails_alone(executor, car, lying, living, same_bits):
     before, crashes = living(), lying("2.0")[1]["SEGFAULT"]
     result = crashing(car, lying).run(executor=executor)
@@ -179,7 +186,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
-@pytest.mark.parametrize("executor", EXECUTORS[1:], ids=str)
+@pytest.mark.parametrize("executor", [case(e) for e in EXECUTORS[1:]])
 def test_what_ends_the_client_ends_all(executor, name, living):
     before = living()
     shown = subprocess.Popen(
