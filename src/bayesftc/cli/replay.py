@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cosim._campaign.plan import FAILED
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 
 
@@ -79,18 +80,29 @@ def replay_run(store: Path, run: int, out: Path | None, *, json: bool, quiet: bo
 
 
 def _same(kept: Any, decimation: int, run: int, result: Any) -> str:
-    """Return in a sentence whether the run has the bits that the store has of it."""
-    names = list(kept.metadata.signals)
-    if not names:
-        return "The store has no signals of this run to compare with."
-    data = kept.dataset()
-    if str(data["status"][run].item()) not in {"ok", "failed"}:
+    """Return in a sentence whether the run has the bits that the store has of it, and what became of one that had failed."""
+    table = kept.table().set_index("run")
+    if run not in table.index:
         return "The store does not have this run yet."
-    different = []
-    for name in names:
-        then, now = data[name][run].to_numpy(), result[name][::decimation] if name in result else None
-        if now is not None and not np.array_equal(then[: len(now)], now, equal_nan=True):
-            different.append(name)
+    row = table.loc[run]
+    said = ""
+    if row["status"] == FAILED:
+        said = f"In the store it has failed: {row['reason']} "
+        said += "Now it has stopped as well. " if result.stopped else "Now it went to its end. "
+    elif result.stopped:
+        said = "In the store it went to its end. "
+    names = [name for name in kept.metadata.signals if name in result]
+    if not names:
+        return f"{said}The store has no signals of this run to compare with."
+    rows = min(int(row["steps"]), len(result.time) - 1) // decimation + 1  # as far as both have come
+    data = kept.dataset()
+    different = [
+        name
+        for name in names
+        if not np.array_equal(data[name][run].to_numpy()[:rows], result[name][::decimation][:rows], equal_nan=True)
+    ]
     if different:
-        return f"It differs from the run in the store in {', '.join(different)}: another machine, or other versions."
-    return "It has the bits of the run in the store."
+        return (
+            f"{said}It differs from the run in the store in {', '.join(different)}: another machine, or other versions."
+        )
+    return f"{said}It has the bits of the run in the store{', as far as that has come' if said else ''}."

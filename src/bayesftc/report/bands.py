@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.report.svg import COLOURS, INK, figure, legend
+from bayesftc.report.svg import figure, legend, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,28 +33,40 @@ def error_bands(contents: Contents) -> tuple[Figure, str] | None:
         if errors
         else [_gathered(contents, (name,), 0, stride) for name in names]
     )
+    if all(np.isfinite(values).any(axis=0).sum() < 2 for values in collected):
+        return None  # all runs have stopped at once
     made, axes = figure(0.5 + 2.3 * len(collected), len(collected), sharex=True)
     for i, (axis, values) in enumerate(zip(axes, collected, strict=True)):
         shift = errors[i].shift if errors else 0
         at = time[shift:][::stride]
-        for level, colour in zip(contents.levels(), _colours(), strict=False):
+        for level, style in contents.drawn().items():
             runs = contents.runs_of(level)["run"].to_numpy()
             low, middle, high = _quantiles(values[runs])
-            axis.fill_between(at, low, high, color=colour, alpha=0.18, lw=0)
-            axis.plot(at, middle, color=colour, lw=1.5, label=None if level is None else str(level))
+            axis.fill_between(at, low, high, color=style.colour, alpha=0.18, lw=0)
+            name = contents.name(level)
+            axis.plot(at, middle, color=style.colour, ls=style.line, lw=1.5, label=name and words(name, 32, 1))
         signal = errors[i].signal if errors else names[i]
-        axis.set_ylabel(f"|{signal} error|{contents.unit(signal)}" if errors else f"{signal}{contents.unit(signal)}")
+        axis.set_ylabel(
+            words(f"|{signal} error|{contents.unit(signal)}" if errors else f"{signal}{contents.unit(signal)}", 26)
+        )
         if errors:
             axis.set_ylim(bottom=0)
     axes[-1].set_xlabel("time (s)")
     axes[-1].set_xlim(float(time[0]), float(time[-1]))
     legend(axes[0])
-    what = "Absolute error over time" if errors else "Signals over time"
-    return made, f"{what}: median over runs, and the band from the 5 % to the 95 % quantile."
-
-
-def _colours() -> list[str]:
-    return [*COLOURS, INK]
+    if errors:
+        said = "; ".join(
+            f"|{e.signal} − {e.reference}|" + (f" of {e.shift} step before" if e.shift else "") for e in errors
+        )
+        what = f"Absolute error over time ({said})"
+    else:
+        what = "Signals over time"
+    of = f" of each {contents.compared}" if contents.compared else ""
+    every = " Failed runs count until they stop." if contents.failed else ""
+    return made, (
+        f"{what}: at each of {len(time[::stride])} instants the median over all runs{of}, and the band in which the middle 90 % "
+        f"of them lie.{every}{contents.undrawn}"
+    )
 
 
 def _gathered(contents: Contents, names: tuple[str, ...], shift: int, stride: int) -> Floats:

@@ -7,8 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from bayesftc.cosim._campaign.columns import factor_columns
+from bayesftc.cosim._campaign.plan import OK
 from bayesftc.cosim._campaign.reading import StoredCampaign
 from bayesftc.cosim.errors import StoreError, UnknownNameError, did_you_mean
+from bayesftc.report.svg import Style, styles
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,18 +65,36 @@ class Contents:
     @cached_property
     def factors(self) -> list[str]:
         """Columns of the table that are factors."""
-        names = list(self.store.plan.points[0])
-        return [name if name in self.table else f"factor:{name}" for name in names]
+        metadata = self.store.metadata
+        return list(factor_columns(self.store.plan.points, (*metadata.metrics, *metadata.signals)))
 
     @cached_property
     def varied(self) -> list[str]:
         """Factors that have more than one value."""
-        return [name for name in self.factors if self.table[name].nunique() > 1]
+        return [name for name in self.factors if self.values(name) > 1]
 
     @property
     def others(self) -> list[str]:
         """Factors that are varied, but not compared."""
         return [name for name in self.varied if name != self.compared]
+
+    def values(self, factor: str) -> int:
+        """Return how many values a factor has, among the runs that are done."""
+        return int(self.table[factor].nunique(dropna=False))
+
+    @cached_property
+    def combinations(self) -> Any:
+        """Return for each run the number of the combination of the factors that are not compared."""
+        others = [name for name in self.factors if name != self.compared]
+        if not others:
+            return self.table["run"].to_numpy() * 0
+        return self.table.groupby(others, sort=False, dropna=False).ngroup().to_numpy()
+
+    @cached_property
+    def seed_lists(self) -> Any:
+        """For each point the number of its list of seeds: points with other lists have noise of their own."""
+        place: dict[tuple[int, ...], int] = {}
+        return np.array([place.setdefault(own, len(place)) for own in self.store.plan.seeds])
 
     def levels(self) -> list[Any]:
         """Return the levels of the factor that is compared, in the order of the design; [None] without one."""
@@ -79,7 +102,32 @@ class Contents:
 
     def runs_of(self, level: Any) -> pd.DataFrame:
         """Return the rows of the table at a level of the factor that is compared."""
-        return self.table if self.compared is None else self.table[self.table[self.compared] == level]
+        if self.compared is None:
+            return self.table
+        column = self.table[self.compared]
+        return self.table[column.isna() if level is None or level != level else column == level]
+
+    def drawn(self) -> dict[Any, Style]:
+        """Return the levels that figures show, and how each is drawn in all of them."""
+        return dict(zip(self.levels(), styles(), strict=False))
+
+    def name(self, level: Any) -> str | None:
+        """Return what a level is called in a figure: its text, or which factor has which number."""
+        if level is None or self.compared is None:
+            return None
+        number = _is_number(self.table[self.compared])
+        return f"{self.compared} = {level:.4g}" if number else str(level)
+
+    @property
+    def undrawn(self) -> str:
+        """A sentence on levels that figures do not show, if there are any."""
+        every, drawn = len(self.levels()), len(self.drawn())
+        return f" Drawn are the first {drawn} of {every} levels." if every > drawn else ""
+
+    @property
+    def failed(self) -> int:
+        """Number of runs that have failed."""
+        return int((self.table["status"] != OK).sum())
 
     @property
     def description(self) -> Mapping[str, Any]:
@@ -97,8 +145,11 @@ class Contents:
         return list(found)
 
     def scalars(self) -> list[str]:
-        """Return the recorded signals that are one number at each time."""
-        return [name for name, (shape, _) in self.store.metadata.signals.items() if not shape]
+        """Return the recorded signals that are one number at each time; whether faults are there is no signal like others."""
+        faults = {
+            f"{f}.active" for chain in self.description.get("roles", {}).get("faults_of_sensors", []) for f in chain
+        }
+        return [name for name, (shape, _) in self.store.metadata.signals.items() if not shape and name not in faults]
 
     def unit(self, signal: str) -> str:
         """Return the unit of a signal in brackets, or nothing."""
@@ -106,9 +157,8 @@ class Contents:
         return f" ({unit})" if unit else ""
 
     def _chosen(self) -> str | None:
-        named = [n for n in self.varied if not _is_number(self.table[n]) and self.table[n].nunique() <= MOST_LEVELS]
-        few = [name for name in self.varied if self.table[name].nunique() <= MOST_LEVELS]
-        return next(iter([*named, *few]), None)
+        few = [name for name in self.varied if self.values(name) <= MOST_LEVELS]
+        return next(iter([*(name for name in few if not _is_number(self.table[name])), *few]), None)
 
 
 def _is_number(column: pd.Series[Any]) -> bool:

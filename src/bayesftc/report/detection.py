@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.report.svg import COLOURS, INK, figure, legend
+from bayesftc.cosim._campaign.plan import OK
+from bayesftc.report.svg import INK, figure, legend, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,128 +17,204 @@ if TYPE_CHECKING:
     from bayesftc.report.contents import Contents
 
 RUNS = 200
-"""Runs of each level that are looked at, evenly chosen: more would not be seen."""
+"""Runs of each level that are looked at, drawn at random: more would not be seen."""
 SCORES = ("fault_probability", "beta")
 """Outputs of a controller that tell of faults, the better first."""
 
 
-class Detection:
-    """Scores and truth of some runs of each level of the compared factor.
+@dataclass(frozen=True)
+class Level:
+    """Scores and truth of some runs of a level of the compared factor.
 
     Attributes
     ----------
     score_name : str
         The signal that ranks samples.
-    runs : dict
-        For each level the scores and the truth, both of shape (runs, steps, sensors).
+    score, truth : list of ndarray of shape (steps, sensors)
+        Of each run.
+    seeds : list of int
+        Of each run. Those of the same seed have the same noise.
+    of : int
+        From how many runs they were drawn.
     """
 
-    def __init__(self, score_name: str, runs: dict[Any, tuple[Floats, Any]], step: float):
-        self.score_name, self.runs, self.step = score_name, runs, step
+    score_name: str
+    score: list[Floats]
+    truth: list[Any]
+    seeds: list[int]
+    of: int
 
     @property
     def is_probability(self) -> bool:
         """Whether the score is a probability."""
         return self.score_name.endswith(SCORES[0])
 
+    def by_seed(self) -> tuple[list[Floats], list[Any]]:
+        """Return scores and truth, of the runs of a seed together: intervals count seeds, for only these are independent."""
+        place: dict[int, list[int]] = {}
+        for i, seed in enumerate(self.seeds):
+            place.setdefault(seed, []).append(i)
+        return tuple(
+            [np.concatenate([all_[i] for i in own]) for own in place.values()] for all_ in (self.score, self.truth)
+        )  # type: ignore[return-value]
 
-def read_detection(contents: Contents) -> Detection | None:
-    """Return what was recorded of faults and of their detection; None if that does not suffice."""
+
+def read_detection(contents: Contents) -> dict[Any, Level]:
+    """Return for each level what was recorded of faults and of their detection; without those of which that does not suffice."""
     roles, known = contents.description.get("roles", {}), contents.store.metadata.signals
     faults = sorted({name for chain in roles.get("faults_of_sensors", []) for name in chain})
     scores = [f"{roles.get('controller')}.{name}" for name in SCORES]
     scores = [name for name in scores if name in known]
     active = [f"{name}.active" for name in faults]
-    if not faults or not set(active) <= set(known):
-        return None
-    for score in scores:
-        runs = _read(contents, score, active, roles["faults_of_sensors"])
-        kept = {level: (s, t) for level, (s, t) in runs.items() if np.isfinite(s).any() and t.any() and not t.all()}
-        if kept:
-            time = contents.store.time
-            return Detection(score, kept, float(time[1] - time[0]) if len(time) > 1 else 1.0)
-    return None
+    if not faults or not scores or not set(active) <= set(known):
+        return {}
+    runs = _read(contents, scores, active, roles["faults_of_sensors"])
+    found = {}
+    for level in contents.drawn():
+        for name in scores:
+            own = [(s[name], truth, seed) for s, truth, seed in runs.get(level, ()) if s[name].shape == truth.shape]
+            if _tells(own):
+                score, truth, seeds = (list(column) for column in zip(*own, strict=True))
+                good = int((contents.runs_of(level)["status"] == OK).sum())
+                found[level] = Level(name, score, truth, seeds, good)
+                break
+    return found
 
 
-def _read(contents: Contents, score: str, active: list[str], chains: list[list[str]]) -> dict[Any, tuple[Floats, Any]]:
-    chosen: dict[int, Any] = {}
-    for level in contents.levels():
+def _tells(runs: list[Any]) -> bool:
+    """Return whether there are samples with a score, faulty and healthy ones, and scores that are not all the same."""
+    known = [np.isfinite(score) for score, _, _ in runs]
+    if not any(k.any() for k in known):
+        return False
+    score = np.concatenate([s[k] for (s, _, _), k in zip(runs, known, strict=True)])
+    truth = np.concatenate([t[k] for (_, t, _), k in zip(runs, known, strict=True)])
+    return bool(truth.any() and not truth.all() and np.ptp(score) > 0)
+
+
+def _read(
+    contents: Contents, scores: list[str], active: list[str], chains: list[list[str]]
+) -> dict[Any, list[tuple[dict[str, Floats], Any, int]]]:
+    chosen: dict[int, tuple[Any, int]] = {}
+    rng = np.random.default_rng(0)
+    for level in contents.drawn():
         rows = contents.runs_of(level)
-        good = rows["run"][rows["status"] == "ok"].tolist()
-        places: Any = np.unique(np.linspace(0, len(good) - 1, min(len(good), RUNS)).astype(int)) if good else []
-        chosen |= {good[int(i)]: level for i in places}
-    found: dict[Any, list[tuple[Floats, Any]]] = {}
-    for piece, signals in contents.store.pieces_of_signals([score, *active]):
+        rows = rows[rows["status"] == OK]
+        if len(rows) > RUNS:
+            rows = rows.iloc[np.sort(rng.choice(len(rows), RUNS, replace=False))]
+        chosen |= {int(run): (level, int(seed)) for run, seed in zip(rows["run"], rows["seed"], strict=True)}
+    found: dict[Any, list[tuple[dict[str, Floats], Any, int]]] = {}
+    for piece, signals in contents.store.pieces_of_signals([*scores, *active]):
         for run in range(piece.begin, piece.end):
             if run not in chosen:
                 continue
+            level, seed = chosen[run]
             own = {name: values[run - piece.begin] for name, values in signals.items()}
-            scores = own[score].reshape(len(own[score]), -1)
-            truth = [[_of(own[f"{name}.active"]) for name in chain] for chain in chains]
-            columns = [np.any(flags, axis=0) if flags else np.zeros(len(scores), bool) for flags in truth]
-            if len(columns) == scores.shape[1]:
-                found.setdefault(chosen[run], []).append((scores, np.stack(columns, axis=1)))
-    return {level: (np.array([s for s, _ in runs]), np.array([t for _, t in runs])) for level, runs in found.items()}
+            rank = {name: own[name].reshape(len(own[name]), -1).copy() for name in scores}
+            columns = [
+                np.any([_of(own[f"{name}.active"]) for name in chain], axis=0)
+                if chain
+                else np.zeros(len(rank[scores[0]]), bool)
+                for chain in chains
+            ]
+            found.setdefault(level, []).append((rank, np.stack(columns, axis=1), seed))
+    return found
 
 
 def _of(flags: Floats) -> Any:
     return flags.reshape(len(flags), -1).any(axis=1)
 
 
-def roc_figure(detection: Detection) -> tuple[Figure, str]:
-    """Return the curves of all levels: found faults against false alarms, and delay against false alarms an hour."""
+def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure, str]:
+    """Return the curves of all levels: found faults against false alarms, and delay against false alarms."""
+    from matplotlib.ticker import NullLocator
+
     from bayesftc.cosim.statistics import delay_curve, roc
 
-    made, (left, right) = figure(3.2, 1, 2)
-    for (level, (score, truth)), colour in zip(detection.runs.items(), COLOURS, strict=False):
-        curve = roc(score, truth)
-        name = "" if level is None else f"{level}: "
-        left.fill_between(curve.false_positive_rate, curve.lower, curve.upper, color=colour, alpha=0.18, lw=0)
-        left.plot(
-            curve.false_positive_rate,
-            curve.true_positive_rate_pooled,
-            color=colour,
-            lw=1.5,
-            label=f"{name}AUC {curve.auc:.3f}",
+    made, (left, right) = figure(3.4, 1, 2)
+    time = contents.store.time
+    step = float(time[1] - time[0]) if len(time) > 1 else 1.0
+    names = {own.score_name for own in detection.values()}
+    least = 1.0
+    for level, own in detection.items():
+        style, curve = contents.drawn()[level], roc(*own.by_seed())
+        x, mean = curve.false_positive_rate, curve.true_positive_rate
+        left.fill_between(x, curve.lower, curve.upper, color=style.colour, alpha=0.18, lw=0)
+        sure = f" ({curve.low:.3f} to {curve.high:.3f})" if curve.low == curve.low else ""
+        ranked = f" by {own.score_name}" if len(names) > 1 else ""
+        name = "" if level is None else f"{words(contents.name(level), 32, 1)}{ranked}: "
+        left.plot(x, mean, color=style.colour, ls=style.line, lw=1.5, label=f"{name}AUC {curve.auc:.3f}{sure}")
+        delays = delay_curve(own.score, own.truth, step=step)
+        share = delays["false_share"].to_numpy()
+        least = min([least, *share[share > 0]])
+        right.plot(
+            share, delays["median_delay"], color=style.colour, ls=style.line, lw=1.5, marker=style.marker, ms=2.5
         )
-        delays = delay_curve(score, truth, step=detection.step)
-        right.plot(delays["false_alarms_per_hour"], delays["median_delay"], color=colour, lw=1.5)
     left.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
-    left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.01))
-    right.set_xscale("log")
-    right.set(xlabel="false alarms per hour and sensor", ylabel="median detection delay (s)")
-    legend(left)
-    n = max(len(score) for score, _ in detection.runs.values())
+    left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.02))
+    right.set_xscale("symlog", linthresh=least)
+    decades = np.arange(0, np.log10(least), -1)
+    right.set_xticks([0.0, *10.0 ** decades[:: max(1, len(decades) // 3)]])
+    right.xaxis.set_minor_locator(NullLocator())
+    right.set(xlabel="share of fault-free time with an alarm", ylabel="median detection delay (s)", xlim=(0, 1))
+    right.set_ylim(bottom=0)
+    legend(left, columns=1)
+    seeds = (
+        ", band and intervals (95 %) over seeds" if any(len(set(own.seeds)) > 1 for own in detection.values()) else ""
+    )
     return made, (
-        f"Detection by {detection.score_name}, of up to {n} runs of each: samples found against false positives (left, with the "
-        "95 % band over runs), delay against false alarms at all thresholds (right)."
+        f"Faults of sensors, found by {' or '.join(sorted(names))}, {_chosen(detection)}. Left: the mean of the curves of the "
+        f"seeds; AUC is of all samples together{seeds}. Right: delay of an alarm over how often there is a false one, at all "
+        "thresholds; a curve ends where most faults are missed." + _without(contents, detection)
     )
 
 
-def reliability_figure(detection: Detection) -> tuple[Figure, str] | None:
-    """Return the reliability diagram of all levels; None where the score is no probability."""
+def _chosen(detection: dict[Any, Level]) -> str:
+    used, of = (max(numbers) for numbers in zip(*((len(own.seeds), own.of) for own in detection.values()), strict=True))
+    each = " of each" if len(detection) > 1 else ""
+    return (
+        f"in {used} of {of} runs{each}, drawn at random"
+        if used < of
+        else f"in all {of} runs{each} that went to their end"
+    )
+
+
+def _without(contents: Contents, detection: dict[Any, Level]) -> str:
+    missing = [str(contents.name(level)) for level in contents.drawn() if level not in detection]
+    return (
+        f" Without scores that tell samples apart: {', '.join(missing)}."
+        if missing and len(contents.levels()) > 1
+        else ""
+    )
+
+
+def reliability_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure, str] | None:
+    """Return the reliability diagram of all levels whose score is a probability; None without one."""
     from bayesftc.cosim.statistics import calibration
 
-    if not detection.is_probability:
+    own_probability = {level: own for level, own in detection.items() if own.is_probability}
+    if not own_probability:
         return None
-    made, (axis,) = figure(3.2)
+    made, (axis,) = figure(3.4)
     axis.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
-    for (level, (score, truth)), colour in zip(detection.runs.items(), COLOURS, strict=False):
-        found = calibration(score, truth, equal="widths")
+    for level, own in own_probability.items():
+        style, found = contents.drawn()[level], calibration(*own.by_seed(), equal="widths")
         p, share = found.pooled.predicted, found.pooled.observed
-        bars = np.clip([share - found.observed_low, found.observed_high - share], 0.0, None)
-        name = "" if level is None else f"{level}: "
+        bars = np.nan_to_num(np.clip([share - found.observed_low, found.observed_high - share], 0.0, None))
+        name = "" if level is None else f"{words(contents.name(level), 32, 1)}: "
         axis.errorbar(
-            p, share, yerr=bars, fmt="o-", ms=4, lw=1.2, color=colour, capsize=3,
+            p, share, yerr=bars, fmt=style.marker, ls=style.line, ms=4, lw=1.2, color=style.colour, capsize=3,
             label=f"{name}calibration error {found.pooled.calibration_error:.3f}",
         )  # fmt: skip
-    axis.set(xlabel="fault probability", ylabel="share of samples with the fault", xlim=(0, 1), ylim=(0, 1.01))
+    axis.set(
+        xlabel="fault probability", ylabel="share of samples with the fault", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02)
+    )
     axis.set_aspect("equal")
-    legend(axis)
-    return (
-        made,
-        "Reliability of the fault probability: on the dotted line it says what happens; 95 % intervals over runs.",
+    legend(axis, columns=1)
+    return made, (
+        f"Reliability of the fault probability, {_chosen(own_probability)}: samples in ten bins of equal width. On the dotted "
+        "line a fault is there as often as the probability says, above it more often. Intervals (95 %) over seeds. The "
+        "calibration error is the mean distance from the line, each bin counting by its samples."
     )
 
 
-__all__ = ["Detection", "read_detection", "reliability_figure", "roc_figure"]
+__all__ = ["Level", "read_detection", "reliability_figure", "roc_figure"]

@@ -1,4 +1,4 @@
-"""The metric over the grid: each cell's mean by colour and number, or over one factor a line with its intervals."""
+"""The metric over the factors: each cell's mean by colour and number, or over each factor a line with its intervals, or dots."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.report.svg import COLOURS, INK, figure, legend
+from bayesftc.report.levels import estimate
+from bayesftc.report.svg import INK, figure, legend, words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -16,119 +17,156 @@ if TYPE_CHECKING:
     from bayesftc.report.contents import Contents
 
 MOST = 15
-"""Levels of a factor that a heat map shows."""
-MAPS = 4
+"""Values of a factor that have a column of a map, or a place on a line."""
+PANELS = 4
+"""Factors that have a panel."""
+DOTS = 2_000
+"""Points of a level that are drawn: more would be one blot."""
 
 
 def over_grid(contents: Contents) -> tuple[Figure, str] | None:
-    """Return a figure of the metric's mean over the factors that are varied besides the compared one, and what it shows."""
-    metric = contents.metric
-    if metric is None or not contents.varied:
+    """Return a figure of the metric over the factors that are varied, and what it shows; None without factor or metric."""
+    if contents.metric is None or not contents.varied:
         return None
-    axes_of = contents.others or [n for n in contents.varied if n != contents.compared]
-    few = [name for name in axes_of if contents.table[name].nunique() <= MOST]
-    if len(few) >= 2:
-        return _maps(contents, metric, few[0], few[1])
-    over = next(iter([*few, *axes_of]), None)
-    return _lines(contents, metric, over)
+    few = [name for name in contents.others if contents.values(name) <= MOST]
+    if len(few) == len(contents.others) >= 2:
+        return _maps(contents, contents.metric, few[0], few[1])
+    return _panels(contents, contents.metric, (contents.others or contents.varied)[:PANELS])
 
 
 def _maps(contents: Contents, metric: str, down: str, across: str) -> tuple[Figure, str]:
-    levels = contents.levels()[:MAPS]
-    means = [contents.runs_of(level).groupby([down, across])[metric].mean().unstack() for level in levels]
+    levels = list(contents.drawn())
+    means = [_cells(contents, level, metric, down, across) for level in levels]
     finite = np.concatenate([m.to_numpy().ravel() for m in means])
     finite = finite[np.isfinite(finite)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
-    rows = max(len(m.index) for m in means)
-    columns = min(len(levels), 2)
-    made, axes = figure((0.9 + 0.32 * rows) * -(-len(levels) // columns) + 0.4, -(-len(levels) // columns), columns)
-    image = None
-    for axis, level, mean in zip(axes, levels, means, strict=False):
+    low, high = float(finite.min()), float(finite.max())
+    rows, wide = (max(len(m.axes[i]) for m in means) for i in (0, 1))
+    columns = min(len(levels), 3 if wide <= 5 else 2 if wide <= 9 else 1)
+    lines = -(-len(levels) // columns)
+    made, axes = figure((0.9 + 0.3 * rows) * lines + 0.3, lines, columns)
+    for i, (axis, level, mean) in enumerate(zip(axes, levels, means, strict=False)):
         axis.grid(False)
         image = axis.imshow(mean.to_numpy(), aspect="auto", cmap="viridis", vmin=low, vmax=high)
         axis.set_xticks(range(len(mean.columns)), [_short(v) for v in mean.columns])
         axis.set_yticks(range(len(mean.index)), [_short(v) for v in mean.index])
-        axis.set_xlabel(across)
-        axis.set_ylabel(down)
+        axis.tick_params(length=0)
+        axis.set_xlabel(words(across))
+        axis.set_ylabel(words(down, 20) if i % columns == 0 else "")
         if level is not None:
-            axis.set_title(str(level), color=INK, fontsize=9)
-        _write(axis, mean, low, high)
+            axis.set_title(words(contents.name(level)), color=INK, fontsize=9)
+        for spine in axis.spines.values():
+            spine.set_visible(False)
+        _write(axis, mean, image)
     for axis in axes[len(levels) :]:
         axis.set_visible(False)
-    if image is not None:
-        bar = made.colorbar(image, ax=axes[: len(levels)], shrink=0.8)
-        bar.set_label(metric, color=INK, fontsize=9)
-        bar.ax.tick_params(labelsize=8, colors=INK)
-        bar.outline.set_visible(False)
+    bar = made.colorbar(image, ax=axes[: len(levels)], fraction=0.04, aspect=25, pad=0.01)
+    bar.set_label(words(metric, 24), color=INK, fontsize=9)
+    bar.ax.tick_params(labelsize=8, colors=INK)
+    bar.outline.set_visible(False)  # type: ignore[operator]
     rest = [name for name in contents.others if name not in {down, across}]
-    return made, f"Mean of {metric} over the grid{'; means over ' + ', '.join(rest) if rest else ''}."
+    over = f", means over {', '.join(rest)} as well" if rest else ""
+    of = f", for each {contents.compared}" if contents.compared else ""
+    return made, f"Mean of {metric} over {down} and {across}{of}{over}.{contents.undrawn}"
 
 
-def _write(axis: Axes, mean: pd.DataFrame, low: float, high: float) -> None:
+def _cells(contents: Contents, level: Any, metric: str, down: str, across: str) -> pd.DataFrame:
+    """Return the mean of each cell, rows and columns in the order of the design, or rising where they are numbers."""
+    mean = contents.runs_of(level).groupby([down, across], dropna=False)[metric].mean().unstack()
+    return mean.reindex(index=_ordered(contents, down), columns=_ordered(contents, across))
+
+
+def _ordered(contents: Contents, name: str) -> list[Any]:
+    column = contents.table[name].drop_duplicates()
+    return list(column.sort_values() if column.dtype.kind in "if" else column)
+
+
+def _write(axis: Axes, mean: pd.DataFrame, image: Any) -> None:
+    """Write each cell's number on it, in whichever of black and white is read better."""
+    colours = image.cmap(image.norm(mean.to_numpy()))
+    size = 8 if mean.shape[1] <= 9 else 6.5
     for i, row in enumerate(mean.to_numpy()):
         for j, value in enumerate(row):
-            bright = value > low + 0.6 * (high - low)
-            axis.text(j, i, f"{value:.3g}", ha="center", va="center", fontsize=8, color="black" if bright else "white")
+            red, green, blue = (c / 12.92 if c <= 0.04 else ((c + 0.055) / 1.055) ** 2.4 for c in colours[i, j, :3])
+            bright = 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.18
+            known = np.isfinite(value)
+            ink = INK if not known else "black" if bright else "white"
+            axis.text(j, i, f"{value:.3g}" if known else "–", ha="center", va="center", fontsize=size, color=ink)
 
 
-def _lines(contents: Contents, metric: str, over: str | None) -> tuple[Figure, str]:
-    from bayesftc.cosim.statistics import summary
-
-    made, (axis,) = figure(2.9)
-    levels = contents.levels()
-    if over is None:  # the compared factor alone
-        cells = summary(contents.table, metric, by=[contents.compared or ""])
-        at = np.arange(len(cells))
-        axis.errorbar(
-            at, cells["mean"], yerr=[cells["mean"] - cells["low"], cells["high"] - cells["mean"]], fmt="o", color=COLOURS[0],
-            capsize=3,
-        )  # fmt: skip
-        axis.set_xticks(at, [_short(v) for v in cells[contents.compared]])
-        axis.set_xlim(-0.5, len(at) - 0.5)
-        axis.set_xlabel(str(contents.compared))
-    elif contents.table[over].nunique() > MOST:  # samples of a range: a point each
-        for level, colour in zip(levels, COLOURS, strict=False):
-            runs = contents.runs_of(level)
-            axis.plot(
-                runs[over],
-                runs[metric],
-                ".",
-                ms=3,
-                alpha=0.5,
-                color=colour,
-                label=None if level is None else str(level),
-            )
-        axis.set_xlabel(over)
-    else:
-        _errorbars(axis, contents, metric, over)
-    axis.set_ylabel(metric)
-    legend(axis)
-    many = over is not None and contents.table[over].nunique() > MOST
-    return (
-        made,
-        f"{metric}{': each run' if many else ', mean and 95 % confidence interval'}{f' over {over}' if over else ''}.",
+def _panels(contents: Contents, metric: str, names: list[str]) -> tuple[Figure, str]:
+    columns = min(len(names), 2)
+    lines = -(-len(names) // columns)
+    made, axes = figure(2.7 * lines + 0.2, lines, columns)
+    dots = bars = False
+    for i, (axis, name) in enumerate(zip(axes, names, strict=False)):
+        numeric = contents.table[name].dtype.kind in "if"
+        if numeric and contents.values(name) > MOST:
+            _dots(axis, contents, metric, name)
+            dots = True
+        else:
+            _bars(axis, contents, metric, name)
+            bars = True
+        axis.set_xlabel(words(name))
+        axis.set_ylabel(words(metric, 30) if i % columns == 0 else "")
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
+    legend(axes[0])
+    said = [
+        *(["dots are points of the design, each the mean of its runs"] if dots else []),
+        *(["means with 95 % confidence intervals over seeds"] if bars else []),
+    ]
+    pooled = (
+        " All other factors vary as well."
+        if len(contents.varied) > 1 + (contents.compared not in {None, *names})
+        else ""
     )
+    return made, f"{metric} over {', '.join(names)}: {'; '.join(said)}.{pooled}{contents.undrawn}"
 
 
-def _errorbars(axis: Axes, contents: Contents, metric: str, over: str) -> None:
-    from bayesftc.cosim.statistics import summary
+def _dots(axis: Axes, contents: Contents, metric: str, name: str) -> None:
+    for level, style in contents.drawn().items():
+        points = contents.runs_of(level).groupby("point")[[name, metric]].mean()
+        if len(points) > DOTS:
+            points = points.sample(DOTS, random_state=0)
+        axis.plot(
+            points[name],
+            points[metric],
+            style.marker,
+            ms=3.5,
+            mew=0,
+            alpha=0.7,
+            color=style.colour,
+            label=_name(contents, level),
+        )
 
-    values = list(contents.table[over].drop_duplicates())
-    numeric = contents.table[over].dtype.kind in "if"
-    for level, colour in zip(contents.levels(), COLOURS, strict=False):
-        cells = summary(contents.runs_of(level), metric, by=[over])
-        at = cells[over] if numeric else [values.index(v) for v in cells[over]]
+
+def _bars(axis: Axes, contents: Contents, metric: str, name: str) -> None:
+    values = _ordered(contents, name)[:MOST]
+    numeric = contents.table[name].dtype.kind in "if"
+    own = name == contents.compared
+    drawn = {None: next(iter(contents.drawn().values()))} if own else contents.drawn()
+    for i, (level, style) in enumerate(drawn.items()):
+        runs = contents.table if own else contents.runs_of(level)
+        found = [estimate(contents, runs[runs[name] == value], metric) for value in values]
+        # Beside each other, as far as there is no scale that would be wrong then.
+        at = np.array(values, dtype=float) if numeric else np.arange(len(values)) + 0.12 * (i - (len(drawn) - 1) / 2)
+        half = np.nan_to_num([e.half() for e in found])
         axis.errorbar(
-            at, cells["mean"], yerr=[cells["mean"] - cells["low"], cells["high"] - cells["mean"]], fmt="o-", ms=4, lw=1.2,
-            color=colour, capsize=3, label=None if level is None else str(level),
+            at, [e.value for e in found], yerr=half, fmt=style.marker, ls=style.line if numeric else "none", ms=4, lw=1.2,
+            color=style.colour, capsize=3, label=None if own else _name(contents, level),
         )  # fmt: skip
     if not numeric:
-        axis.set_xticks(range(len(values)), [_short(v) for v in values])
-    axis.set_xlabel(over)
+        axis.set_xticks(range(len(values)), [words(_short(v), 14) for v in values])
+        axis.set_xlim(-0.5, len(values) - 0.5)
+
+
+def _name(contents: Contents, level: Any) -> str | None:
+    name = contents.name(level)
+    return name and words(name, 32, 1)
 
 
 def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else words(value, 18, 1)
 
 
 __all__ = ["over_grid"]

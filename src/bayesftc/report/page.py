@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from bayesftc.cosim._campaign.extras import extra
 from bayesftc.cosim._campaign.reading import StoredCampaign
-from bayesftc.report import tables
+from bayesftc.report import comparisons, tables
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents
 from bayesftc.report.detection import read_detection, reliability_figure, roc_figure
@@ -25,12 +24,13 @@ Drawn = tuple["Figure", str] | None
 
 @dataclass(frozen=True)
 class Part:
-    """A heading with a figure, a table, or both."""
+    """A heading with a figure, a table, or both; and a table for those who want more."""
 
     title: str
     svg: str = ""
     caption: str = ""
     table: tables.Table | None = None
+    more: tables.Table | None = None
 
 
 def report(
@@ -59,7 +59,6 @@ def report(
     jinja2 = extra("jinja2", "A report")
     contents = Contents(store, metric, compare)
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=False)
-    environment.tests["number_text"] = lambda text: bool(re.fullmatch(r"[-−]?[\d.]+(e[-+]?\d+)?( ± .*)?|–|< .*", text))
     template = environment.from_string(files("bayesftc.report").joinpath("page.html").read_text(encoding="utf-8"))
     page: str = template.render(
         title=title or store.path.resolve().name,
@@ -78,55 +77,50 @@ def _parts(contents: Contents) -> Iterator[Part]:
     results = tables.means(contents)
     drawn = over_grid(contents)
     if results or drawn:
-        yield _part("Results", lambda: drawn, results)
-    comparison = tables.comparison(contents)
+        yield _part("Results", drawn, results)
+    comparison, cells = comparisons.overall(contents), comparisons.in_cells(contents)
     if comparison:
-        yield Part(comparison.title, table=comparison)
+        yield Part(comparison.title, table=comparison, more=cells)
     bands = error_bands(contents)
     if bands:
-        yield _part("Over time", lambda: bands)
+        yield _part("Over time", bands)
     detection = read_detection(contents)
-    if detection and detection.runs:
-        yield _part("Detection", lambda: roc_figure(detection))
-        if detection.is_probability:
-            yield _part("Reliability", lambda: reliability_figure(detection))
+    if detection:
+        yield _part("Detection", roc_figure(contents, detection))
+        reliability = reliability_figure(contents, detection)
+        if reliability:
+            yield _part("Reliability", reliability)
     worst = tables.worst(contents)
     if worst:
         yield Part(worst.title, table=worst)
 
 
-def _part(title: str, draw: Callable[[], Drawn], table: tables.Table | None = None) -> Part:
-    made = draw()
-    if made is None:
+def _part(title: str, drawn: Drawn, table: tables.Table | None = None) -> Part:
+    if drawn is None:
         return Part(title, table=table)
-    picture, caption = made
+    picture, caption = drawn
     return Part(title, to_svg(picture, f"{title}: {caption}"), caption, table)
 
 
 def _lead(contents: Contents) -> str:
-    factors = ", ".join(contents.varied) or "the seed alone"
     runs, points = len(contents.table), contents.table["point"].nunique()
-    whole = "" if runs == contents.store.plan.runs else f" of {contents.store.plan.runs}: the campaign is not whole"
-    return f"{runs} runs{whole} at {points} point{'s' if points != 1 else ''}; varied: {factors}."
+    whole = (
+        "" if runs == contents.store.plan.runs else f" of {contents.store.plan.runs} (the campaign is not whole yet)"
+    )
+    varied = f"; varied: {', '.join(contents.varied)}" if contents.varied else ""
+    failed = f"; {contents.failed} failed" if contents.failed else ""
+    return f"{_count(runs, 'run')}{whole} at {_count(points, 'point')}{failed}{varied}."
 
 
 def _findings(contents: Contents) -> list[str]:
     """Return what the numbers say, in a sentence or two."""
-    from bayesftc.cosim.statistics import summary
+    if contents.metric is None and contents.metrics:
+        return [f"No run has a value of {', '.join(contents.metrics)}."]
+    return comparisons.sentences(contents)
 
-    metric, factor = contents.metric, contents.compared
-    if metric is None:
-        return []
-    if factor is None:
-        (row,) = summary(contents.table, metric).to_dict("records")
-        return [f"{metric} is {tables.interval_text(row)} on average over {row['n']} runs."]
-    rows = summary(contents.table, metric, by=[factor]).sort_values("mean").to_dict("records")
-    best, last = rows[0], rows[-1]
-    ratio = f" ({last['mean'] / best['mean']:.3g} times as much)" if best["mean"] > 0 else ""
-    return [
-        f"Over all points {metric} is lowest with {factor} = {tables.text_of(best[factor])}: {best['mean']:.4g} on average; "
-        f"with {tables.text_of(last[factor])} it is {last['mean']:.4g}{ratio}."
-    ]
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 __all__ = ["report"]

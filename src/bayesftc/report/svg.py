@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import re
-from typing import TYPE_CHECKING
-
-from bayesftc.cosim.plotting import SENSOR_COLOURS
+import textwrap
+import warnings
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,9 +14,32 @@ if TYPE_CHECKING:
 
 INK, GRID = "#010203", "#040506"
 """Stand for the colour of the page's text, and of thin lines; nothing else has these."""
-COLOURS = SENSOR_COLOURS
+COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", INK)
+"""Of Okabe and Ito (2008), who chose them for all eyes; they stand out from white and from black paper."""
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
+MARKERS = ("o", "^", "s", "D", "v", "P")
 WIDTH = 8.6
 """Of all figures, in inches."""
+
+
+class Style(NamedTuple):
+    """How a level is drawn, the same in all figures of a page."""
+
+    colour: str
+    line: Any
+    marker: str
+
+
+def styles() -> list[Style]:
+    """Return as many styles as are told apart, by colour and by line or marker."""
+    return [Style(*each) for each in zip(COLOURS, LINES, MARKERS, strict=True)]
+
+
+def words(text: Any, width: int = 36, lines: int = 3) -> str:
+    """Return a text as a figure can show it: in some lines of some letters, nothing in it being a formula."""
+    found = textwrap.wrap(str(text), width, max_lines=lines, placeholder=" …") or [""]
+    shown = "\n".join(found).replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown  # what begins with it stands in no legend
 
 
 def figure(height: float, rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tuple[Figure, list[Axes]]:
@@ -46,13 +69,13 @@ def tidy(axis: Axes) -> None:
         text.set_fontsize(9)
 
 
-def legend(axis: Axes) -> None:
+def legend(axis: Axes, columns: int = 3) -> None:
     """Name what an axis shows, above it, if there is anything to name."""
     handles, _ = axis.get_legend_handles_labels()
     if handles:
         axis.legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(len(handles), 4), frameon=False, fontsize=8, labelcolor=INK,
-            borderaxespad=0.2,
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(len(handles), columns), frameon=False, fontsize=8,
+            labelcolor=INK, borderaxespad=0.2,
         )  # fmt: skip
 
 
@@ -62,13 +85,22 @@ def to_svg(made: Figure, description: str) -> str:
 
     from matplotlib import rc_context
 
-    text = io.StringIO()
-    with rc_context({"svg.fonttype": "path", "svg.hashsalt": description}):
-        made.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    for fonts in ("path", "none"):  # letters that the font lacks are left to the browser, which has others
+        text = io.StringIO()
+        with (
+            rc_context({"svg.fonttype": fonts, "svg.hashsalt": description}),
+            warnings.catch_warnings(record=True) as said,
+        ):
+            warnings.simplefilter("always")
+            made.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        if not any("Glyph" in str(warning.message) for warning in said):
+            break
     svg = text.getvalue()
-    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<!--.*?-->\s*", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = svg.replace(INK, "currentColor").replace(GRID, "var(--line)")
+    for i, colour in enumerate(COLOURS[:-1]):  # by night brighter ones
+        svg = svg.replace(colour.lower(), f"var(--c{i})")
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", svg, count=1)
     # Several figures stand in one page: what their parts are called must differ.
     prefix = f"f{abs(hash_of(description)):x}-"
@@ -85,4 +117,4 @@ def hash_of(text: str) -> int:
     return zlib.crc32(text.encode())
 
 
-__all__ = ["COLOURS", "GRID", "INK", "figure", "hash_of", "legend", "tidy", "to_svg"]
+__all__ = ["COLOURS", "GRID", "INK", "Style", "figure", "hash_of", "legend", "styles", "tidy", "to_svg", "words"]

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import shlex
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim.errors import ModelError
+from bayesftc.report.levels import estimate
 
 if TYPE_CHECKING:
     from bayesftc.report.contents import Contents
+    from bayesftc.report.pooling import Estimate
 
 ROWS = 60
 """Of a table; the store has all."""
-WORST = 5
+WORST, REASONS, METRICS, CELL = 5, 10, 6, 15
+"""Of runs and reasons that are listed, of metrics that have a column, of values of a factor that has rows of its own."""
+NUMBER = re.compile(r"[-−]?(\d[\d.]*(e[-+]?\d+)?|inf|nan)( ± .*)?|–|< .*|(None|True|False)")
 
 
 @dataclass(frozen=True)
@@ -26,91 +29,72 @@ class Table:
     rows: list[list[str]]
     note: str = ""
 
+    @property
+    def numeric(self) -> list[bool]:
+        """Which columns hold numbers, and so stand right; a list without headings has none."""
+        named = any(self.columns)
+        return [named and all(NUMBER.fullmatch(row[i]) for row in self.rows) for i in range(len(self.columns))]
+
 
 def settings(contents: Contents) -> Table:
     """Return what the campaign was: what is common to all runs."""
     said, metadata = contents.description, contents.store.metadata
     versions = metadata.environment.get("versions", {})
-    blocks = said.get("blocks", {})
+    plan = contents.store.plan
     rows = [
         ["duration of a run", str(said.get("duration", ""))],
         ["base step", str(said.get("step", ""))],
-        ["points", str(len(contents.store.plan.points))],
-        ["runs", f"{len(contents.table)} of {contents.store.plan.runs}"],
-        ["failed", str(int((contents.table["status"] == "failed").sum()))],
-        ["computing time", f"{contents.store.seconds:.4g} s"],
-        *([f"block {name}", text] for name, text in blocks.items()),
+        ["points", str(len(plan.points))],
+        ["runs", f"{len(contents.table)} of {plan.runs}"],
+        ["failed", str(contents.failed)],
+        ["computing time", f"{contents.store.seconds:.4g} s, of all cores together"],
+        ["recorded", ", ".join(metadata.signals)],
+        *([f"block {name}", text] for name, text in said.get("blocks", {}).items()),
         *([f"FMU {name}", f"SHA-256 {digest}"] for digest, name in metadata.fmus.items()),
         ["versions", ", ".join(f"{name} {version}" for name, version in versions.items())],
     ]
-    return Table("Settings", ["", ""], [row for row in rows if row[1]])
+    note = (
+        "Blocks are shown with the settings of the first point." if said.get("blocks") and len(plan.points) > 1 else ""
+    )
+    return Table("Settings", ["", ""], [row for row in rows if row[1]], note)
 
 
-def design(contents: Contents) -> Table:
+def design(contents: Contents) -> Table | None:
     """Return the factors and their values."""
     rows = []
     for name in contents.factors:
         values = list(contents.table[name].drop_duplicates())
         shown = ", ".join(map(text_of, values[:8]))
         rows.append([name, str(len(values)), shown + (f", … {text_of(values[-1])}" if len(values) > 8 else "")])
-    return Table("Factors", ["factor", "values", "which"], rows)
+    return Table("Factors", ["factor", "values", "which"], rows) if rows else None
 
 
 def means(contents: Contents) -> Table | None:
     """Return the mean of each metric in each cell of the grid."""
-    from bayesftc.cosim.statistics import summary
-
-    metrics = [m for m in contents.metrics if contents.table[m].notna().any()][:6]
+    table = contents.table
+    metrics = [m for m in contents.metrics if table[m].notna().any()]
     if not metrics:
         return None
-    few = [name for name in contents.varied if contents.table[name].nunique() <= 15]
-    own_factor = [contents.compared] if contents.compared else []
-    by = [*[name for name in few if name != contents.compared][: 4 - len(own_factor)], *own_factor]
-    cells = summary(contents.table, metrics, by=by)
-    keys = list(cells[by].drop_duplicates().itertuples(index=False, name=None)) if by else [()]
-    place = {(tuple(row[name] for name in by), row["metric"]): row for row in cells.to_dict("records")}
-    rows = []
-    for key in keys[:ROWS]:
-        own = [place.get((tuple(key), metric)) for metric in metrics]
-        runs = next((row["n"] + row["left_out"] for row in own if row), 0)
-        rows.append([*map(text_of, key), str(runs), *map(interval_text, own)])
-    note = "Mean ± half of the 95 % confidence interval (Student's t)."
-    note += f" {len(keys) - ROWS} further rows are in the store." if len(keys) > ROWS else ""
-    return Table("Results", [*by, "runs", *metrics], rows, note)
-
-
-def comparison(contents: Contents) -> Table | None:
-    """Return the differences between the levels of the compared factor, in each cell of the others."""
-    from bayesftc.cosim.statistics import compare
-
-    if contents.compared is None or contents.metric is None:
-        return None
-    by, how = contents.others, "paired t-tests, run by run with the same noise"
-    try:
-        found = compare(contents.table, contents.metric, contents.compared, by=by or None, correction="holm")
-    except ModelError:
-        try:
-            by = [n for n in by if contents.table[n].nunique() <= 15]
-            found = compare(
-                contents.table, contents.metric, contents.compared, by=by or None, paired=False, correction="holm"
-            )
-            how = "Welch's t-tests"
-        except ModelError:
-            return None
-    rows = [
-        [
-            *(text_of(row[name]) for name in by),
-            f"{row['first']} − {row['second']}",
-            interval_text({"mean": row["difference"], "high": row["high"]}),
-            f"{row['effect']:.3g}",
-            p_text(row["p_corrected"]),
-        ]
-        for row in found.to_dict("records")
-    ]
-    note = f"By {how}; p corrected for {len(found)} tests by Holm. Effect: Cohen's d."
-    note += f" {len(rows) - ROWS} further rows are left out." if len(rows) > ROWS else ""
-    columns = [*by, contents.compared, f"difference of {contents.metric}", "effect", "p"]
-    return Table("Comparison", columns, rows[:ROWS], note)
+    few = [name for name in contents.others if contents.values(name) <= CELL]
+    own = [contents.compared] if contents.compared else []
+    by = [*few[: 4 - len(own)], *own]
+    cells = list(table.groupby(by, sort=False, dropna=False)) if by else [((), table)]
+    shown, rows = metrics[:METRICS], []
+    for key, runs in cells[:ROWS]:
+        failed = [str(int((runs["status"] == "failed").sum()))] if contents.failed else []
+        found = [estimate(contents, runs, metric) for metric in shown]
+        rows.append([*map(text_of, key), str(len(runs)), *failed, *(mean_text(e, len(runs)) for e in found)])
+    pools = any(runs["point"].nunique() > 1 for _, runs in cells)
+    note = "Mean ± half of its 95 % confidence interval (Student's t over seeds)."
+    if pools:
+        note += (
+            " A row is of several points: the mean is over these, the interval for other noise, not for other points."
+        )
+    if contents.failed or any(table[m].isna().any() for m in shown):
+        note += " Runs without a value, such as failed ones, are left out; n is how many have one, where not all do."
+    note += f" {len(cells) - ROWS} further rows are left out here." if len(cells) > ROWS else ""
+    note += f" {len(metrics) - METRICS} further metrics are in the store." if len(metrics) > METRICS else ""
+    return Table("Results", [*by, "runs", *(["failed"] if contents.failed else []), *shown], rows, note)
 
 
 def worst(contents: Contents) -> Table | None:
@@ -128,8 +112,13 @@ def worst(contents: Contents) -> Table | None:
         for row in ordered.head(WORST).to_dict("records")
         if row[contents.metric] == row[contents.metric]
     ]
-    title = f"The {len(rows)} runs with the largest {contents.metric}"
-    return Table(title, ["run", *contents.varied, contents.metric, "once more"], rows) if rows else None
+    title = (
+        f"The {len(rows)} runs with the largest {contents.metric}"
+        if len(rows) > 1
+        else f"The run and its {contents.metric}"
+    )
+    note = "Failed runs have no value and are not among them." if contents.failed else ""
+    return Table(title, ["run", *contents.varied, contents.metric, "once more"], rows, note) if rows else None
 
 
 def failures(contents: Contents) -> Table | None:
@@ -137,12 +126,14 @@ def failures(contents: Contents) -> Table | None:
     failed = contents.table[contents.table["status"] == "failed"]
     if not len(failed):
         return None
-    rows = []
-    for reason, runs in failed.groupby("reason", sort=False):
-        rows.append([str(len(runs)), str(reason), command(contents, runs["run"].iloc[0])])
+    rows = [
+        [str(len(runs)), str(runs["point"].nunique()), str(reason), command(contents, runs["run"].iloc[0])]
+        for reason, runs in failed.groupby("reason", sort=False)
+    ]
     rows.sort(key=lambda row: -int(row[0]))
-    note = f"{len(rows) - 10} further reasons are in the store." if len(rows) > 10 else ""
-    return Table(f"{len(failed)} runs have failed", ["runs", "reason", "the first of them once more"], rows[:10], note)
+    note = f"{len(rows) - REASONS} further reasons are in the store." if len(rows) > REASONS else ""
+    title = f"{len(failed)} of {len(contents.table)} runs {'has' if len(failed) == 1 else 'have'} failed"
+    return Table(title, ["runs", "at points", "reason", "the first of them once more"], rows[:REASONS], note)
 
 
 def command(contents: Contents, run: Any) -> str:
@@ -155,12 +146,13 @@ def text_of(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def interval_text(row: Mapping[Any, Any] | None) -> str:
-    """Return a mean and half of its interval."""
-    if row is None or row["mean"] != row["mean"]:
+def mean_text(found: Estimate, runs: int | None = None) -> str:
+    """Return a mean and half of its interval, and of how many runs if these are not all of `runs`."""
+    if not found.runs:
         return "–"
-    half = row["high"] - row["mean"]
-    return f"{row['mean']:.4g}" + (f" ± {half:.2g}" if half == half else "")
+    half = found.half()
+    text = f"{found.value:.4g}" + (f" ± {half:.2g}" if half == half else "")
+    return text if runs in {None, found.runs} else f"{text} (n = {found.runs})"
 
 
 def p_text(p: float) -> str:
@@ -168,4 +160,16 @@ def p_text(p: float) -> str:
     return "–" if p != p else "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
-__all__ = ["Table", "comparison", "design", "failures", "means", "settings", "worst"]
+__all__ = [
+    "ROWS",
+    "Table",
+    "command",
+    "design",
+    "failures",
+    "mean_text",
+    "means",
+    "p_text",
+    "settings",
+    "text_of",
+    "worst",
+]

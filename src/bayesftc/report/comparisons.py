@@ -1,0 +1,151 @@
+"""What the compared factor does: its levels beside each other, over all points and in each cell, and a sentence of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bayesftc.report.levels import MOST_COMPARED, Pair, compared_levels, pair, ranked
+from bayesftc.report.tables import ROWS, Table, mean_text, p_text, text_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from bayesftc.report.contents import Contents
+
+
+def overall(contents: Contents) -> Table | None:
+    """Return the differences between each two levels over all points."""
+    if contents.metric is None or contents.compared is None:
+        return None
+    pairs = [each for each in compared_levels(contents) if each.difference.runs]
+    if not pairs:
+        return None
+    rows = []
+    for each in pairs:
+        value, half = each.difference.value, each.half
+        text = f"{value:.4g}" + (f" ± {half:.2g}" if half == half else "")
+        rows.append([_minus(each), str(each.points), str(each.difference.runs), text, p_text(each.p)])
+    paired, apart = (any(each.paired is way for each in pairs) for way in (True, False))
+    how = [
+        *(["differences run by run, of the same seed at the same point"] if paired else []),
+        *(["differences of means of independent runs"] if apart else []),
+    ]
+    note = f"{' and '.join(how).capitalize()}; ± is half of the 95 % confidence interval over seeds"
+    every = pairs[0].pairs
+    note += f", which holds for all {every} pairs together, as p does (Bonferroni)." if every > 1 else "."
+    if len(contents.levels()) > MOST_COMPARED:
+        note += " Of so many levels only the two with the lowest means are compared."
+    if contents.others:
+        note += (
+            f" Means over the combinations of {', '.join(contents.others)}: what holds of them need not hold of each."
+        )
+    kind = "pairs of runs" if not apart else "runs, at least"
+    columns = [contents.compared, "combinations", kind, f"difference of {contents.metric}", "p"]
+    return Table("Comparison", columns, rows, note)
+
+
+def in_cells(contents: Contents) -> Table | None:
+    """Return the differences between each two levels in each combination of the other factors."""
+    found = _tests(contents) if contents.others else None
+    if found is None:
+        return None
+    frame, by, paired = found
+    rows = [
+        [
+            *(text_of(row[name]) for name in by),
+            f"{text_of(row['first'])} − {text_of(row['second'])}",
+            f"{row['difference']:.4g}"
+            + (f" ± {row['high'] - row['difference']:.2g}" if row["high"] == row["high"] else ""),
+            f"{row['effect']:.3g}" if row["effect"] == row["effect"] else "–",
+            p_text(row["p_corrected"]),
+        ]
+        for row in frame.head(ROWS).to_dict("records")
+    ]
+    how = "Paired t-tests, run by run with the same noise" if paired else "Welch's t-tests"
+    note = f"{how}; ± is half of each 95 % confidence interval by itself, p is corrected for {len(frame)} tests (Holm)."
+    note += f" Effect: {'mean over standard deviation of the differences' if paired else 'Cohen’s d'}."
+    note += f" {len(frame) - ROWS} further rows are left out here." if len(frame) > ROWS else ""
+    columns = [*by, str(contents.compared), f"difference of {contents.metric}", "effect", "p"]
+    return Table("Comparison in each combination", columns, rows, note)
+
+
+def sentences(contents: Contents) -> list[str]:
+    """Return what the numbers say, no more than intervals and tests carry."""
+    metric, factor = contents.metric, contents.compared
+    if metric is None:
+        return []
+    order = ranked(contents)
+    (best, lowest), runs = order[0], sum(each.runs for _, each in order)
+    if factor is None or len(order) < 2:
+        where = f" with {factor} = {text_of(best)}" if factor else ""
+        return [f"{metric} is {mean_text(lowest)} on average over {runs} run{'s' if runs > 1 else ''}{where}."]
+    every = len(contents.levels()) * (len(contents.levels()) - 1) // 2
+    beside = [pair(contents, level, best, every) for level, _ in order[1:4]]
+    head = f"{metric} is lowest with {factor} = {text_of(best)}, {lowest.value:.4g} on average"
+    if not beside[0].points:
+        return [f"{head}; the levels have no point in common, so that nothing tells what of this is {factor}'s doing."]
+    if not beside[0].certain:
+        return [head + _undecided(beside[0]), *_cells(contents, beside[0])]
+    sure = [each for each in beside if each.certain]
+    by = ", ".join(f"{each.difference.value:.3g} ± {each.half:.2g} below {text_of(each.first)}" for each in sure)
+    return [f"{head}: {by}.", *_cells(contents, beside[0])]
+
+
+def _undecided(each: Pair) -> str:
+    value, half = each.difference.value, each.half
+    if half != half:
+        return (
+            f"; one seed does not tell whether {text_of(each.first)}, {value:.3g} above it, differs by more than noise."
+        )
+    return (
+        f", but no difference to {text_of(each.first)} is certain: the 95 % interval of it reaches from "
+        f"{value - half:.3g} to {value + half:.3g}."
+    )
+
+
+def _cells(contents: Contents, beside: Pair) -> list[str]:
+    """Return how it is in each combination of the other factors."""
+    found = _tests(contents)
+    if found is None or not found[1]:
+        return []
+    frame, by, _ = found
+    ours, theirs = beside.second, beside.first
+    mine = frame[frame["first"].isin([ours, theirs]) & frame["second"].isin([ours, theirs])]
+    sign = mine["first"].map(lambda level: 1.0 if level == ours else -1.0)
+    certain = mine["p_corrected"] < 0.05
+    lower = int((certain & (sign * mine["difference"] < 0)).sum())
+    higher = int((certain & (sign * mine["difference"] > 0)).sum())
+    rest = len(mine) - lower - higher
+    return [
+        f"Of the {len(mine)} combinations of {', '.join(by)}, {text_of(ours)} is lower than {text_of(theirs)} in {lower}, higher "
+        f"in {higher}, and {rest} {'is' if rest == 1 else 'are'} undecided (tests at 5 %, corrected)."
+    ]
+
+
+def _tests(contents: Contents) -> tuple[pd.DataFrame, list[str], bool] | None:
+    """Return the tests in each combination of the other factors that has runs of all levels, these factors, and the way."""
+    from bayesftc.cosim.errors import ModelError
+    from bayesftc.cosim.statistics import compare
+
+    levels, factor, metric = len(contents.levels()), contents.compared, contents.metric
+    if factor is None or metric is None or not 2 <= levels <= MOST_COMPARED:
+        return None
+    table = contents.table.assign(**{"combination ": contents.combinations})
+    table = table.drop_duplicates(["combination ", factor, "seed"])  # a point that is there twice
+    same = table[table.groupby(["combination ", "seed"])[factor].transform("nunique") == levels]
+    paired = bool(len(same))
+    used = same if paired else table[table.groupby("combination ")[factor].transform("nunique") == levels]
+    if not len(used):
+        return None
+    try:
+        found = compare(used, metric, factor, by=contents.others or None, paired=paired, correction="holm")
+    except ModelError:
+        return None
+    return found, contents.others, paired
+
+
+def _minus(each: Pair) -> str:
+    return f"{text_of(each.first)} − {text_of(each.second)}"
+
+
+__all__ = ["in_cells", "overall", "sentences"]
