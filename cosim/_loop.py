@@ -139,7 +139,7 @@ def run_many(
                 memory[j] = initial[j]
             for j in range(states.shape[0]):
                 status = put_back(states[j, 0], states[j, 1], states[j, 2])
-                if status != 0:
+                if status < 0 or status > 1:  # 1 is FMI's warning
                     failed[0], failed[1] = -2 - j, status
                     reached[i] = -1
                     return i

@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import warnings
 import zipfile
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
@@ -70,6 +71,37 @@ def run_both():
             assert_bits(compiled[name], interpreted[name], name)
         assert_bits(compiled.time, interpreted.time)
         return compiled
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def campaign_as_alone():
+    """Make runs as a campaign does, from run to run, and insist on the bits and reasons that each has alone; return the table."""
+
+    def run(diagram, duration, seeds=(3, 1, 4, 159), points=None, **options):
+        from bayesftc import cosim
+        from bayesftc.cosim.errors import SimulationError
+
+        settings = {"record": ["*"], "piece": len(seeds) + 1, **options}
+        campaign = cosim.Campaign(diagram, duration=duration, grid=points, seeds=seeds, **settings)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", "An FMU that is put back")
+            result = campaign.run(executor=cosim.Threads(1))
+        data, table = result.dataset, result.table
+        for number, reason in enumerate(table["reason"]):
+            said = ""
+            try:
+                alone = campaign.replay(number, record=settings["record"], decimation=settings.get("decimation", 1))
+            except SimulationError as error:
+                alone, said = error.result, str(error)
+            assert reason == said
+            assert set(alone) == {str(name) for name in data.data_vars}
+            for name in alone:
+                rows = len(alone[name])
+                assert_bits(data[name][number].values[:rows], alone[name], (number, name))
+                assert np.isnan(data[name][number].values[rows:]).all()
+        return table
 
     return run
 

@@ -134,3 +134,43 @@ def test_a_table_that_is_too_long_overwrites_nothing():
     with pytest.raises(cosim.KernelError, match="table of 'cart', a Cart, has 33 words, and there is room for 32"):
         pushed(words=33).simulate(1.0)
     assert pushed(words=32).simulate(1.0)["cart.x"][-1] == pushed().simulate(1.0)["cart.x"][-1]
+
+
+class StubbornCart(RunningCart):
+    """One that some of the time cannot go back."""
+
+    def restore(self, saved):
+        if self.asked % 2:
+            raise cosim.errors.FMUError("Not now.")
+        self.asked += 1
+        super().restore(saved)
+
+    asked = 0
+
+
+@dataclass(frozen=True)
+class Stubborn(Cart):
+    def instantiate(self, step, name):
+        return StubbornCart(self.mass, float(step), self.words)
+
+
+@pytest.mark.parametrize("block", [Cart(2.0), Stubborn(2.0)], ids=["willing", "stubborn"])
+@pytest.mark.parametrize("compiled", [True, False])
+def test_campaigns_go_back_or_begin_anew(block, compiled, make_block, campaign_as_alone):
+    def output(u, y):
+        y[0] = u[0]
+
+    same = make_block(inputs=(cosim.Port("u"),), outputs=(cosim.Port("y"),), output=output, compiled=compiled)
+    diagram = cosim.Diagram(DT)
+    wind, law = diagram.add(cosim.Gaussian(std=10.0), "wind"), diagram.add(same, "law")
+    diagram.connect(wind["y"], law["u"])
+    diagram.connect(law["y"], diagram.add(block, "cart")["force"])
+    table = campaign_as_alone(diagram, 0.5, seeds=range(7))
+    assert (table["status"] == "ok").all()
+
+
+def test_a_campaign_in_which_a_step_fails(campaign_as_alone):
+    diagram = cosim.Diagram(DT)
+    diagram.connect(diagram.add(cosim.Gaussian(std=300.0), "wind")["y"], diagram.add(Cart(2.0), "cart")["force"])
+    table = campaign_as_alone(diagram, 2.0, seeds=range(12))
+    assert set(table["status"]) == {"ok", "failed"}

@@ -390,3 +390,11 @@ def test_iterated_steps_repeat_their_events_and_ticks(clocked, clocks):
     assert (runs[0]["a.level"][-1], runs[0]["b.level"][-1]) == (5, 5)
     if clocks:
         assert runs[0]["a.ticks"][-1] == 8
+
+
+@pytest.mark.parametrize("flags", [EVENTS, 'hasEventMode="true" canHandleVariableCommunicationStepSize="true"'])
+@pytest.mark.parametrize("options", [{}, {"timing": "sampled"}, {"isolate": True}], ids=str)
+def test_campaigns_begin_with_the_first_event_again(clocked, campaign_as_alone, flags, options):
+    block = FMU(clocked(flags, CLOCKS), parameters={"u": 1.0, "first": 0.3, "every": 0.55}, **options)
+    table = campaign_as_alone(alone(block, "1/8", v=cosim.Gaussian(std=1.0)), 2.0)
+    assert (table["status"] == "ok").all()

@@ -31,15 +31,23 @@ from bayesftc.cosim.schedule import NOT_FINITE, Schedule
 
 ROOM = 4_000_000
 """Bytes of the recordings of the runs that are made in one call: as much as stays in a processor's cache."""
+LONG = 1.0
+"""Seconds of a run from which on FMUs are made anew for each: that takes less than to see whether they repeat a run."""
 Wanted = Callable[[], bool]
 """Asked about twenty times a second whether to go on. From then on it is the runs that take time."""
 Aside = Callable[[], None]
 """Told before work that is no run's own, of which no time limit is to count: building, compiling, metrics."""
+WELL = (0, 1)
+"""What FMI's functions return if all is well, perhaps with a warning."""
 _STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
 
 
 class StoppedFromOutside(Exception):
     """Whoever wanted the runs does not want them any more."""
+
+
+class _NotPutBackError(Exception):
+    """An FMU could not be put back to the beginning of a run, and is freed."""
 
 
 @dataclass(frozen=True)
@@ -122,15 +130,15 @@ class ManyRuns:
         done = 0
         while done < len(seeds):
             _go_on(wanted)
-            few = self._how_many(len(seeds) - done)
+            few, more = self._how_many(len(seeds) - done), len(seeds) > 1
             try:
-                self._ready(aside, more=len(seeds) > 1)
-            except BayesFTCError as error:  # an FMU that refuses its parameters, say
-                yield self._nothing(str(error))
-                done += 1
+                self._ready(aside, more=more)
+                _go_on(wanted)
+                block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), wanted, more=more)
+            except _NotPutBackError:  # the run has yet to be made, with new instances
                 continue
-            _go_on(wanted)
-            block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), wanted, more=len(seeds) > 1)
+            except BayesFTCError as error:  # an FMU that refuses its parameters, say
+                block = self._nothing(str(error))
             done += len(block.steps)
             yield block
 
@@ -140,7 +148,9 @@ class ManyRuns:
         self._spares.close()
 
     def _how_many(self, left: int) -> int:
-        if self._pace == 0.0 or self._repeats is None:  # the run that is made once more is compared with memory after it
+        if (
+            self._pace == 0.0 or self._repeats is None
+        ):  # the run that is made once more is compared with memory after it
             return 1
         return max(1, min(left, self._few, int(BREATH / self._pace)))
 
@@ -155,7 +165,7 @@ class ManyRuns:
             block = self._single(int(seeds[0]), wanted)
         self._pace = (time.perf_counter() - began) / len(block.steps)
         if more and self._repeats is None and not block.reasons[0]:
-            self._repeats = self._once_more(int(seeds[0]), block.recording[0])
+            self._repeats = self._once_more(int(seeds[0]), block.recording[0], wanted)
         return block
 
     @property
@@ -188,7 +198,7 @@ class ManyRuns:
             component, save, restore, free = addresses
             place = ctypes.c_int64(0)
             status = _STATE(save)(component, ctypes.addressof(place))
-            if status:
+            if status not in WELL:
                 self._repeats = False
                 return None
             self._free.append((free, component, place))
@@ -217,62 +227,69 @@ class ManyRuns:
         if failure is not None:
             run.k, run.sound = int(reached[done]), False
             if failure.node < 0:
-                reasons.append("An FMU could not be put back to the beginning of a run.")
-                self._repeats = False
+                self._give_up()
             else:
                 reasons.append(explain(failure, run))
-            recording[done, reached[done] // self._decimation + 1 :] = np.nan
-            self._shut(broken=failure.status < NOT_FINITE)
+                recording[done, reached[done] // self._decimation + 1 :] = np.nan
+                self._shut(broken=failure.status < NOT_FINITE)
         if heard:
             raise KeyboardInterrupt
-        if failure is not None and failure.node < 0:  # this run has yet to be made, with new instances
-            if done == 0:
-                self._ready(more=True)
-                return self._some(seeds, lambda: True, more=True)
-            reasons.pop()
+        if not reasons:
+            raise _NotPutBackError
         return Block(recording[: len(reasons)], reached[: len(reasons)], tuple(reasons))
 
-    def _single(self, seed: int, wanted: Wanted) -> Block:
+    def _single(self, seed: int, wanted: Wanted, *, limited: bool = True) -> Block:
         """Make one run, long or slow, or interpreted, piece by piece."""
         run, recording = self._run, self._room(1)
-        if not self._fresh:
-            self._put_back()
+        if not self._fresh and not self._put_back():
+            self._give_up()
+            raise _NotPutBackError
         run.recording, run.before, run.k, run.sound = recording[0], 0, -1, True
         if run.seed != seed:
             run.seed = seed
             self._engine = choose_engine("auto", run)  # an engine holds numbers that it has drawn ahead
         self._fresh = False
 
-        stopped = advance(self._engine, self._steps, run, lambda step, steps: _go_on(wanted), self._limit)
+        limit = self._limit if limited else None
+        stopped = advance(self._engine, self._steps, run, lambda step, steps: _go_on(wanted), limit)
         if stopped:
             recording[0, max(run.k // self._decimation + 1, 0) :] = np.nan
             self._shut(broken=True)
         return Block(recording, np.array([run.k], dtype=np.int64), (stopped or "",))
 
-    def _put_back(self) -> None:
-        run = self._run
-        run.memory[:] = self._initial
+    def _put_back(self) -> bool:
+        """Put memory and FMUs back to the beginning; return whether that went well."""
+        self._run.memory[:] = self._initial
         assert self._states is not None
-        for restore, component, place in self._states:
-            _STATE(int(restore))(int(component), int(place))
+        return all(_STATE(int(r))(int(component), int(place)) in WELL for r, component, place in self._states)
 
-    def _once_more(self, seed: int, first: Floats) -> bool:
+    def _give_up(self) -> None:
+        """Put no FMU back from now on: one could not be."""
+        self._repeats = False
+        self._shut(broken=True)
+
+    def _once_more(self, seed: int, first: Floats, wanted: Wanted) -> bool:
         """Return whether a run whose FMUs were put back has the bits of the first one; else have new ones for each run."""
         if self._states is None or not self._opened:
             return False
         if not len(self._states):
             return True  # without FMUs there is nothing to remember
+        if self._pace > LONG:
+            self._shut()
+            return False
         ends, kept_ = self._run.memory.copy(), first.copy()
-        pace = self._pace
-        again = (
-            self._compiled(np.array([seed], dtype=np.uint64))
-            if self._goes_from_run_to_run
-            else self._single(seed, lambda: True)
-        )
-        self._pace = pace
+        try:
+            again = (
+                self._compiled(np.array([seed], dtype=np.uint64))
+                if self._goes_from_run_to_run
+                else self._single(seed, wanted, limited=False)
+            )
+        except _NotPutBackError:
+            first[:] = kept_
+            return False
         same = again.recording[0].tobytes() == kept_.tobytes()
         same = same and self._opened and self._run.memory.tobytes() == ends.tobytes()
-        again.recording[0] = kept_
+        first[:] = kept_  # whose memory the repetition has taken
         if not same:
             self._shut()
             warnings.warn(

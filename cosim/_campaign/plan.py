@@ -6,8 +6,11 @@ or of several. The plan depends on nothing but the campaign, so that each execut
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -57,8 +60,8 @@ class Plan:
     @property
     def pieces(self) -> tuple[Piece, ...]:
         """All pieces, in the order of their runs."""
-        begins = range(0, self.runs, self.size)
-        return tuple(Piece(i, begin, min(begin + self.size, self.runs)) for i, begin in enumerate(begins))
+        runs = self.runs
+        return tuple(Piece(i, begin, min(begin + self.size, runs)) for i, begin in enumerate(range(0, runs, self.size)))
 
     def of_runs(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], np.ndarray[Any, np.dtype[np.int64]]]:
         """Return for each run the number of its point, and its seed."""
@@ -67,14 +70,19 @@ class Plan:
 
     def groups(self, piece: Piece) -> Iterator[tuple[int, tuple[int, ...]]]:
         """Yield for each point that has runs in a piece its number and the seeds of these runs, in order."""
-        first = 0
-        for point, own in enumerate(self.seeds):
-            begin, end = max(piece.begin - first, 0), min(piece.end - first, len(own))
-            if begin < end:
-                yield point, own[begin:end]
-            first += len(own)
-            if first >= piece.end:
-                return
+        point = bisect_right(self._ends, piece.begin)
+        at = piece.begin
+        while at < piece.end:
+            own, first = self.seeds[point], self._ends[point] - len(self.seeds[point])
+            end = min(piece.end, self._ends[point])
+            if at < end:
+                yield point, own[at - first : end - first]
+            at, point = end, point + 1
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Return for each point how many runs there are up to its last."""
+        return list(accumulate(map(len, self.seeds)))
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,9 @@ import numpy as np
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.random import check_seed
 
+LARGEST = 2**63 - 1
+"""Seed that a table of integers of 64 bits holds."""
+
 
 def hashed_seeds(seed: int, purpose: str, count: int) -> list[int]:
     """Return `count` seeds for one purpose.
@@ -67,6 +70,10 @@ def seeds_of_points(
                 "seeds lists the seeds, the same for all points; give their number for independent=... to hash them."
             )
         own = tuple(check_seed(s) for s in seeds)
+        if own and max(own) > LARGEST:
+            raise ModelError(
+                f"seeds has {max(own)}; the seeds of a campaign go up to 2**63 - 1, as columns of tables do."
+            )
         if not own or len(set(own)) < len(own):
             raise ModelError("seeds has no seed, or one twice; each run of a point needs one of its own.")
         return (own,) * len(labels)
