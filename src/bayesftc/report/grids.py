@@ -125,7 +125,7 @@ def _panels(contents: Contents, metric: str, names: list[str]) -> tuple[Figure, 
 
 def _dots(axis: Axes, contents: Contents, metric: str, name: str) -> None:
     for level, style in contents.drawn().items():
-        points = contents.runs_of(level).groupby("point")[[name, metric]].mean()
+        points = contents.runs_of(level).groupby("point").agg({name: "first", metric: "mean"})
         if len(points) > DOTS:
             points = points.sample(DOTS, random_state=0)
         axis.plot(
