@@ -1,5 +1,6 @@
 """Documentation that cannot drift: README and pages run, and every public argument is described."""
 
+import gc
 import inspect
 import re
 import subprocess
@@ -35,7 +36,12 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
         printed = done.stdout
     else:
         monkeypatch.chdir(tmp_path)
-        exec(compile(snippets(page), page.name, "exec"), {"__name__": "__main__"})
+        names = {"__name__": "__main__"}
+        try:
+            exec(compile(snippets(page), page.name, "exec"), names)
+        finally:  # as at the end of a process: what a page leaves open is closed
+            names.clear()
+            gc.collect()
         printed = capsys.readouterr().out
     for expected in re.findall(r"^print\(.*\)  # (.*)$", snippets(page), re.M):
         assert expected in printed.splitlines()
