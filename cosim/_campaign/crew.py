@@ -260,4 +260,4 @@ def _end_all(workers: set[_Worker]) -> None:
     workers.clear()
 
 
-__all__ = ["Crew"]
+__all__ = ["GLANCE", "Crew"]

@@ -1,8 +1,7 @@
 """Runs on a cluster, by Dask distributed.
 
-The job goes there as one task, whose result is a crew of worker processes; each Dask worker that needs it has its own. FMUs are
-tasks too, called by the hash of their content. All three are pure, so what is lost with a worker is made again elsewhere. The
-crew ends with the key, and that ends with the client, however it ends.
+The job goes there as one task; each Dask worker that has it starts a crew of processes, which do the pieces. FMUs are
+tasks too, called by the hash of their content. All three are pure, so what is lost with a worker is made again elsewhere.
 """
 
 from __future__ import annotations
@@ -11,15 +10,14 @@ import threading
 import time
 import uuid
 import warnings
-import weakref
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim._campaign.crew import Crew
+from bayesftc.cosim._campaign.crew import GLANCE, Crew
 from bayesftc.cosim._campaign.environment import changes, environment
 from bayesftc.cosim._campaign.executors import AHEAD, R, Work, check_jobs
 from bayesftc.cosim._campaign.extras import extra
@@ -33,6 +31,8 @@ if TYPE_CHECKING:
 
 CONNECTING = 10
 """Seconds for the scheduler to answer."""
+IDLE = 10.0
+"""Seconds without a piece after which a worker ends the processes of a job, whose client may have been killed."""
 LOOK = 1.0
 """Seconds between two looks at what the cluster has become."""
 
@@ -87,7 +87,9 @@ class _Campaign:
         ]
         self._crew = client.submit(_Crew, self._name, parcel.payload, tuple(parcel.fmus), *fmus, key=self._name)
         self._waiting: dict[Future[Any], Piece] = {}
-        self._slots, self._looked, self._began = 0, 0.0, time.monotonic()
+        self._given: dict[Future[Any], str] = {}  # to which worker, as far as the scheduler is free to do so
+        self._threads: dict[str, int] = {}
+        self._looked, self._began = 0.0, time.monotonic()
         self._again: deque[Piece] = deque()
         self._parts: dict[int, tuple[Piece, dict[int, Any]]] = {}  # of pieces that are made run by run
 
@@ -100,6 +102,7 @@ class _Campaign:
                 if not self._waiting:
                     return
                 for future in self._done():
+                    del self._given[future]
                     yield from self._taken(future, self._waiting.pop(future))
         finally:
             with suppress(Exception):  # a cluster that is gone has nothing left to stop
@@ -111,16 +114,16 @@ class _Campaign:
 
     def _look(self) -> None:
         """See now and then how many threads there are, and that there are any."""
-        if time.monotonic() - self._looked < LOOK and self._slots:
+        if time.monotonic() - self._looked < LOOK and self._threads:
             return
         if self._local:
             self._local.tend()
         try:
-            self._slots = sum(self._client.nthreads().values())
+            self._threads = self._client.nthreads()
         except (OSError, ValueError) as error:  # a client that is closed, too
             raise _lost(error) from None
         self._looked = time.monotonic()
-        if not self._slots and self._began and self._looked - self._began > CONNECTING:
+        if not self._threads and self._began and self._looked - self._began > CONNECTING:
             warnings.warn("The Dask cluster has no workers; the campaign waits for some.", UserWarning, stacklevel=2)
             self._began = 0.0
 
@@ -131,15 +134,26 @@ class _Campaign:
             if not self._waiting:
                 self._send(self._again.popleft())
             return
-        while len(self._waiting) < AHEAD * max(self._slots, 1):
+        while (worker := self._least_busy()) is not None:
             piece = next(pieces, None)
             if piece is None:
                 return
-            self._send(piece)
+            self._send(piece, worker)
 
-    def _send(self, piece: Piece) -> None:
-        future = self._client.submit(_run, self._crew, piece, key=self._key(piece), pure=False)
+    def _least_busy(self) -> str | None:
+        """Return who is to have the next piece: left to itself, Dask gives all of them to the first worker that has the job."""
+        if not self._threads:
+            return None if self._waiting else ""
+        given = Counter(self._given.values())
+        load = {worker: given[worker] / threads for worker, threads in self._threads.items()}
+        least = min(load, key=lambda worker: load[worker])
+        return least if load[least] < AHEAD else None
+
+    def _send(self, piece: Piece, worker: str = "") -> None:
+        where = {"workers": [worker], "allow_other_workers": True} if worker else {}
+        future = self._client.submit(_run, self._crew, piece, key=self._key(piece), pure=False, **where)
         self._waiting[future] = piece
+        self._given[future] = worker
 
     def _key(self, piece: Piece) -> str:
         return f"{self._name}-{piece.begin}-{piece.end}{'-alone' if piece.index in self._parts else ''}"
@@ -184,33 +198,64 @@ class _Campaign:
 
 # On the workers
 
-_crews: weakref.WeakSet[_Crew] = weakref.WeakSet()
-
 
 class _Crew:
-    """The crew of a Dask worker; where it is sent to another worker, that one has its own."""
+    """What the workers need; where it is sent to another one, that has the same. The processes belong to the Dask worker."""
 
     def __init__(self, name: str, payload: bytes, contents: tuple[Content, ...], *fmus: bytes):
-        self.name = name
         self._parts: tuple[Any, ...] = name, payload, contents, *fmus
-        self._lock, self._is_placed, self._is_stopped = threading.Lock(), False, False
-        self._crew = Crew(payload)
-        _crews.add(self)
 
     def run(self, piece: Piece) -> Any:
-        with self._lock:
-            if not self._is_placed:
-                for content, data in zip(self._parts[2], self._parts[3:], strict=True):
+        name, payload, contents, *fmus = self._parts
+        with _lock:
+            if name not in _here:
+                for content, data in zip(contents, fmus, strict=True):
                     content.place(data)
-                self._is_placed = True
-        return self._crew.run(piece, lambda: not self._is_stopped)
-
-    def stop(self) -> None:
-        self._is_stopped = True
-        self._crew.close()
+                _here[name] = _Here(name, payload)
+            here = _here[name]
+        return here.run(piece)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _Crew, self._parts
+
+
+class _Here:
+    """The crew of this Dask worker for one job; it ends when it is told to, or has had nothing to do for a while.
+
+    It does not end with `_Crew`, of which Dask drops and fetches copies as it sees fit.
+    """
+
+    def __init__(self, name: str, payload: bytes):
+        self._name, self._crew = name, Crew(payload)
+        self._running, self._used, self._is_stopped = 0, time.monotonic(), False
+        threading.Thread(target=self._watch, name="campaign", daemon=True).start()
+
+    def run(self, piece: Piece) -> Any:
+        with _lock:
+            self._running += 1
+        try:
+            return self._crew.run(piece, lambda: not self._is_stopped)
+        finally:
+            with _lock:
+                self._running, self._used = self._running - 1, time.monotonic()
+
+    def stop(self) -> None:
+        self._is_stopped = True
+
+    def _watch(self) -> None:
+        while True:
+            time.sleep(GLANCE)
+            with _lock:
+                if self._running or not (self._is_stopped or time.monotonic() - self._used > IDLE):
+                    continue
+                if _here.get(self._name) is self:
+                    del _here[self._name]
+            self._crew.close()
+            return
+
+
+_here: dict[str, _Here] = {}
+_lock = threading.Lock()
 
 
 def _run(crew: _Crew, piece: Piece) -> Any:
@@ -218,9 +263,10 @@ def _run(crew: _Crew, piece: Piece) -> Any:
 
 
 def _stop(name: str) -> None:
-    for crew in list(_crews):
-        if crew.name == name:
-            crew.stop()
+    with _lock:
+        here = _here.pop(name, None)
+    if here:
+        here.stop()
 
 
 def _same(data: bytes) -> bytes:

@@ -191,7 +191,7 @@ def test_the_drill(cluster, car, lying, tmp_path, same_bits):
     pytest.importorskip("zarr", reason="needs the package zarr")
     path, ways = lying("2.0")
     points = {
-        "plant.b": {"well": 50.0, "error": ways["ERROR"], "NaN": ways["NOT_A_NUMBER"], "heavy": 60.0},
+        "plant.b": {"well": 50.0, "error": ways["ERROR"], "infinite": -1e30, "heavy": 60.0},
         "freeze.start": [0.2, 5.0],
     }
     metrics = [cosim.RMSE("plant.v", name="size")]
