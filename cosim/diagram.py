@@ -187,17 +187,25 @@ class Diagram:
         other = Diagram(self.step)
         for name, node in self._nodes.items():
             other.add(blocks[name], name, node.every)
+        # Once for each block: some work their ports out whenever they are asked.
+        sizes = {name: {p.name: p.size for p in node.block.inputs} for name, node in self._nodes.items()}
+        inputs = {name: {p.name: p for p in blocks[name].inputs} for name in self._nodes}
+        outputs = {name: {p.name: p for p in blocks[name].outputs} for name in self._nodes}
         for (target, port, element), (source, taken) in self._sources.items():
-            ends = []
-            for name, wanted in ((source.node.name, source.port), (target, self._nodes[target].block.port(port))):
-                new = next((p for p in (*blocks[name].outputs, *blocks[name].inputs) if p.name == wanted.name), None)
-                if new is None or new.size != wanted.size:
+            feeder = source.node.name
+            for name, there, known, size in (
+                (feeder, source.port.name, outputs[feeder], source.port.size),
+                (target, port, inputs[target], sizes[target][port]),
+            ):
+                new = known.get(there)
+                if new is None or new.size != size:
                     raise ConnectionError(
-                        f"{type(blocks[name]).__name__} cannot stand where {name!r} does: the port {wanted.name!r} of size "
-                        f"{wanted.size}, which is connected, {'is not there' if new is None else f'has size {new.size}'}."
+                        f"{type(blocks[name]).__name__} cannot stand where {name!r} does: the port {there!r} of size "
+                        f"{size}, which is connected, {'is not there' if new is None else f'has size {new.size}'}."
                     )
-                ends.append(other[name][wanted.name])
-            other._sources[target, port, element] = ends[0], taken
+            origin = outputs[feeder][source.port.name]
+            whole = PortRef(other._nodes[feeder], origin, "output", tuple(range(origin.size)))
+            other._sources[target, port, element] = whole, taken
         if self._coupling is not None:
             other.build(self._coupling)
         return other

@@ -55,7 +55,7 @@ class Plan:
     @property
     def runs(self) -> int:
         """Number of all runs."""
-        return sum(map(len, self.seeds))
+        return self._ends[-1] if self.seeds else 0
 
     @property
     def pieces(self) -> tuple[Piece, ...]:

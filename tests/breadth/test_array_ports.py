@@ -167,3 +167,21 @@ def test_descriptions_of_arrays_that_lie_end_in_a_sentence(breadth, alone, tmp_p
     values = {"x0": ([1, 2], "Rankine")} if "factor" in new else {}
     with pytest.raises((FMUError, SimulationError), match=words):
         alone(FMU(tmp_path / "lie.fmu", parameters=values, validate=False), 0.1).simulate(0.1, engine="interpreted")
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+def test_campaigns_of_arrays(mixer, breadth, isolate, campaign_as_alone):
+    diagram = cosim.Diagram(0.1)
+    plant = diagram.add(dataclasses.replace(mixer(), isolate=isolate), "plant")
+    noise = [diagram.add(cosim.Gaussian(std=1.0), f"n{i}") for i in range(3)]
+    diagram.connect([n["y"] for n in noise], plant["u"])
+    points = {
+        "plant.k": [1.0, 2.0],
+        "plant.K": {"unit": np.eye(3), "mixed": np.ones((3, 3))},
+        "plant.x0[1]": [0.0, 1.0],
+    }
+    assert (campaign_as_alone(diagram, 1.0, points=points)["status"] == "ok").all()
+    points = {"plant.n": [3], "plant.K": {"three": np.eye(3)}, "plant.x0": {"three": [1.0, 2.0, 3.0]}}
+    two = cosim.Diagram(0.1)
+    two.add(FMU(breadth("3"), inputs=[], outputs=["total"]), "plant")
+    assert (campaign_as_alone(two, 1.0, points=points)["status"] == "ok").all()

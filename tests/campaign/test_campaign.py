@@ -264,6 +264,12 @@ def test_pieces_have_each_run_once(counts, size):
         ({"grid": {"injection_0": [3.0]}}, "is a whole block"),
         ({"grid": {"controller": {"none": cosim.Constant(1.0)}}}, "cannot stand where 'controller' does"),
         ({"grid": {"injection_0.magnitude[0]": [1.0]}}, r"there is no element \[0\]"),
+        (
+            {"grid": {"injection_0.start": ["late"]}},
+            "Injection does not take what 'injection_0.start' would have it be",
+        ),
+        ({"grid": {"sensors.count": [3]}}, "size 2, which is connected, has size 3"),
+        ({"grid": {"controller.model.dt": [0.04]}}, "must run every 0.04 s, but the diagram runs it every 0.02 s"),
         ({"seeds": 0}, "at least one run"),
         ({"seeds": [1, 1]}, "one twice"),
         ({"seeds": "many"}, "must be the number of runs"),
@@ -290,3 +296,23 @@ def test_a_whole_block_takes_the_place_of_another_one():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert (other.simulate(2.0)["injection_0.active"][-1] == 1.0).all()
+
+
+def test_what_is_inside_of_another_factor_is_changed_after_it():
+    whole, part = "controller.precision", "controller.precision.forgetting"
+    for order in ([whole, part], [part, whole]):
+        values = {whole: controllers.GammaPrecision(forgetting=0.5, prior_shape=3.0), part: 0.7}
+        precision = cosim.varied(loop(), {name: values[name] for name in order})["controller"].block.precision
+        assert (precision.forgetting, precision.prior_shape) == (0.7, 3.0)
+    plant = cosim.FMU(fmus.path("CruiseControl", fmi="3.0"))
+    changed = cosim.varied(loop(), {"plant.m": 90.0, "plant": plant, "plant.parameters.v0": 3.0})["plant"].block
+    assert (changed.path, changed.parameters) == (plant.path, {"m": 90.0, "v0": 3.0})
+
+
+def test_settings_that_fit_only_together_change_together():
+    changed = cosim.varied(loop(), {"injection_0.start": 20.0, "injection_0.stop": 30.0})
+    back = cosim.varied(changed, {"injection_0.start": 1.0, "injection_0.stop": 2.0})["injection_0"].block
+    assert (back.start, back.stop) == (1.0, 2.0)
+    values = {"controller.model.A[0,0]": 0.5, "controller.model.B": [[1.0]], "controller.initial_mean": 3.0}
+    block = cosim.varied(loop(), values)["controller"].block
+    assert (block.model.A[0][0], block.model.B[0][0], block.initial_mean) == (0.5, 1.0, 3.0)
