@@ -55,11 +55,11 @@ def kept_job(store: StoredCampaign) -> Job:
         raise
     except Exception as error:
         raise StoreError(
-            f"The campaign in {store.path} cannot be repeated here ({type(error).__name__}: {error}). It needs the modules and "
-            "versions that it was made with; campaign.json names them."
+            f"The campaign in {store.path} cannot be repeated here ({type(error).__name__}: {error}). Its {FILE} is damaged, or "
+            "needs the modules and versions that it was made with; campaign.json names them."
         ) from error
-    if not isinstance(job, Job):
-        raise StoreError(f"{store.path / FILE} holds no job of a campaign.")
+    if not isinstance(job, Job) or job.plan.seeds != store.plan.seeds:
+        raise StoreError(f"{store.path / FILE} does not hold the loop of this campaign; take a copy of the store.")
     return job
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import typer
@@ -13,9 +15,14 @@ from bayesftc.cli import output
 from bayesftc.cosim._campaign.plan import FAILED
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 
+if TYPE_CHECKING:
+    from bayesftc.cosim.result import Result
+
 
 def replay_run(store: Path, run: int, out: Path | None, *, json: bool, quiet: bool) -> None:
     """Make a run of a campaign again, compare it with what the store has of it, print its figures and write its files.
+
+    A run that had stopped there may stop again: that is what was asked for, and no error. It has no limit of time here.
 
     Parameters
     ----------
@@ -48,25 +55,27 @@ def replay_run(store: Path, run: int, out: Path | None, *, json: bool, quiet: bo
         if error.result is None:
             raise
         result = error.result
+    steps = max(len(result.time) - 1, 0)
     numbers: dict[str, Any] = {
         "scenario": f"{Path(store).name} run {run}",
         "bayesftc": __version__,
         "seed": seed,
         "engine": result.metadata.get("engine"),
         "factors": dict(kept.plan.points[int(points[run])]),
-        "duration": float(job.steps * job.step),
-        "steps": max(len(result.time) - 1, 0),
+        "duration": float(steps * job.step),
+        "steps": steps,
         "stopped": result.stopped,
         "notes": [_same(kept, job.decimation, run, result)],
     }
     try:
         signals = loop_signals(diagram, result)
-    except BayesFTCError as error:  # a diagram that is no closed loop has no figures
+    except BayesFTCError as error:  # a diagram that is no closed loop has signals, but no figures of these
+        numbers["notes"].append(f"There are no figures of it: {error}")
         if out is not None:
-            with output.staged(out) as stage:
-                result.save(stage / output.RESULT)
+            _write_signals(out, result, numbers)
         if not quiet:
-            typer.echo(output.as_json(numbers) if json else f"{numbers['notes'][0]} {error}")
+            written = [f"Written to {out}: {', '.join(sorted(p.name for p in out.iterdir()))}"] if out else []
+            typer.echo(output.as_json(numbers) if json else "\n\n".join([*numbers["notes"], *written]))
         return
     numbers |= {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
     if out is not None:
@@ -79,6 +88,15 @@ def replay_run(store: Path, run: int, out: Path | None, *, json: bool, quiet: bo
         sys.stderr.write(f"{result.stopped}\n")
 
 
+def _write_signals(folder: Path, result: Result, numbers: Mapping[str, Any]) -> None:
+    """Write the signals of a diagram that is no closed loop, and what is known of the run."""
+    with output.staged(folder) as stage:
+        result.save(stage / output.RESULT)
+        (stage / output.NUMBERS).write_text(output.as_json(numbers) + "\n", encoding="utf-8")
+        with suppress(BayesFTCError):  # nothing in it that can be drawn
+            result.plot().savefig(stage / output.FIGURE, dpi=output.DOTS_PER_INCH, format="png")
+
+
 def _same(kept: Any, decimation: int, run: int, result: Any) -> str:
     """Return in a sentence whether the run has the bits that the store has of it, and what became of one that had failed."""
     table = kept.table().set_index("run")
@@ -88,13 +106,13 @@ def _same(kept: Any, decimation: int, run: int, result: Any) -> str:
     said = ""
     if row["status"] == FAILED:
         said = f"In the store it has failed: {row['reason']} "
-        said += "Now it has stopped as well. " if result.stopped else "Now it went to its end. "
+        said += f"Now it has stopped as well: {result.stopped} " if result.stopped else "Now it went to its end. "
     elif result.stopped:
-        said = "In the store it went to its end. "
+        said = f"In the store it went to its end, now it has not: {result.stopped} "
     names = [name for name in kept.metadata.signals if name in result]
-    if not names:
-        return f"{said}The store has no signals of this run to compare with."
     rows = min(int(row["steps"]), len(result.time) - 1) // decimation + 1  # as far as both have come
+    if not names or rows < 1:
+        return f"{said}The store has no signals of this run to compare with."
     data = kept.dataset()
     different = [
         name

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 RUNS = 200
 """Runs of each level that are looked at, drawn at random: more would not be seen."""
+LINE = 0.18
+"""Inches of a line of the legend."""
 SCORES = ("fault_probability", "beta")
 """Outputs of a controller that tell of faults, the better first."""
 
@@ -130,7 +132,7 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
 
     from bayesftc.cosim.statistics import delay_curve, roc
 
-    made, (left, right) = figure(3.4, 1, 2)
+    made, (left, right) = figure(3.2 + LINE * len(detection), 1, 2)
     time = contents.store.time
     step = float(time[1] - time[0]) if len(time) > 1 else 1.0
     names = {own.score_name for own in detection.values()}
@@ -194,7 +196,7 @@ def reliability_figure(contents: Contents, detection: dict[Any, Level]) -> tuple
     own_probability = {level: own for level, own in detection.items() if own.is_probability}
     if not own_probability:
         return None
-    made, (axis,) = figure(3.4)
+    made, (axis,) = figure(3.2 + LINE * len(own_probability))
     axis.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     for level, own in own_probability.items():
         style, found = contents.drawn()[level], calibration(*own.by_seed(), equal="widths")

@@ -20,6 +20,8 @@ MOST = 15
 """Values of a factor that have a column of a map, or a place on a line."""
 PANELS = 4
 """Factors that have a panel."""
+FEW = 8
+"""Values of a factor that all have a tick."""
 DOTS = 2_000
 """Points of a level that are drawn: more would be one blot."""
 
@@ -155,6 +157,8 @@ def _bars(axis: Axes, contents: Contents, metric: str, name: str) -> None:
             at, [e.value for e in found], yerr=half, fmt=style.marker, ls=style.line if numeric else "none", ms=4, lw=1.2,
             color=style.colour, capsize=3, label=None if own else _name(contents, level),
         )  # fmt: skip
+    if numeric and len(values) <= FEW:
+        axis.set_xticks(values, [_short(v) for v in values])
     if not numeric:
         axis.set_xticks(range(len(values)), [words(_short(v), 14) for v in values])
         axis.set_xlim(-0.5, len(values) - 0.5)

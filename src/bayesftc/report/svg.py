@@ -37,7 +37,9 @@ def styles() -> list[Style]:
 
 def words(text: Any, width: int = 36, lines: int = 3) -> str:
     """Return a text as a figure can show it: in some lines of some letters, nothing in it being a formula."""
-    found = textwrap.wrap(str(text), width, max_lines=lines, placeholder=" …") or [""]
+    found = textwrap.wrap(str(text), width) or [""]
+    if len(found) > lines:
+        found = [*found[: lines - 1], f"{found[lines - 1][: width - 2]} …"]
     shown = "\n".join(found).replace("$", r"\$")
     return f" {shown}" if shown.startswith("_") else shown  # what begins with it stands in no legend
 
