@@ -16,9 +16,10 @@ from bayesftc.cosim._campaign.factors import varied
 from bayesftc.cosim._campaign.many import Aside, Block, ManyRuns, Wanted
 from bayesftc.cosim._campaign.metrics import Metric, Runs
 from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Piece, Plan
+from bayesftc.cosim._campaign.raised import reason_of
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import Diagram
-from bayesftc.cosim.errors import BayesFTCError, ModelError, brief
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.recording import Selection, select_signals
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.timebase import whole_steps
@@ -77,7 +78,9 @@ class Job:
         first = self.diagram(0)
         kept = select_signals(first.schedule, self.record)
         self.signals = {name: Recorded(shape, kept.units.get(name)) for name, (_, shape) in kept.columns.items()}
-        select_signals(first.schedule, [name for metric in self.metrics for name in metric.signals(first)])  # or it says so
+        select_signals(
+            first.schedule, [name for metric in self.metrics for name in metric.signals(first)]
+        )  # or it says so
         self.columns = tuple(name for metric in self.metrics for name in metric.columns(first))
         if len(set(self.columns)) < len(self.columns):
             twice = next(name for name in self.columns if self.columns.count(name) > 1)
@@ -129,8 +132,10 @@ class Job:
             aside()
             try:
                 loop = self._prepared(point)
-            except BayesFTCError as error:
-                collected.fail(len(seeds), str(error))
+            except MemoryError:
+                raise
+            except Exception as error:  # noqa: BLE001 - whatever a user's function or block raises
+                collected.fail(len(seeds), reason_of(error, "The loop of this point could not be built"))
                 continue
             for block in loop.many.run(seeds, wanted, aside):
                 aside()
@@ -249,14 +254,29 @@ class _Collected:
         self._done = end
         if job.metrics and good.any():
             whole = block.recording if good.all() else block.recording[good]
-            runs = Runs(loop.diagram, loop.time, loop.views(whole), lambda: loop.results(whole))
-            self._measure(runs, begin + np.flatnonzero(good))
+            with np.errstate(all="ignore"):
+                self._measure(loop, whole, begin + np.flatnonzero(good))
 
-    def _measure(self, runs: Runs, places: np.ndarray[Any, np.dtype[np.int64]]) -> None:
-        with np.errstate(all="ignore"):
-            for metric in self._job.metrics:
+    def _measure(self, loop: _Loop, recording: Floats, places: np.ndarray[Any, np.dtype[np.int64]]) -> None:
+        """Compute the metrics of runs; where one raises, run by run, so that only those have failed that it raises for."""
+        runs = Runs(loop.diagram, loop.time, loop.views(recording), lambda: loop.results(recording), len(recording))
+        for metric in self._job.metrics:
+            try:
                 for name, values in metric.evaluate(runs).items():
                     self._metrics[name][places] = values
+            except MemoryError:
+                raise
+            except Exception as error:  # noqa: BLE001 - whatever a user's metric raises
+                if len(places) > 1:
+                    for i in range(len(places)):
+                        self._measure(loop, recording[i : i + 1], places[i : i + 1])
+                    return
+                self._reasons[places[0]] = reason_of(
+                    error, f"The metric {_called(metric, loop.diagram)} could not be computed"
+                )
+                for numbers in self._metrics.values():
+                    numbers[places] = np.nan
+                return
 
     def fail(self, runs: int, reason: str) -> None:
         """Note runs that could not even begin."""
@@ -268,6 +288,10 @@ class _Collected:
     def outcome(self, seconds: float) -> Outcome:
         status = tuple(FAILED if reason else OK for reason in self._reasons)
         return Outcome(self._piece, self._metrics, self._signals, status, tuple(self._reasons), self._steps, seconds)
+
+
+def _called(metric: Metric, diagram: Diagram) -> str:
+    return ", ".join(map(repr, metric.columns(diagram)[:1])) or type(metric).__name__
 
 
 def _times(steps: int, decimation: int, step: Fraction) -> Floats:

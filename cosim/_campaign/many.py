@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._campaign.raised import reason_of
 from bayesftc.cosim._fmi.embedded import interrupts
 from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.spares import Spares
@@ -25,7 +26,6 @@ from bayesftc.cosim._running import BREATH, advance, choose_engine, explain, ope
 from bayesftc.cosim._state_functions import StateFunctions
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
-from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.recording import Selection
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule
 
@@ -137,8 +137,10 @@ class ManyRuns:
                 block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), wanted, more=more)
             except _NotPutBackError:  # the run has yet to be made, with new instances
                 continue
-            except BayesFTCError as error:  # an FMU that refuses its parameters, say
-                block = self._nothing(str(error))
+            except (StoppedFromOutside, MemoryError):
+                raise
+            except Exception as error:  # noqa: BLE001 - an FMU refuses its parameters, a block in Python raises whatever it does
+                block = self._nothing(reason_of(error, "The run could not be made"))
             done += len(block.steps)
             yield block
 

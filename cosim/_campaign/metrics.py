@@ -51,9 +51,10 @@ class Runs:
     time: Floats
     signals: Mapping[str, Floats]
     results: Callable[[], Iterable[Result]] = field(repr=False)
+    count: int
 
     def __len__(self) -> int:
-        return len(next(iter(self.signals.values())))
+        return self.count
 
     def columns(self, name: str) -> Floats:
         """Return a signal by name, or one of its elements (``"controller.x_hat[0]"``)."""

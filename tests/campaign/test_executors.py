@@ -270,14 +270,54 @@ def test_what_cannot_be_pickled_is_named(car):
         campaign.run(executor=Processes(1))
 
 
-def test_errors_of_metrics_are_those_of_their_process(car):
-    def wrong(result):
-        raise ZeroDivisionError("by nothing")
+@pytest.mark.parametrize("executor", [Threads(1), Processes(1)], ids=str)
+def test_what_a_function_raises_fails_the_runs_that_it_raises_for(executor, car, same_bits):
+    def rarely(result):
+        if result["plant.v"][-1] > bound:
+            raise ZeroDivisionError("by nothing")
+        return 1.0
 
-    campaign = cosim.Campaign(car(), duration=0.1, metrics=[wrong])
-    with pytest.raises(ZeroDivisionError, match="by nothing") as caught:
-        campaign.run(executor=Processes(1))
-    assert any("in wrong" in note for note in caught.value.__notes__)
+    def loop(weight):
+        return car(parameters={"m": {"light": 90.0, "heavy": 120.0}[weight]})
+
+    grid, common = {"weight": ["light", "no such", "heavy"]}, {"duration": 0.2, "seeds": 6, "record": ["plant.v"]}
+    metrics = [cosim.Final("plant.v", name="end"), rarely]
+    free = cosim.Campaign(loop, grid=grid, metrics=metrics[:1], **common).run(executor=Threads(1))
+    ends = free.table["end"].to_numpy()
+    bound = float(np.nanmedian(ends))
+    result = cosim.Campaign(loop, grid=grid, metrics=metrics, **common).run(executor=executor)
+    table, raised = result.table, ends > bound
+    assert raised.any()
+    assert (table["status"] == np.where(raised | (table["point"] == 1), "failed", "ok")).all()
+    told = r"The metric 'rarely' could not be computed: ZeroDivisionError: by nothing \(test_executors.py, line \d+, in rarely\)"
+    assert table["reason"][raised].str.fullmatch(told).all()
+    unbuilt = r"The loop of this point could not be built: KeyError: 'no such' .*"
+    assert table["reason"][table["point"] == 1].str.fullmatch(unbuilt).all()
+    assert (table["steps"][table["point"] != 1] == 10).all()
+    same_bits(table["end"].to_numpy(), np.where(raised, np.nan, ends))
+    same_bits(result.dataset["plant.v"].values, free.dataset["plant.v"].values)
+
+
+@pytest.mark.parametrize("executor", [Threads(1), Processes(1)], ids=str)
+def test_what_a_block_raises_fails_its_run(executor, make_block):
+    def output(u, y):
+        if u[0] > 2.0:
+            raise ValueError("too much")
+        y[0] = u[0]
+
+    block = make_block(inputs=(cosim.Port("u"),), outputs=(cosim.Port("y"),), output=output, compiled=False)
+    diagram = cosim.Diagram(0.1)
+    diagram.connect(diagram.add(cosim.Gaussian(1.0), "noise")["y"], diagram.add(block, "picky")["u"])
+    table = (
+        cosim.Campaign(diagram, duration=2.0, seeds=10, metrics=[cosim.Final("picky.y")]).run(executor=executor).table
+    )
+    for seed, reason in zip(table["seed"], table["reason"], strict=True):
+        try:
+            diagram.simulate(2.0, seed=int(seed))
+            assert not reason
+        except ValueError:
+            assert reason.startswith("The run could not be made: ValueError: too much (test_executors.py, line ")
+    assert set(table["status"]) == {"ok", "failed"}
 
 
 def test_the_default_is_threads_where_they_use_all_cores(monkeypatch, car, make_block):
