@@ -16,6 +16,8 @@ BARS = {
     "coupled.engine", "coupled.difference",
     "model_exchange.free_cvode_over_fmpy", "model_exchange.driven_cvode_over_fmpy",
     "full_loop.engine", "full_loop.engine_over_user", "full_loop.difference", "full_loop.rmse_ratio",
+    "campaign.threads", "campaign.scaling", "campaign.overhead", "campaign.over_user", "campaign.large", "campaign.large_memory",
+    "report.report", "report.report_memory",
     "executors.dask_over_process",
     "isolation.isolated", "isolation.difference", "isolation.lives",
     "learners.per_sensor", "learners.growth",
