@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
-from bayesftc.controllers._bayesian_block import VARIANCE_CAP, BayesianBlock
+from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
 from bayesftc.controllers._linalg import apply
+from bayesftc.controllers._steady import steady_gains
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import Learner, PrecisionLearner
 from bayesftc.cosim.block import Definition, Floats
@@ -243,28 +244,9 @@ class BayesianController(BayesianBlock):
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the filter's gain, the control's gain, and what the goal leaves of the belief's mean, in steady state."""
         Q, R = self.model.moving.matrix("process_covariance"), self.model.matrix("sensor_covariance")
-        GA, GB, one = G @ A, G @ B, np.eye(len(A))
         _, goal_covariance, prior = self._priors()
-        N = G @ Q @ G.T + goal_covariance
-        weight = np.linalg.solve(N, GB)
-        V = np.linalg.inv(N) - weight @ np.linalg.solve(prior + GB.T @ weight, weight.T)
         start = np.asarray(self.initial_covariance)[: len(A), : len(A)]
-        # What is steady does not depend on the start; beside a belief that knows nothing R would be lost to rounding.
-        start = start * min(1.0, 1e6 / max(1.0, float((np.diag(C @ start @ C.T) / np.diag(R)).max())))
-        predicted = start + Q + 1e-9 * np.trace(R) * one
-        largest = VARIANCE_CAP * np.trace(predicted)
-        for _ in range(2000):  # the covariances' own recursion, which an undetectable model makes grow without end
-            K = np.linalg.solve(C @ predicted @ C.T + R, C @ predicted).T
-            P = (one - K @ C) @ predicted @ (one - K @ C).T + K @ R @ K.T
-            T = one if self.belief == "filtered" else np.linalg.inv(one + P @ GA.T @ V @ GA)
-            following = A @ (T @ P) @ A.T + Q
-            change = np.abs(following - predicted).max()
-            predicted = (following + following.T) / 2
-            if change <= 1e-10 * np.abs(predicted).max() or np.trace(predicted) > largest:
-                break
-        weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
-        L = np.linalg.solve(prior + GB.T @ weight, weight.T @ GA)
-        return np.asarray(K, float), np.asarray(L, float), np.asarray(T, float)
+        return steady_gains(A, B, C, G, Q, R, goal_covariance, prior, start, joint=self.belief == "joint")
 
     def _warn_if_unstable(self) -> None:
         poles = self._poles_to_judge()

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 from bayesftc import controllers
-from bayesftc.controllers import BayesianController, LinearModel
+from bayesftc.controllers import BayesianController, LinearModel, _steady
 from bayesftc.cosim.errors import ModelError
 
 
@@ -371,3 +371,19 @@ def test_a_belief_that_knows_nothing_may_stand_before_redundant_sensors(size):
         for start in (1.0, size)
     ]
     np.testing.assert_allclose(poles[1], poles[0], atol=1e-5)
+
+
+def test_what_says_whether_a_loop_is_stable_is_found_once_for_a_model_and_its_priors():
+    """It takes longer than all else of making a controller; thousands of points of a campaign have the same model."""
+    model = controllers.LinearModel([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], 1e-3, 1.0, 0.02)
+    settings = {"control_covariance": 100.0, "goal_covariance": 3.0}
+    first = controllers.BayesianController(model, **settings)
+    found = _steady._gains.cache_info().misses
+    for forgetting in (0.5, 0.7, 0.9):
+        precision = controllers.GammaPrecision(forgetting=forgetting)
+        other = controllers.BayesianController(model, precision=precision, u_max=forgetting, **settings)
+        assert other.closed_loop_poles().tobytes() == first.closed_loop_poles().tobytes()
+    assert _steady._gains.cache_info().misses == found
+    for changed in ({"goal_covariance": 4.0}, {"control_covariance": 99.0}, {"belief": "joint"}):
+        other = controllers.BayesianController(model, **{**settings, **changed})
+        assert not np.allclose(other.closed_loop_poles(), first.closed_loop_poles(), rtol=1e-9)
