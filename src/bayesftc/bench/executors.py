@@ -21,8 +21,8 @@ def measure(quick: bool = False) -> Section:
     """Measure executors in turns: runs a second once all workers are at work, and how long that takes."""
     from bayesftc import cosim
 
-    few, many, rounds = (16, 200, 1) if quick else (240, 60_000, 5)
-    isolated, inside = _campaign(few, few // 16, isolate=True), _campaign(many, many // 40)
+    few, many, rounds = (16, 200, 1) if quick else (1_600, 60_000, 5)
+    isolated, inside = _campaign(few, few // 80, isolate=True), _campaign(many, many // 40)
     measured: dict[str, tuple[Executor, Campaign]] = {
         "process": (cosim.Processes(1), isolated),
         "in_process": (cosim.Processes(1), inside),
