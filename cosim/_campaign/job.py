@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._campaign.columns import OWN
 from bayesftc.cosim._campaign.factors import varied
 from bayesftc.cosim._campaign.many import Aside, Block, ManyRuns, Wanted
 from bayesftc.cosim._campaign.metrics import Metric, Runs
@@ -81,10 +82,15 @@ class Job:
         select_signals(
             first.schedule, [name for metric in self.metrics for name in metric.signals(first)]
         )  # or it says so
+        for metric in self.metrics:
+            metric.check(first)
         self.columns = tuple(name for metric in self.metrics for name in metric.columns(first))
         if len(set(self.columns)) < len(self.columns):
             twice = next(name for name in self.columns if self.columns.count(name) > 1)
             raise ModelError(f"Two metrics are called {twice!r}; give one of them another name=...")
+        for name in self.columns:
+            if name in OWN or not name:
+                raise ModelError(f"A metric is called {name!r}, as no metric can be; give it another name=...")
         self.step, self.steps = first.step, whole_steps(duration, first.step, "The duration")
         self._prepare()
 
@@ -263,7 +269,8 @@ class _Collected:
         for metric in self._job.metrics:
             try:
                 for name, values in metric.evaluate(runs).items():
-                    self._metrics[name][places] = values
+                    if name in self._metrics:
+                        self._metrics[name][places] = values
             except MemoryError:
                 raise
             except Exception as error:  # noqa: BLE001 - whatever a user's metric raises

@@ -4,7 +4,8 @@ To write a metric you must:
 
 1. derive from `Metric`, as a frozen dataclass; its fields are its settings, and what a campaign file may say;
 2. return from ``signals(diagram)`` the names of the signals that it needs, recorded at every step;
-3. return from ``columns(diagram)`` the names of its numbers, the same for each point of a campaign;
+3. return from ``columns(diagram)`` the names of its numbers, and refuse in ``check(diagram)`` settings that do not fit; both
+   are asked for the first point of a campaign, before anything runs;
 4. return from ``evaluate(runs)`` an array for each of these names, with a number for each run; NaN where it is not defined. It
    sees runs that went to their end only, and may be called in several threads at once;
 5. name it in `METRICS`.
@@ -14,8 +15,10 @@ Any other function from a `Result` to a number is a metric as well, by the name 
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -23,7 +26,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.metrics import figures
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result
@@ -77,6 +80,9 @@ class Metric(ABC):
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """Return the names of its numbers."""
 
+    def check(self, diagram: Diagram) -> None:  # noqa: B027 - few have something to refuse
+        """Refuse settings that do not fit the diagram, before anything runs."""
+
     @abstractmethod
     def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
         """Return an array of shape (runs,) for each of its names."""
@@ -84,21 +90,27 @@ class Metric(ABC):
 
 @dataclass(frozen=True)
 class _OfSignal(Metric):
-    """What is computed from a signal, or from its difference to another one.
+    """What is computed from a signal, or from its difference to another one; NaN where one of the values is.
 
     Parameters
     ----------
     signal : str
-        Its name, or that of one of its elements (``"controller.x_hat[0]"``).
+        Its name, or that of one of its elements (``"controller.x_hat[0]"``). Of a vector or matrix all elements count alike.
     reference : str or float, optional
         What it is compared with; by default 0.
     shift : int
         Steps by which the signal is later than the reference: 1 for a controller that aims at the goal of t_k with the state of
         t_k+1.
     start, stop : float, optional
-        Only from and up to these times, in seconds.
+        Only where start <= t < stop, in seconds, as of faults; t is the time of the signal, not of a reference that is earlier.
+        NaN if there is no such t.
     name : str, optional
         Of the number; by default the kind of the metric and the signal.
+
+    Raises
+    ------
+    ModelError
+        If a setting is none.
     """
 
     signal: str
@@ -109,10 +121,32 @@ class _OfSignal(Metric):
     name: str | None = None
     _kind: ClassVar[str] = ""
 
+    def __post_init__(self) -> None:
+        kind = type(self).__name__
+        for name, text in {"signal": self.signal, "name": self.name}.items():
+            if not isinstance(text, str) and (text is not None or name == "signal"):
+                raise ModelError(f"{kind} has {name}={text!r}; it must be a text, such as 'plant.v'.")
+        for name, number in {"reference": self.reference, "start": self.start, "stop": self.stop}.items():
+            if number is not None and not (name == "reference" and isinstance(number, str)) and not _is_number(number):
+                raise ModelError(
+                    f"{kind} has {name}={number!r}; it must be a number{', or a signal' * (name == 'reference')}."
+                )
+        if isinstance(self.shift, bool) or not isinstance(self.shift, int) or self.shift < 0:
+            raise ModelError(f"{kind} has shift={self.shift!r}; it must be a whole number of steps, at least 0.")
+
+    def check(self, diagram: Diagram) -> None:
+        """See `Metric.check`."""
+        shapes = [_shape(name, diagram) for name in (self.signal, self.reference) if isinstance(name, str)]
+        if len(shapes) == 2 and shapes[0] != shapes[1]:
+            raise ModelError(
+                f"{self.signal!r} has the shape {shapes[0]} and {self.reference!r} {shapes[1]}: their difference is none. Name "
+                "an element, as in 'controller.x_hat[0]'."
+            )
+
     def signals(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.signals`."""
         named = [self.signal, *([self.reference] if isinstance(self.reference, str) else [])]
-        return tuple(_element(name)[0] for name in named)
+        return tuple(_resolved(name, diagram)[0] for name in named)
 
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.columns`."""
@@ -121,9 +155,10 @@ class _OfSignal(Metric):
     def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
         """See `Metric.evaluate`."""
         values = runs.columns(self.signal)
-        rows = values.shape[1] - self.shift
+        rows = max(values.shape[1] - self.shift, 0)
         # The times are those of the signal, not of the reference.
-        first, last = np.searchsorted(runs.time, [_or(self.start, -np.inf), _or(self.stop, np.inf)])
+        slack = 1e-6 * (runs.time[1] if len(runs.time) > 1 else 0.0)  # 3 * 0.1 s is to begin with the step at 0.3 s
+        first, last = np.searchsorted(runs.time, np.array([_or(self.start, -np.inf), _or(self.stop, np.inf)]) - slack)
         keep = slice(max(first - self.shift, 0), max(last + (self.stop is None) - self.shift, 0))
         values = values[:, self.shift :]
         if self.reference is not None:
@@ -175,9 +210,17 @@ class Mean(_OfSignal):
 
 
 class Final(_OfSignal):
-    """Last value of a signal, or of its difference to another one."""
+    """Last value of a signal, or of its difference to another one; of a vector, name an element."""
 
     _kind = "final"
+
+    def check(self, diagram: Diagram) -> None:
+        """See `Metric.check`."""
+        super().check(diagram)
+        if _shape(self.signal, diagram):
+            raise ModelError(
+                f"Final is of one number, and {self.signal!r} has several; name one, as in '{self.signal}[0]'."
+            )
 
     def _reduced(self, values: Floats) -> Floats:
         return values[:, -1]
@@ -193,6 +236,10 @@ class LoopFigures(Metric):
     ----------
     only : sequence of str, optional
         Patterns of the names that are kept, as ``("tracking.*", "*.delay")``.
+
+    Notes
+    -----
+    A campaign has the figures of its first point; where the loop of another point lacks one, there is NaN.
     """
 
     only: Sequence[str] | None = None
@@ -206,6 +253,14 @@ class LoopFigures(Metric):
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.columns`."""
         return tuple(self._numbers(diagram, _Asked(diagram)))
+
+    def check(self, diagram: Diagram) -> None:
+        """See `Metric.check`."""
+        if not self.columns(diagram):
+            known = LoopFigures().columns(diagram)
+            raise ModelError(
+                f"LoopFigures has only={self.only!r}, which no figure is called; there are {', '.join(known)}."
+            )
 
     def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
         """See `Metric.evaluate`."""
@@ -278,12 +333,41 @@ def _element(name: str) -> tuple[str, tuple[int, ...]]:
     base, bracket, index = name.partition("[")
     if not bracket:
         return name, ()
-    try:
-        return base, tuple(int(i) for i in index.rstrip("]").split(","))
-    except ValueError:
-        raise ModelError(
-            f"{name!r} is no signal and no element of one; write it as in 'controller.x_hat[0]'."
-        ) from None
+    if not re.fullmatch(r"\d+(, ?\d+)*\]", index):
+        raise ModelError(f"{name!r} is no signal and no element of one; write it as in 'controller.x_hat[0]'.")
+    return base, tuple(int(i) for i in index[:-1].split(","))
+
+
+def _resolved(name: str, diagram: Diagram) -> tuple[str, tuple[int, ...]]:
+    """Return signal and element as `_element` does, but for a signal of which brackets are part of the name."""
+    with suppress(UnknownNameError):
+        if name in select_signals(diagram.schedule, [name]).columns:
+            return name, ()
+    return _element(name)
+
+
+def _shape(name: str, diagram: Diagram) -> tuple[int, ...]:
+    """Return the shape of a signal, or of the element of one that is named.
+
+    Raises
+    ------
+    ModelError
+        If there is no such element.
+    UnknownNameError
+        If there is no such signal.
+    """
+    base, index = _resolved(name, diagram)
+    columns = select_signals(diagram.schedule, [base]).columns
+    if base not in columns:
+        raise ModelError(f"{base!r} is a pattern; a metric is of one signal, such as {next(iter(columns))!r}.")
+    shape = columns[base][1]
+    if index and (len(index) != len(shape) or any(i >= n for i, n in zip(index, shape, strict=True))):
+        raise ModelError(f"{base!r} has the shape {shape}, and so no element {name.removeprefix(base)}.")
+    return () if index else shape
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
 
 
 def _or(value: float | None, other: float) -> float:

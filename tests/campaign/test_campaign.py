@@ -112,7 +112,9 @@ def test_a_run_that_fails_is_recorded_with_its_reason_and_the_others_go_on(same_
     assert failed.any()
     assert set(table["point"][failed]) == {1}
     for run in table["run"][failed]:
-        alone = pytest.raises(cosim.SimulationError, campaign.replay, int(run)).value
+        with pytest.raises(cosim.SimulationError) as caught:
+            campaign.replay(int(run))
+        alone = caught.value
         assert table["reason"][run] == str(alone)
         rows = table["steps"][run] + 1
         same_bits(result.dataset["plant.v"][run].values[:rows], alone.result["plant.v"])
@@ -278,6 +280,17 @@ def test_pieces_have_each_run_once(counts, size):
         ({"metrics": ["rmse"]}, "'rmse' is no metric"),
         ({"metrics": [cosim.RMSE("plant.x", "reference.y")]}, "no signal 'plant.x'"),
         ({"metrics": [cosim.Final("plant.v")] * 2}, "Two metrics are called"),
+        ({"metrics": [cosim.RMSE("plant.*")]}, "'plant.\\*' is a pattern"),
+        ({"metrics": [cosim.RMSE("controller.x_hat[1]")]}, r"has the shape \(1,\), and so no element \[1\]"),
+        ({"metrics": [cosim.RMSE("plant.v[0]")]}, r"has the shape \(\), and so no element \[0\]"),
+        ({"metrics": [cosim.RMSE("sensors.y[0")]}, "no element of one"),
+        ({"metrics": [cosim.RMSE("sensors.y", "plant.v")]}, r"has the shape \(2,\) and 'plant.v' \(\)"),
+        ({"metrics": [cosim.Final("sensors.y")]}, r"several; name one, as in 'sensors.y\[0\]'"),
+        ({"metrics": [cosim.Final("plant.v", name="status")]}, "A metric is called 'status', as no metric can be"),
+        (
+            {"metrics": [cosim.LoopFigures(only=["sensor.*"])]},
+            "which no figure is called; there are tracking.v.overall",
+        ),
         ({"duration": 0.03}, "duration"),
         ({"decimation": 0}, "decimation"),
         ({"piece": 0}, "piece"),
@@ -316,3 +329,43 @@ def test_settings_that_fit_only_together_change_together():
     values = {"controller.model.A[0,0]": 0.5, "controller.model.B": [[1.0]], "controller.initial_mean": 3.0}
     block = cosim.varied(loop(), values)["controller"].block
     assert (block.model.A[0][0], block.model.B[0][0], block.initial_mean) == (0.5, 1.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"signal": 3}, "signal=3; it must be a text"),
+        ({"shift": -1}, "shift=-1; it must be a whole number"),
+        ({"shift": 1.5}, "shift=1.5"),
+        ({"start": "early"}, "start='early'; it must be a number"),
+        ({"stop": float("nan")}, "stop=nan"),
+        ({"reference": [1.0]}, "it must be a number, or a signal"),
+    ],
+)
+def test_what_a_metric_cannot_be_is_told_when_it_is_made(settings, message):
+    with pytest.raises(cosim.errors.ModelError, match=message):
+        cosim.RMSE(**{"signal": "plant.v", **settings})
+
+
+TIMES = st.sampled_from([None, *(k / 10 for k in range(-2, 14)), *(0.1 * k for k in range(12)), 0.25, 0.449])
+
+
+@settings(max_examples=60, deadline=None)
+@given(TIMES, TIMES, st.integers(0, 12))
+def test_metrics_are_of_the_times_that_they_say(start, stop, shift):
+    from fractions import Fraction
+
+    from bayesftc.cosim._campaign.metrics import Runs
+
+    values, other = np.random.default_rng(1).normal(size=(2, 3, 11))
+    runs = Runs(None, np.arange(11) / 10, {"y": values, "r": other}, list, 3)
+    metric = cosim.Mean("y", "r", shift=shift, start=start, stop=stop)
+    begin, end = (None if t is None else Fraction(t).limit_denominator(1000) for t in (start, stop))
+    rows = [
+        k for k in range(shift, 11)
+        if (begin is None or Fraction(k, 10) >= begin) and (end is None or Fraction(k, 10) < end)
+    ]  # fmt: skip
+    expected = [
+        np.mean([y[k] - r[k - shift] for k in rows]) if rows else np.nan for y, r in zip(values, other, strict=True)
+    ]
+    np.testing.assert_allclose(metric.evaluate(runs)["mean(y)"], expected, rtol=1e-12)
