@@ -26,7 +26,7 @@ def find_controller(diagram: Diagram) -> Node:
     found = [
         node
         for node in diagram.nodes
-        if {"y", "goal"} <= {p.name for p in node.block.inputs} and "u" in {p.name for p in node.block.outputs}
+        if {"y", "goal"} <= {p.name for p in node.inputs} and "u" in {p.name for p in node.outputs}
     ]
     if len(found) != 1:
         raise ModelError(
@@ -41,8 +41,8 @@ def faults_before(diagram: Diagram, brain: Node, sensor: int) -> list[str]:
     A fault elsewhere, such as that of an actuator between controller and plant, is no fault of a sensor.
     """
     # What comes out of the controller leads to no sensor, whatever it has seen.
-    known: _Known = {(brain.name, port.name, i): None for port in brain.block.inputs for i in range(port.size)}
-    return _trace_source(diagram, diagram.source_of(brain, brain.block.port("y"), sensor), known) or []
+    known: _Known = {(brain.name, port.name, i): None for port in brain.inputs for i in range(port.size)}
+    return _trace_source(diagram, diagram.source_of(brain, brain.port("y"), sensor), known) or []
 
 
 def _trace(diagram: Diagram, node: Node, port: Port, element: int, known: _Known) -> list[str] | None:
@@ -62,13 +62,13 @@ def _trace_source(diagram: Diagram, origin: tuple[PortRef, int] | None, known: _
     if isinstance(block, Sensors):
         return []
     if isinstance(block, Fault):
-        found = _trace(diagram, node, block.port("u"), channel, known)
+        found = _trace(diagram, node, node.port("u"), channel, known)
         return None if found is None else [*found, *([node.name] if block.sensor == channel else [])]
     # Another block on the way, such as a delay, has one input as long as its output: element by element. Else all may matter.
-    alike = [p.size for p in block.inputs] == [origin[0].port.size]
+    alike = [p.size for p in node.inputs] == [origin[0].port.size]
     ways = [
         _trace(diagram, node, entry, i, known)
-        for entry in block.inputs
+        for entry in node.inputs
         for i in ([channel] if alike else range(entry.size))
     ]
     there = [names for names in ways if names is not None]
@@ -81,14 +81,14 @@ def faults_right_before(diagram: Diagram, node: Node, port: Port, element: int) 
     if origin is None or not isinstance(origin[0].node.block, Fault):
         return []
     fault, channel = origin[0].node, origin[1]
-    before = faults_right_before(diagram, fault, fault.block.port("u"), channel)
+    before = faults_right_before(diagram, fault, fault.port("u"), channel)
     return [*before, (fault, channel)] if origin[0].node.block.sensor == channel else before
 
 
 def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:
     """Give each element of each input, but for those of faults and of the named blocks."""
     for node in diagram.nodes:
-        for port in () if isinstance(node.block, Fault) or node.name in others else node.block.inputs:
+        for port in () if isinstance(node.block, Fault) or node.name in others else node.inputs:
             for i in range(port.size):
                 yield node, port, i
 
@@ -102,9 +102,9 @@ def label_of(diagram: Diagram, seen: Node, row: tuple[float, ...], sensor: int) 
     """Return the name and the unit of the quantity that a sensor measures by a row of its matrix."""
     nonzero = [j for j, weight in enumerate(row) if weight]
     if len(nonzero) != 1 or row[nonzero[0]] != 1.0:
-        return f"sensor {sensor}", seen.block.port("y").unit
-    found = diagram.source_of(seen, seen.block.port("u"), nonzero[0])
+        return f"sensor {sensor}", seen.port("y").unit
+    found = diagram.source_of(seen, seen.port("u"), nonzero[0])
     if found is None:
         return f"sensor {sensor}", None
     port = found[0].port
-    return element_name(port, found[1]), port.unit or seen.block.port("y").unit
+    return element_name(port, found[1]), port.unit or seen.port("y").unit

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from bayesftc.cosim._interrupts import import_engine
@@ -36,6 +37,24 @@ class Node:
     name: str
     block: Block
     every: int
+
+    @cached_property
+    def inputs(self) -> tuple[Port, ...]:
+        """The inputs of the block, which makes them anew for each who asks."""
+        return tuple(self.block.inputs)
+
+    @cached_property
+    def outputs(self) -> tuple[Port, ...]:
+        """The outputs of the block."""
+        return tuple(self.block.outputs)
+
+    def port(self, name: str) -> Port:
+        """Return the port of that name, as `Block.port` does."""
+        found = next((port for port in (*self.outputs, *self.inputs) if port.name == name), None)
+        return self.block.port(name) if found is None else found
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"name": self.name, "block": self.block, "every": self.every}
 
     def __getitem__(self, port: str) -> PortRef:
         directions: list[tuple[Literal["input", "output"], tuple[Port, ...]]] = [

@@ -50,7 +50,7 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
     seen, brain = find_sensors(diagram), find_controller(diagram)
     # A controller may say what its sensors read of its estimate x_hat (a row of NaN: nothing linear), and what its goal is of it.
     C, G = (getattr(brain.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
-    y = brain.block.port("y")
+    y = brain.port("y")
     chains = [faults_before(diagram, brain, i) for i in range(y.size)]
     active = {name: reader.flags(f"{name}.active") for chain in chains for name in chain}
     none: Flags = np.zeros(len(result.time), dtype=bool)
@@ -102,7 +102,7 @@ class _Reader:
 
     def source(self, node: Node, port: str, element: int) -> Floats | None:
         """Return what feeds one element of an input."""
-        found = self.diagram.source_of(node, node.block.port(port), element)
+        found = self.diagram.source_of(node, node.port(port), element)
         if found is None:
             return None
         values = self.signal(f"{found[0].node.name}.{found[0].port.name}")
@@ -123,7 +123,7 @@ def _inputs(reader: _Reader, others: Container[str]) -> tuple[InputSignals, ...]
 
 def _actuators(reader: _Reader, brain: Node) -> tuple[ActuatorSignals, ...]:
     """Return what the controller says of its actuators; nothing if it does not, or if that was not recorded."""
-    count = brain.block.port("u").size
+    count = brain.port("u").size
     probability, kind, size = (
         reader.columns(f"{brain.name}.actuator_fault_{name}", count) for name in ("probability", "kind", "size")
     )
@@ -132,7 +132,7 @@ def _actuators(reader: _Reader, brain: Node) -> tuple[ActuatorSignals, ...]:
     for node, port, i in elements(reader.diagram, {brain.name}):
         chain = faults_right_before(reader.diagram, node, port, i)
         origin = reader.diagram.source_of(
-            *((chain[0][0], chain[0][0].block.port("u"), chain[0][1]) if chain else (node, port, i))
+            *((chain[0][0], chain[0][0].port("u"), chain[0][1]) if chain else (node, port, i))
         )
         if origin is not None and (origin[0].node.name, origin[0].port.name) == (brain.name, "u"):
             faulty = any_of([none, *(reader.flags(f"{fault.name}.active") for fault, _ in chain)])
@@ -161,7 +161,7 @@ def _quantities(
         groups.setdefault(tuple(row), []).append(i)
     inputs = [reader.source(seen, "u", j) for j in range(block.signals)]
     x_hat = reader.signal(f"{brain.name}.x_hat")
-    goals = brain.block.port("goal").size
+    goals = brain.port("goal").size
     found = []
     for number, (row, members) in enumerate(groups.items()):
         used = [weight * signal for weight, signal in zip(row, inputs, strict=True) if weight and signal is not None]

@@ -19,7 +19,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -268,7 +268,7 @@ class LoopFigures(Metric):
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
     def _numbers(self, diagram: Diagram, result: Result) -> dict[str, float]:
-        numbers = dict(_flat(asdict(figures(loop_signals(diagram, result)))))
+        numbers = dict(_flat(figures(loop_signals(diagram, result))))
         if self.only is None:
             return numbers
         return {name: n for name, n in numbers.items() if any(fnmatchcase(name, pattern) for pattern in self.only)}
@@ -287,14 +287,18 @@ class _Asked(Result):
         return super().__getitem__(name)
 
 
-def _flat(value: object, name: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers in nested mappings and lists, by their paths."""
-    inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list | tuple) else ()
-    for key, item in inner:
-        named = isinstance(item, Mapping) and isinstance(value, list | tuple) and isinstance(item.get("name"), str)
-        yield from _flat(item, f"{name}.{item['name'] if named else key}" if name else str(key))
+def _flat(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers in nested dataclasses, mappings and tuples, by their paths."""
     if isinstance(value, float):
         yield name, value
+        return
+    of_tuple = isinstance(value, tuple)
+    inner = enumerate(value) if of_tuple else (value if isinstance(value, Mapping) else vars(value)).items()
+    for key, item in inner:
+        if item is None or isinstance(item, str | int):
+            continue
+        called = getattr(item, "name", key) if of_tuple else key
+        yield from _flat(item, f"{name}.{called}" if name else str(called))
 
 
 @dataclass(frozen=True)

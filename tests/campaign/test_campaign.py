@@ -101,6 +101,32 @@ def test_metrics_are_what_numpy_says(same_bits):
         assert table["sensors.0.auc"][run] == alone.sensors[0].auc
 
 
+def test_the_figures_of_a_loop_are_all_that_a_run_has():
+    from bayesftc.cosim.metrics import figures, without_nan
+    from bayesftc.cosim.roles import loop_signals
+
+    def flat(value, path=()):
+        if isinstance(value, dict | list):
+            for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+                named = isinstance(value, list) and "name" in item
+                yield from flat(item, (*path, item["name"] if named else key))
+        elif not isinstance(value, str | int) and path[-1] not in {"ranked_by", "unit", "kind"}:
+            yield ".".join(map(str, path)), value
+
+    diagram = loop()
+    campaign = cosim.Campaign(
+        diagram, duration=4.0, seeds=3, metrics=[cosim.LoopFigures()], grid={"plant.m": [90.0, 1e-300]}
+    )
+    table = campaign.run(executor=cosim.Threads(1)).table
+    names = [name for name in table.columns if "." in name and name != "plant.m"]
+    for run in range(3):
+        result = campaign.replay(run)
+        expected = dict(flat(figures(loop_signals(campaign.job.diagram(0), result)).to_dict()))
+        assert {name: without_nan(float(table[name][run])) for name in names} == expected
+    assert (table["status"][3:] == "failed").all()
+    assert table[names][3:].isna().all(axis=None)
+
+
 def test_a_run_that_fails_is_recorded_with_its_reason_and_the_others_go_on(same_bits):
     grid = {"plant.m": [100.0, 1e-300, 120.0]}
     campaign = cosim.Campaign(
