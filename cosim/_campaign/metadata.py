@@ -18,6 +18,8 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import StoreError, brief
 
 NAME, FORMAT, VERSION = "campaign.json", "bayesftc-campaign", 1
+FILES = "files"
+"""Of a description: texts of the files that say what the campaign is."""
 
 Signal = tuple[tuple[int, ...], str | None]
 """Shape and unit."""
@@ -30,7 +32,8 @@ class Metadata:
     Attributes
     ----------
     description : mapping
-        What the campaign is, in its author's words: whatever JSON can hold.
+        What the campaign is, in its author's words: whatever JSON can hold. Its ``files``, texts by their names, are for readers:
+        comments may change.
     plan : Plan
         With labels as the values of the points.
     signals : mapping of str to (shape, unit)
@@ -70,7 +73,15 @@ class Metadata:
         return replace(self, resumed=(*self.resumed, {"environment": environment, "done": done}))
 
     def identity(self) -> dict[str, Any]:
-        """Return what makes it this campaign and no other, as JSON has it. The size of the pieces is not among it."""
+        """Return what makes it this campaign and no other, as JSON has it.
+
+        The size of the pieces is not among it, nor are the texts of files.
+        """
+        said = self._content()
+        said["description"] = {name: part for name, part in said["description"].items() if name != FILES}
+        return said
+
+    def _content(self) -> dict[str, Any]:
         seeds = list(dict.fromkeys(self.plan.seeds))  # most campaigns have the same ones at each point
         place = {own: i for i, own in enumerate(seeds)}
         found = {
@@ -92,7 +103,7 @@ class Metadata:
         text = {
             "format": FORMAT,
             "version": VERSION,
-            **self.identity(),
+            **self._content(),
             "piece": self.plan.size,
             "environment": self.environment,
             "resumed": self.resumed,

@@ -106,8 +106,8 @@ def test_factors_reach_the_scenario_that_the_file_would_say(file, same_bits, tmp
         ('scenario = "cruise_control"', 'scenario = "cruise"', "did you mean 'cruise_control'"),
         ('kind = "rmse"', 'kind = "rms"', "did you mean 'RMSE'"),
         ('signal = "plant.v"', "", "lacks 'signal'"),
-        ('"faults[0].start"', '"faults[3].start"', "the scenario has no 3 in faults"),
-        ('"faults[0].start"', '"fault[0].start"', "the scenario has no 'fault'"),
+        ('"faults[0].start"', '"faults[3].start"', "the scenario has no 3 in faults; it has the elements 0 to 0."),
+        ('"faults[0].start"', '"fault[0].start"', "the scenario has no 'fault'; did you mean 'faults'?"),
         ('"faults[0].start"', '"faults[0].begin"', "unknown key 'begin'"),
         ("[0.5, 1.0]", "0.5", "must be a list of values"),
         ('kind = "fixed_precision"', 'kind = "fixed"', "no kind that can stand here"),
@@ -139,6 +139,30 @@ def test_wrong_stores_and_runs_are_said(bayesftc_, file, tmp_path):
     assert other.exit_code == 20
     assert "is another one" in other.stderr
     assert bayesftc_("campaign", file, "--scheduler", "tcp://127.0.0.1:1", "--jobs", 2).exit_code == 9
+
+
+def test_comments_and_limits_may_change_and_what_is_run_may_not(bayesftc_, file, tmp_path):
+    car = tmp_path / "car.toml"
+    car.write_text(bayesftc_("example", "cruise_control").stdout)
+    own = FILE.replace('"cruise_control"', '"car.toml"')
+    file.write_text(own)
+    assert bayesftc_("campaign", file, "-q").exit_code == 0
+    file.write_text("# begun on a Monday\n" + own.replace("piece = 5", "piece = 6\ntime_limit = 100.0"))
+    car.write_text("# my car\n" + car.read_text())
+    assert bayesftc_("campaign", file, "-q").exit_code == 0
+    assert "\nstop = 14.0" in car.read_text()
+    car.write_text(car.read_text().replace("\nstop = 14.0", "\nstop = 13.0"))
+    other = bayesftc_("campaign", file)
+    assert other.exit_code == 20
+    assert "description.scenario.faults[0].stop is 14.0 in the store and 13.0 now" in re.sub(r"\s+", " ", other.stderr)
+
+
+def test_a_scenario_is_told_from_a_campaign(bayesftc_, tmp_path):
+    car = tmp_path / "car.toml"
+    car.write_text(bayesftc_("example", "cruise_control").stdout)
+    done = bayesftc_("campaign", car)
+    assert done.exit_code == 3
+    assert "is a scenario, of which one run is made" in re.sub(r"\s+", " ", done.stderr)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")

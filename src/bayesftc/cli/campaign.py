@@ -55,7 +55,7 @@ def run_campaign(
     json, quiet : bool
         How the figures are printed: as JSON, or not at all.
     """
-    from bayesftc.scenario.campaigns import load_campaign, texts
+    from bayesftc.scenario.campaigns import described, load_campaign
 
     campaign = load_campaign(path)
     chosen = _executor(executor, jobs, scheduler)
@@ -63,7 +63,7 @@ def run_campaign(
     began = time.perf_counter()
     with _progress(path.stem, shown=sys.stderr.isatty() and not quiet and not json) as progress:
         result = campaign.run(
-            folder, executor=chosen, progress=progress, retry_failed=retry_failed, description={"files": texts(path)}
+            folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(path, campaign)
         )
     seconds = time.perf_counter() - began
     numbers = _numbers(result.table, list(campaign.labels[0]), list(campaign.job.columns))

@@ -89,9 +89,7 @@ def check_folder(folder: Path, names: Iterable[str] = (RESULT, FIGURE, NUMBERS))
     except OSError as error:
         raise _unwritable(folder, error) from None
     if taken:
-        raise ResultFileError(
-            f"{folder / taken[0]} cannot be written: it is a folder; choose another folder for --out."
-        )
+        raise ResultFileError(f"{folder / taken[0]} cannot be written: it is a folder; choose another name.")
 
 
 def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signals: LoopSignals) -> None:

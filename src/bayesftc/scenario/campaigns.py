@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from bayesftc.cosim._campaign.design import Design, Grid, Points
 from bayesftc.cosim._campaign.metrics import METRICS, Metric
 from bayesftc.cosim._campaign.samples import LatinHypercube, SaltelliDesign, SobolSequence
-from bayesftc.cosim.errors import BayesFTCError, ScenarioError
+from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import scenario_of
@@ -104,6 +104,10 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
 
     file = Path(path).expanduser()
     content, root = dict(read_toml(file)), Place(str(file))
+    if "scenario" not in content and "plant" in content:
+        raise root.error(
+            f"is a scenario, of which one run is made; a campaign file names it (scenario = {file.name!r}) and varies it."
+        )
     root.refuse_unknown(content, ["scenario", "factors", "points", "samples", "metrics", *_names(Runs)])
     if "scenario" not in content:
         raise root.error(
@@ -153,7 +157,13 @@ def _check_values(loop: ScenarioLoop, points: Sequence[Mapping[str, Any]]) -> No
                 continue
 
 
-def texts(path: str | os.PathLike[str]) -> dict[str, str]:
+def described(path: str | os.PathLike[str], campaign: Campaign) -> dict[str, Any]:
+    """Return what a store is to say of the campaign of a file, besides what all say: the scenario, and the texts for readers."""
+    assert isinstance(campaign.job.loop, ScenarioLoop)
+    return {"scenario": dict(campaign.job.loop.content), "files": _texts(path)}
+
+
+def _texts(path: str | os.PathLike[str]) -> dict[str, str]:
     """Return the text of a campaign file, and of the scenario that it names."""
     file = Path(path).expanduser()
     scenario = _scenario_file(file, read_toml(file)["scenario"])
@@ -245,15 +255,22 @@ def _set(content: Any, path: str, value: Any) -> None:
                 return
             if step not in at:
                 raise ScenarioError(
-                    f"The factor {path!r}: the scenario has no {step!r}{so_far}; name what stands there."
+                    f"The factor {path!r}: the scenario has no {step!r}{so_far}; {did_you_mean(step, at)}"
                 )
         elif isinstance(at, list) and isinstance(step, int) and step < len(at):
             if last:
                 at[step] = value
                 return
         else:
-            raise ScenarioError(f"The factor {path!r}: the scenario has no {step!r}{so_far}; name what stands there.")
+            raise ScenarioError(f"The factor {path!r}: the scenario has no {step!r}{so_far}; {_there(at)}")
         at, so_far = at[step], f" in {'.'.join(map(str, steps[: i + 1]))}"
 
 
-__all__ = ["ScenarioLoop", "load_campaign", "texts"]
+def _there(part: Any) -> str:
+    """Return the tail of a sentence about an element that is not there."""
+    if isinstance(part, list):
+        return f"it has the elements 0 to {len(part) - 1}." if part else "the list is empty."
+    return "name what stands there."
+
+
+__all__ = ["ScenarioLoop", "described", "load_campaign"]
