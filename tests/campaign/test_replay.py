@@ -1,0 +1,179 @@
+"""``bayesftc replay``: runs once more, those that failed too, of loops and of other diagrams; and stores that are damaged."""
+
+import json
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+from bayesftc import cosim
+from bayesftc.cosim.result import Result
+
+pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
+
+FILE = """
+scenario = "cruise_control"
+seeds = 2
+duration = 2.0
+record = ["plant.v"]
+decimation = 2
+
+[[metrics]]
+kind = "rmse"
+signal = "plant.v"
+reference = "reference.y"
+
+[factors]
+"plant.parameters.m" = [80.0, 100.0]
+"""
+
+
+def wave(folder, amplitudes=(1.0, 2.0), **options):
+    """Store a campaign of a diagram that is no closed loop: a sine, and noise that is made larger."""
+    diagram = cosim.Diagram(dt=0.1)
+    diagram.add(cosim.Sine(amplitude=1.0, period=4.0), "sine")
+    noise, gain = diagram.add(cosim.Gaussian(std=0.1), "noise"), diagram.add(cosim.Gain(3.0), "gain")
+    diagram.connect(noise["y"], gain["u"])
+    campaign = cosim.Campaign(
+        diagram, duration=2.0, grid={"sine.amplitude": list(amplitudes)}, seeds=2, record=["gain.y"], **options
+    )
+    campaign.run(folder)
+    return campaign
+
+
+@pytest.fixture
+def said(bayesftc_):
+    """Run a replay, and return its notes."""
+
+    def said(*arguments):
+        done = bayesftc_("replay", *arguments, "--json")
+        assert done.exit_code == 0, done.output
+        return json.loads(done.stdout)
+
+    return said
+
+
+def test_each_run_has_the_bits_of_the_store(said, bayesftc_, tmp_path):
+    (tmp_path / "tracking.toml").write_text(FILE)
+    assert bayesftc_("campaign", "tracking.toml", "-q").exit_code == 0
+    for run in range(4):
+        numbers = said("tracking", run)
+        assert numbers["notes"] == ["It has the bits of the run in the store."]
+        assert numbers["factors"] == {"plant.parameters.m": [80.0, 100.0][run // 2]}
+        assert numbers["steps"] == 100
+        assert numbers["tracking"]
+
+
+def test_a_run_that_differs_is_told(said, tmp_path):
+    from bayesftc.cosim._campaign.plan import Piece
+    from bayesftc.cosim._campaign.store import CampaignStore
+
+    campaign = wave(tmp_path / "wave")
+    outcome = campaign.job.run(Piece(0, 2, 3))
+    outcome.signals["gain.y"][0, 7] = np.nextafter(outcome.signals["gain.y"][0, 7], 9.0)
+    metadata = CampaignStore.open("wave").metadata
+    with CampaignStore.resume(
+        "wave", metadata.description, metadata.plan, metadata.signals, campaign.job.time, metadata.metrics
+    ) as store:
+        store.replace(outcome)
+    assert said("wave", 1)["notes"][0] == "It has the bits of the run in the store."
+    assert said("wave", 2)["notes"][0].startswith("It differs from the run in the store in gain.y: ")
+
+
+def test_a_diagram_that_is_no_closed_loop_is_recorded_and_drawn(said, bayesftc_, tmp_path, same_bits):
+    campaign = wave(tmp_path / "wave")
+    done = bayesftc_("replay", "wave", 3, "--out", "once more")
+    assert done.exit_code == 0, done.output
+    assert "It has the bits of the run in the store." in done.stdout
+    assert "There are no figures of it: " in done.stdout
+    assert "Written to once more: figure.png, figures.json, result.npz" in done.stdout
+    result = Result.load(tmp_path / "once more" / "result.npz")
+    assert set(result) == {"sine.y", "noise.y", "gain.y"}
+    same_bits(result["gain.y"], campaign.replay(3)["gain.y"])
+    assert (tmp_path / "once more" / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "once more" / "figures.json").read_text()) == said("wave", 3)
+    assert bayesftc_("replay", "wave", 3, "-q").output == ""
+
+
+def test_runs_that_had_no_time_go_to_their_end(said, bayesftc_, tmp_path):
+    (tmp_path / "tracking.toml").write_text("time_limit = 1e-9\n" + FILE)
+    bayesftc_("campaign", "tracking.toml", "-q")
+    numbers = said("tracking", 1, "--out", "again")
+    (note,) = numbers["notes"]
+    assert note.startswith("In the store it has failed: The run reached its time limit")
+    assert "Now it went to its end. It has the bits of the run in the store, as far as that has come." in note
+    assert numbers["stopped"] is None
+    assert numbers["steps"] == 100
+    assert (tmp_path / "again" / "result.npz").exists()
+
+
+def test_a_run_that_stops_stops_again_and_its_steps_are_there(said, bayesftc_, tmp_path):
+    (tmp_path / "growth.toml").write_text(FILE.replace("[80.0, 100.0]", "[1e-300]").replace("2.0", "4.0"))
+    bayesftc_("campaign", "growth.toml", "-q")
+    import pandas as pd
+
+    failed = pd.read_parquet(tmp_path / "growth" / "runs.parquet").iloc[1]
+    assert failed["status"] == "failed"
+    numbers = said("growth", 1, "--out", "again")
+    assert numbers["stopped"] == failed["reason"]
+    assert numbers["steps"] == failed["steps"] < 200
+    assert numbers["notes"][0] == (
+        f"In the store it has failed: {failed['reason']} Now it has stopped as well: {failed['reason']} "
+        "It has the bits of the run in the store, as far as that has come."
+    )
+    assert len(Result.load(tmp_path / "again" / "result.npz").time) == numbers["steps"] + 1
+    quiet = bayesftc_("replay", "growth", 1, "-q")
+    assert quiet.exit_code == 0
+
+
+def test_a_run_that_is_not_done_yet(said, tmp_path):
+    from bayesftc.cosim._campaign.parts import WHOLE
+
+    wave(tmp_path / "wave", piece=2)
+    (tmp_path / "wave" / WHOLE).unlink()  # as before anything was done
+    assert said("wave", 0)["notes"][0] == "The store does not have this run yet."
+
+
+@pytest.mark.parametrize("damage", ["cut", "bits", "empty", "other", "another", "gone", "module"])
+def test_a_store_whose_loop_is_damaged_is_refused_in_a_sentence(bayesftc_, tmp_path, damage):
+    wave(tmp_path / "wave")
+    file = tmp_path / "wave" / "job.pickle"
+    data = file.read_bytes()
+    if damage == "another":
+        wave(tmp_path / "longer", amplitudes=(1.0, 2.0, 3.0))
+        data = (tmp_path / "longer" / "job.pickle").read_bytes()
+    file.write_bytes(
+        {
+            "cut": data[: len(data) // 2],
+            "bits": bytes(b ^ 0x55 for b in data[:40]) + data[40:],
+            "empty": b"",
+            "other": pickle.dumps(({}, pickle.dumps("a text"))),
+            "another": data,
+            "gone": data,
+            "module": data.replace(b"bayesftc.cosim", b"bayesftx.cosim"),
+        }[damage]
+    )
+    if damage == "gone":
+        file.unlink()
+    done = bayesftc_("replay", "wave", 0, "--out", "again")
+    assert done.exit_code == 20, done.output
+    message = re.sub(r"\s+", " ", done.stderr)
+    reasons = {
+        "gone": "cannot be repeated from its store",
+        **dict.fromkeys(("other", "another"), "does not hold the loop"),
+    }
+    assert reasons.get(damage, "is damaged, or needs the modules") in message
+    assert "Traceback" not in done.output
+    assert not (tmp_path / "again").exists()
+
+
+def test_an_fmu_that_is_not_the_one_is_refused(bayesftc_, tmp_path):
+    (tmp_path / "tracking.toml").write_text(FILE)
+    bayesftc_("campaign", "tracking.toml", "-q")
+    (fmu,) = (tmp_path / "tracking" / "fmus").iterdir()
+    fmu.chmod(0o644)
+    fmu.write_bytes(fmu.read_bytes() + b" ")
+    done = bayesftc_("replay", "tracking", 0)
+    assert done.exit_code == 20
+    assert "is missing or damaged" in re.sub(r"\s+", " ", done.stderr)
