@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from bayesftc.cosim.result import Result
 
 STEPS = 2_000_000
-"""Steps of a piece: half a second of computing."""
+"""Steps of a piece at the most: half a second of computing if they are quick."""
 BYTES = 16_000_000
 """Of the signals of a piece."""
+PIECES = 32
+"""Into which few runs are cut all the same, for all cores and for those who stop: nobody knows how slow an FMU is."""
 
 
 class Campaign:
@@ -60,7 +62,8 @@ class Campaign:
     time_limit : float, optional
         Seconds of computing that a run may take; one that takes longer has failed.
     piece : int, optional
-        Runs that are made, stored and resumed together; by default half a second's.
+        Runs that are made, stored and resumed together; by default a 32nd of all, but no more than half a second's of quick
+        ones.
 
     Raises
     ------
@@ -103,7 +106,7 @@ class Campaign:
         self.labels: list[dict[str, Any]] = self.design.labels() if self.design else [{}]
         points = self.design.points() if self.design else [{}]
         own = seeds_of_points(self.labels, seeds, seed, independent)
-        names = [record] if isinstance(record, str) else list(record)
+        names = [record] if isinstance(record, str) or not isinstance(record, Iterable) else list(record)
         whole_number(decimation, "decimation is ")
         trial = Job(
             loop,
@@ -156,11 +159,17 @@ class Campaign:
 
         Raises
         ------
+        ModelError
+            If the executor is none.
         StoreError
             If the store is of another campaign, another process is writing it, or nothing more can be written to it.
         ModelError
             If the campaign cannot be sent to the processes of the executor.
         """
+        if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "run", None))):
+            raise ModelError(
+                f"executor is {executor!r}; it must be Threads(), Processes() or DaskCluster(), or left out for what fits the loop."
+            )
         why = f"{executor!r}, as asked for."
 
         def choose() -> Executor:
@@ -211,7 +220,7 @@ def _piece(job: Job) -> int:
     """Return how many runs make a piece."""
     numbers = sum(int(np.prod(s.shape)) for s in job.signals.values()) * len(job.time)
     steps = whole_steps(job.duration, job.step, "The duration")
-    return max(1, min(STEPS // max(steps, 1), BYTES // max(8 * numbers, 1), job.plan.runs))
+    return max(1, min(STEPS // max(steps, 1), BYTES // max(8 * numbers, 1), -(-job.plan.runs // PIECES)))
 
 
 __all__ = ["Campaign"]

@@ -15,7 +15,7 @@ import numpy as np
 from bayesftc.cosim._campaign.columns import OWN
 from bayesftc.cosim._campaign.factors import varied
 from bayesftc.cosim._campaign.many import Aside, Block, ManyRuns, Wanted
-from bayesftc.cosim._campaign.metrics import Metric, Runs
+from bayesftc.cosim._campaign.metrics import Metric, Runs, is_number
 from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Piece, Plan
 from bayesftc.cosim._campaign.raised import reason_of
 from bayesftc.cosim.block import Floats
@@ -76,6 +76,8 @@ class Job:
         self.loop, self.plan, self.duration = loop, plan, duration
         self.record, self.metrics = tuple(record), tuple(metrics)
         self.decimation, self.time_limit = decimation, time_limit
+        if time_limit is not None and not (is_number(time_limit) and 0 < time_limit < np.inf):
+            raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, above 0.")
         first = self.diagram(0)
         kept = select_signals(first.schedule, self.record)
         self.signals = {name: Recorded(shape, kept.units.get(name)) for name, (_, shape) in kept.columns.items()}
@@ -143,7 +145,7 @@ class Job:
             except Exception as error:  # noqa: BLE001 - whatever a user's function or block raises
                 collected.fail(len(seeds), reason_of(error, "The loop of this point could not be built"))
                 continue
-            for block in loop.many.run(seeds, wanted, aside):
+            for block in loop.many.run(seeds, wanted, aside, len(self.plan.seeds[point])):
                 aside()
                 collected.add(loop, block)
         return collected.outcome(time.perf_counter() - began)

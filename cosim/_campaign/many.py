@@ -31,8 +31,6 @@ from bayesftc.cosim.schedule import NOT_FINITE, Schedule
 
 ROOM = 4_000_000
 """Bytes of the recordings of the runs that are made in one call: as much as stays in a processor's cache."""
-LONG = 1.0
-"""Seconds of a run from which on FMUs are made anew for each: that takes less than to see whether they repeat a run."""
 Wanted = Callable[[], bool]
 """Asked about twenty times a second whether to go on. From then on it is the runs that take time."""
 Aside = Callable[[], None]
@@ -106,11 +104,15 @@ class ManyRuns:
         self._fresh = False  # and they stand at the beginning of a run
         self._repeats: bool | None = None  # whether FMUs that are put back give the same bits once more
         self._pace = 0.0  # seconds that a run takes
+        self._opening = 0.0  # and that it takes to make FMUs
+        self._of = 1  # runs that are to be expected in all
         rows = steps // decimation + 1
         self._buffer = np.empty((0, rows, len(selection.places)))
         self._few = max(1, ROOM // max(8 * rows * len(selection.places), 1))
 
-    def run(self, seeds: Sequence[int], wanted: Wanted = lambda: True, aside: Aside = lambda: None) -> Iterator[Block]:
+    def run(
+        self, seeds: Sequence[int], wanted: Wanted = lambda: True, aside: Aside = lambda: None, of: int = 1
+    ) -> Iterator[Block]:
         """Make a run for each seed; yield them some at a time, in order.
 
         Parameters
@@ -121,16 +123,18 @@ class ManyRuns:
             Asked about twenty times a second whether to go on.
         aside : callable
             Told when something else than the runs is about to take time: compiling.
+        of : int
+            How many runs there are in all, if this is not the only call.
 
         Raises
         ------
         StoppedFromOutside
             If it is not wanted to go on.
         """
-        done = 0
+        done, self._of = 0, max(of, len(seeds))
         while done < len(seeds):
             _go_on(wanted)
-            few, more = self._how_many(len(seeds) - done), len(seeds) > 1
+            few, more = self._how_many(len(seeds) - done), self._of > 1
             try:
                 self._ready(aside, more=more)
                 _go_on(wanted)
@@ -179,8 +183,10 @@ class ManyRuns:
         if self._opened and (self._fresh or self._states is not None):
             return
         self._shut()
+        began = time.perf_counter()
         with self._spares.lent():
             self._run = open_run(self._schedule, self._stack, 0, self._selection, self._steps, self._decimation)
+        self._opening = time.perf_counter() - began
         aside()
         self._engine = choose_engine("auto", self._run)
         self._opened = self._fresh = True
@@ -276,7 +282,7 @@ class ManyRuns:
             return False
         if not len(self._states):
             return True  # without FMUs there is nothing to remember
-        if self._pace > LONG:
+        if self._pace > self._opening * self._of:  # to see whether they repeat it takes longer than to make them anew
             self._shut()
             return False
         ends, kept_ = self._run.memory.copy(), first.copy()

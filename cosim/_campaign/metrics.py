@@ -127,7 +127,7 @@ class _OfSignal(Metric):
             if not isinstance(text, str) and (text is not None or name == "signal"):
                 raise ModelError(f"{kind} has {name}={text!r}; it must be a text, such as 'plant.v'.")
         for name, number in {"reference": self.reference, "start": self.start, "stop": self.stop}.items():
-            if number is not None and not (name == "reference" and isinstance(number, str)) and not _is_number(number):
+            if number is not None and not (name == "reference" and isinstance(number, str)) and not is_number(number):
                 raise ModelError(
                     f"{kind} has {name}={number!r}; it must be a number{', or a signal' * (name == 'reference')}."
                 )
@@ -370,7 +370,8 @@ def _shape(name: str, diagram: Diagram) -> tuple[int, ...]:
     return () if index else shape
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Return whether a setting is a number, and not NaN."""
     return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
 
 
@@ -407,5 +408,5 @@ def as_metrics(given: object) -> tuple[Metric, ...]:
 
 
 __all__ = [
-    *(cls.__name__ for cls in METRICS), "METRICS", "Metric", "OfResult", "Runs", "as_metrics",
+    *(cls.__name__ for cls in METRICS), "METRICS", "Metric", "OfResult", "Runs", "as_metrics", "is_number",
 ]  # fmt: skip

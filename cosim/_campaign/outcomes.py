@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from bayesftc.cosim._campaign.columns import factor_columns, run_columns
 from bayesftc.cosim._campaign.plan import Outcome
+from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,6 +63,12 @@ class InMemory:
     def __init__(self, job: Job, labels: Sequence[Mapping[str, Any]]):
         self._job, self._labels = job, labels
         n = job.plan.runs
+        numbers = sum(len(job.time) * int(np.prod(s.shape)) for s in job.signals.values())
+        if 8 * n * numbers > memory():
+            raise ModelError(
+                f"The recorded signals of {n} runs take {8e-9 * n * numbers:.3g} GB, more than this machine has; give run() the "
+                "folder of a store, or record fewer signals, or every n-th step with decimation=n."
+            )
         self._signals = {name: np.full((n, len(job.time), *s.shape), np.nan) for name, s in job.signals.items()}
         self._metrics = {name: np.full(n, np.nan) for name in job.columns}
         self._steps = np.full(n, -1, dtype=np.int64)
@@ -104,6 +112,14 @@ class InMemory:
         return xr.Dataset(
             signals, {**of_runs, "status": ("run", self._status), "time": ("time", job.time, {"units": "s"})}
         )
+
+
+def memory() -> float:
+    """Return the bytes of memory of this machine; infinity where it does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return float("inf")
 
 
 def _attributes(job: Job, name: str) -> dict[str, str]:

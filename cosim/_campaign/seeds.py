@@ -62,6 +62,8 @@ def seeds_of_points(
     for name in independent:
         if name not in labels[0]:
             raise UnknownNameError(f"independent names {name!r}, which is no factor; {did_you_mean(name, labels[0])}")
+    if isinstance(seeds, np.ndarray | np.integer):
+        seeds = seeds.tolist()
     if isinstance(seeds, bool) or not isinstance(seeds, int | Sequence | range) or isinstance(seeds, str):
         raise ModelError(f"seeds is {seeds!r}; it must be the number of runs of each point, or a list of their seeds.")
     if isinstance(seeds, Sequence):

@@ -320,6 +320,9 @@ def test_pieces_have_each_run_once(counts, size):
         ({"duration": 0.03}, "duration"),
         ({"decimation": 0}, "decimation"),
         ({"piece": 0}, "piece"),
+        ({"time_limit": 0.0}, "time_limit is 0.0; it must be a number of seconds, above 0"),
+        ({"time_limit": "1 s"}, "time_limit is '1 s'"),
+        ({"record": 3}, "no signal '3'"),
     ],
 )
 def test_what_cannot_be_is_told_before_anything_runs(changes, message):
@@ -395,3 +398,29 @@ def test_metrics_are_of_the_times_that_they_say(start, stop, shift):
         np.mean([y[k] - r[k - shift] for k in rows]) if rows else np.nan for y, r in zip(values, other, strict=True)
     ]
     np.testing.assert_allclose(metric.evaluate(runs)["mean(y)"], expected, rtol=1e-12)
+
+
+def test_what_does_not_fit_into_memory_is_told_before_anything_runs(monkeypatch):
+    monkeypatch.setattr("bayesftc.cosim._campaign.outcomes.memory", lambda: 1e6)
+    campaign = cosim.Campaign(loop(), duration=10.0, seeds=1000, record=["plant.v"])
+    with pytest.raises(
+        cosim.errors.ModelError, match=r"1000 runs take 0.00401 GB, more .* give run\(\) the folder of a store"
+    ):
+        campaign.run(progress=lambda *told: pytest.fail("It has begun."))
+
+
+def test_few_runs_are_for_all_cores_as_well():
+    campaign = cosim.Campaign(loop(), duration=0.1, seeds=np.arange(64))
+    assert [len(piece) for piece in campaign.job.plan.pieces] == [2] * 32
+
+
+def test_an_fmu_is_made_once_for_all_pieces_of_a_point(monkeypatch, same_bits):
+    from bayesftc.cosim._campaign import many
+
+    made = []
+    usual = many.open_run
+    monkeypatch.setattr(many, "open_run", lambda *given: made.append(1) or usual(*given))
+    campaign = cosim.Campaign(loop(), duration=0.1, seeds=6, piece=1, record=SIGNALS)
+    result = campaign.run(executor=cosim.Threads(1))
+    assert len(made) == 1
+    assert_alone(campaign, result, range(6), same_bits)
