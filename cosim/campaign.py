@@ -168,7 +168,7 @@ class Campaign:
         """
         if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "run", None))):
             raise ModelError(
-                f"executor is {executor!r}; it must be Threads(), Processes() or DaskCluster(), or left out for what fits the loop."
+                f"executor is {executor!r}; it must be Threads(), Processes() or DaskCluster(), or left out."
             )
         why = f"{executor!r}, as asked for."
 

@@ -53,6 +53,11 @@ def kept_job(store: StoredCampaign) -> Job:
         ) from None
     except StoreError:
         raise
+    except ModuleNotFoundError as error:
+        raise StoreError(
+            f"The campaign in {store.path} cannot be repeated here: it needs the module {error.name!r}, which is not found. "
+            "Install it, or name the folder of its file: PYTHONPATH=FOLDER bayesftc replay ..."
+        ) from error
     except Exception as error:
         raise StoreError(
             f"The campaign in {store.path} cannot be repeated here ({type(error).__name__}: {error}). Its {FILE} is damaged, or "

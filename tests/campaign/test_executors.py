@@ -270,6 +270,12 @@ def test_what_cannot_be_pickled_is_named(car):
         campaign.run(executor=Processes(1))
 
 
+@pytest.mark.parametrize("executor", ["threads", Threads, 4], ids=str)
+def test_what_is_no_executor_is_refused(executor, car):
+    with pytest.raises(ModelError, match=r"executor is .*; it must be Threads\(\), Processes\(\) or DaskCluster\(\)"):
+        cosim.Campaign(car(), duration=0.1).run(executor=executor)
+
+
 @pytest.mark.parametrize("executor", [Threads(1), Processes(1)], ids=str)
 def test_what_a_function_raises_fails_the_runs_that_it_raises_for(executor, car, same_bits):
     def rarely(result):

@@ -1,8 +1,10 @@
 """``bayesftc replay``: runs once more, those that failed too, of loops and of other diagrams; and stores that are damaged."""
 
+import importlib
 import json
 import pickle
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -163,6 +165,7 @@ def test_a_store_whose_loop_is_damaged_is_refused_in_a_sentence(bayesftc_, tmp_p
         "gone": "cannot be repeated from its store",
         **dict.fromkeys(("other", "another"), "does not hold the loop"),
     }
+    reasons["module"] = "needs the module 'bayesftx', which is not found"
     assert reasons.get(damage, "is damaged, or needs the modules") in message
     assert "Traceback" not in done.output
     assert not (tmp_path / "again").exists()
@@ -177,3 +180,26 @@ def test_an_fmu_that_is_not_the_one_is_refused(bayesftc_, tmp_path):
     done = bayesftc_("replay", "tracking", 0)
     assert done.exit_code == 20
     assert "is missing or damaged" in re.sub(r"\s+", " ", done.stderr)
+
+
+def test_a_module_that_is_not_on_the_path_is_named_with_what_to_do(bayesftc_, tmp_path, monkeypatch):
+    """The command has no present folder on its path, where a script has found the modules beside it."""
+    (tmp_path / "own_loops.py").write_text(
+        "from bayesftc import cosim\n"
+        "def wave(period):\n"
+        "    diagram = cosim.Diagram(dt=0.1)\n"
+        "    diagram.add(cosim.Sine(amplitude=1.0, period=period), 'sine')\n"
+        "    return diagram\n"
+    )
+    with monkeypatch.context() as there:
+        there.syspath_prepend(str(tmp_path))
+        own = importlib.import_module("own_loops")
+        cosim.Campaign(own.wave, duration=1.0, grid={"period": [1.0, 2.0]}).run(tmp_path / "waves")
+    monkeypatch.delitem(sys.modules, "own_loops")
+    done = bayesftc_("replay", "waves", 0, "--out", "again")
+    assert done.exit_code == 20
+    message = re.sub(r"\s+", " ", done.stderr)
+    assert "it needs the module 'own_loops', which is not found" in message
+    assert "PYTHONPATH=" in message
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert bayesftc_("replay", "waves", 0, "--out", "again").exit_code == 0

@@ -211,7 +211,11 @@ def _mover(update: Callable[..., None]) -> Progress:
             return
         last = now
         began, before = first[0]
-        rate = f"{(done - before) / (now - began):.3g} runs/s" if now > began and done > before else ""
+        rate = _rate((done - before) / (now - began)) if now > began and done > before else ""
         update(total=of, completed=done, rate=rate, failed=f"{failed} failed" if failed else "")
 
     return move
+
+
+def _rate(runs: float) -> str:
+    return f"{runs:.3g} runs/s" if runs < 100 else f"{runs:,.0f} runs/s"
