@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -30,8 +31,7 @@ def hashed_seeds(seed: int, purpose: str, count: int) -> list[int]:
     count : int
         How many.
     """
-    sequence = np.random.SeedSequence((check_seed(seed), zlib.crc32(purpose.encode())))
-    return [int(s) for s in sequence.generate_state(count, np.uint64) >> np.uint64(1)]
+    return _drawn(np.random.SeedSequence((check_seed(seed), zlib.crc32(purpose.encode()))), count)
 
 
 def seeds_of_points(
@@ -81,12 +81,27 @@ def seeds_of_points(
         return (own,) * len(labels)
     if seeds < 1:
         raise ModelError(f"seeds is {seeds}; each point needs at least one run.")
-    known: dict[str, tuple[int, ...]] = {}
+    if not independent:
+        return (tuple(hashed_seeds(seed, "", seeds)),) * len(labels)
+    check_seed(seed)
+    known: dict[tuple[str, ...], tuple[int, ...]] = {}
     for point in labels:
-        purpose = "/".join(str(point[name]) for name in independent)
-        if purpose not in known:
-            known[purpose] = tuple(hashed_seeds(seed, purpose, seeds))
-    return tuple(known["/".join(str(point[name]) for name in independent)] for point in labels)
+        values = tuple(repr(point[name]) for name in independent)
+        if values not in known:
+            known[values] = tuple(_seeds_of_values(seed, values, seeds))
+    return tuple(known[tuple(repr(point[name]) for name in independent)] for point in labels)
+
+
+def _seeds_of_values(seed: int, values: tuple[str, ...], count: int) -> list[int]:
+    """Return seeds for values of factors; of 256 bits of hash, for among thousands of points two of 32 bits may be the same."""
+    digest = hashlib.sha256(repr(values).encode()).digest()
+    words = np.frombuffer(digest, dtype="<u4").tolist()
+    return _drawn(np.random.SeedSequence((seed, *words)), count)
+
+
+def _drawn(sequence: np.random.SeedSequence, count: int) -> list[int]:
+    """Return numbers of 63 bits: what columns of tables hold."""
+    return [int(s) for s in sequence.generate_state(count, np.uint64) >> np.uint64(1)]
 
 
 __all__ = ["hashed_seeds", "seeds_of_points"]

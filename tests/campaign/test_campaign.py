@@ -237,6 +237,18 @@ def test_noise_is_independent_only_where_it_is_asked_for():
     assert not set(seeds[0]) & set(seeds[1])
 
 
+def test_seeds_of_independent_points_never_meet():
+    from bayesftc.cosim._campaign.seeds import seeds_of_points
+
+    texts = [{"a": "x/y", "b": "z"}, {"a": "x", "b": "y/z"}, {"a": "1", "b": "z"}, {"a": 1, "b": "z"}]
+    crc32s = [{"a": "plumless", "b": ""}, {"a": "buckeroo", "b": ""}]  # of which CRC-32 is the same
+    for labels, names in ((texts, ["a", "b"]), (crc32s, ["a"])):
+        seeds = seeds_of_points(labels, 10, 0, names)
+        assert len({seed for own in seeds for seed in own}) == 10 * len(labels)
+        assert seeds == seeds_of_points(labels[::-1], 10, 0, names)[::-1]
+    assert seeds_of_points(texts, 3, 1, ["a"]) != seeds_of_points(texts, 3, 2, ["a"])
+
+
 def test_time_limit_is_a_reason(make_block):
     campaign = cosim.Campaign(loop(), duration=20_000.0, seeds=2, time_limit=0.06)
     table = campaign.run(executor=cosim.Threads(1)).table
