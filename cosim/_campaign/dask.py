@@ -6,6 +6,7 @@ tasks too, called by the hash of their content. All three are pure, so what is l
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 import uuid
@@ -62,6 +63,10 @@ class DaskCluster:
         if self.workers is not None and self.address is not None:
             raise ModelError(
                 "workers= is of a cluster on this machine; the one at address= has the workers that it has."
+            )
+        if isinstance(self.address, str) and not re.fullmatch(r"(\w+://)?[^/\s]+:\d+/?|inproc://\S+", self.address):
+            raise ModelError(
+                f"address is {self.address!r}; give that of the Dask scheduler with its port, such as tcp://10.0.0.1:8786."
             )
 
     def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:
@@ -281,6 +286,8 @@ def _client(address: str | Client | None) -> Iterator[Client]:
     """Yield a client of the scheduler, which may be at work already."""
     import dask
     from distributed import Client
+    from distributed.comm.addressing import normalize_address, parse_address
+    from distributed.comm.registry import get_backend
 
     quiet = {
         "distributed.admin.large-graph-warning-threshold": "1 TB"
@@ -290,6 +297,10 @@ def _client(address: str | Client | None) -> Iterator[Client]:
             yield address
             return
         try:
+            if (
+                address is not None
+            ):  # a client that fails of it would be closed once more when Python ends, for 20 seconds
+                get_backend(parse_address(normalize_address(address))[0])
             client = Client(address, timeout=CONNECTING, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise BayesFTCError(

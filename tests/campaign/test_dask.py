@@ -178,6 +178,23 @@ def test_the_connection_to_the_scheduler(cluster, car, monkeypatch):
         DaskCluster(cluster.address, workers=2)
 
 
+@pytest.mark.parametrize("address", ["127.0.0.1", "", "tcp://10.0.0.1", "tcp://", "a b:1"])
+def test_an_address_without_a_port_is_refused_at_once(address):
+    with pytest.raises(ModelError, match=r"address is '.*with its port, such as tcp://10\.0\.0\.1:8786"):
+        DaskCluster(address)
+
+
+def test_an_address_of_no_kind_that_dask_knows_leaves_no_client_behind(car):
+    from distributed import Client
+
+    before = len(Client._instances)
+    with pytest.raises(
+        BayesFTCError, match=r"no Dask scheduler at 'nonsense://x:1' \(unknown address scheme 'nonsense'"
+    ):
+        cosim.Campaign(car(), duration=0.1).run(executor=DaskCluster("nonsense://x:1"))
+    assert len(Client._instances) == before
+
+
 CLIENT = """
 import pickle, sys
 from bayesftc import cosim
