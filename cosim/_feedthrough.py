@@ -29,7 +29,7 @@ class Feedthrough:
         for i, node in enumerate(self._nodes):
             if i not in computing:
                 continue
-            for port in node.block.inputs:
+            for port in node.inputs:
                 for element in range(port.size if port.feedthrough else 0):
                     source = diagram.source_of(node, port, element)
                     if source is not None:

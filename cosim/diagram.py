@@ -51,15 +51,15 @@ class Node:
     def port(self, name: str) -> Port:
         """Return the port of that name, as `Block.port` does."""
         found = next((port for port in (*self.outputs, *self.inputs) if port.name == name), None)
-        return self.block.port(name) if found is None else found
+        return self.block.port(name) if found is None else found  # which says what there is
 
     def __getstate__(self) -> dict[str, Any]:
         return {"name": self.name, "block": self.block, "every": self.every}
 
     def __getitem__(self, port: str) -> PortRef:
         directions: list[tuple[Literal["input", "output"], tuple[Port, ...]]] = [
-            ("output", self.block.outputs),
-            ("input", self.block.inputs),
+            ("output", self.outputs),
+            ("input", self.inputs),
         ]
         for direction, ports in directions:
             for candidate in ports:
@@ -206,10 +206,9 @@ class Diagram:
         other = Diagram(self.step)
         for name, node in self._nodes.items():
             other.add(blocks[name], name, node.every)
-        # Once for each block: some work their ports out whenever they are asked.
-        sizes = {name: {p.name: p.size for p in node.block.inputs} for name, node in self._nodes.items()}
-        inputs = {name: {p.name: p for p in blocks[name].inputs} for name in self._nodes}
-        outputs = {name: {p.name: p for p in blocks[name].outputs} for name in self._nodes}
+        sizes = {name: {p.name: p.size for p in node.inputs} for name, node in self._nodes.items()}
+        inputs = {name: {p.name: p for p in node.inputs} for name, node in other._nodes.items()}
+        outputs = {name: {p.name: p for p in node.outputs} for name, node in other._nodes.items()}
         for (target, port, element), (source, taken) in self._sources.items():
             feeder = source.node.name
             for name, there, known, size in (
@@ -220,7 +219,8 @@ class Diagram:
                 if new is None or new.size != size:
                     raise ConnectionError(
                         f"{type(blocks[name]).__name__} cannot stand where {name!r} does: the port {there!r} of size "
-                        f"{size}, which is connected, {'is not there' if new is None else f'has size {new.size}'}."
+                        f"{size}, which is connected, {'is not there' if new is None else f'has size {new.size}'}. "
+                        "Where sizes are to change, let a function of the factors make the loop."
                     )
             origin = outputs[feeder][source.port.name]
             whole = PortRef(other._nodes[feeder], origin, "output", tuple(range(origin.size)))

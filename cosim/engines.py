@@ -131,7 +131,7 @@ class CompiledEngine:
             start = slots.start
             checked = node.block.checks_finite and call.kind in WRITES
             begin = schedule.outputs_start(call)
-            outputs = begin, begin + sum(p.size for p in node.block.outputs)
+            outputs = begin, begin + sum(p.size for p in node.outputs)
             table = start["parameters"]
             if call.group:
                 group = self._groups[len(rows)] = CompiledGroup(run, call.group)
@@ -293,7 +293,7 @@ class InterpretedEngine:
         if call.node in run.instances:
             instance = run.instances[call.node]
             function = instance.output if call.kind in WRITES else instance.update
-            size_in, size_out = (sum(p.size for p in ports) for ports in (node.block.inputs, node.block.outputs))
+            size_in, size_out = (sum(p.size for p in ports) for ports in (node.inputs, node.outputs))
             inputs = memory[slots.start["inputs"] : slots.start["inputs"] + size_in]
             begin = schedule.outputs_start(call)
             outputs = memory[begin : begin + size_out]
@@ -351,7 +351,7 @@ class InterpretedEngine:
                 return _failure(schedule, call, k, status, function if isinstance(function, GroupRun) else None)
             if node.block.checks_finite and call.kind in WRITES:
                 start = schedule.outputs_start(call)
-                for i in range(start, start + sum(p.size for p in node.block.outputs)):
+                for i in range(start, start + sum(p.size for p in node.outputs)):
                     if not np.isfinite(memory[i]):
                         return _failure(schedule, call, k, NOT_FINITE + i)
         return None

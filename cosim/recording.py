@@ -39,8 +39,8 @@ def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -
         raise ModelError(
             f"record is {record!r}; it must be names of signals or patterns, as ['plant.*'], or None for all outputs."
         )
-    outputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.block.outputs}
-    inputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.block.inputs}
+    outputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.outputs}
+    inputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.inputs}
     known = {**inputs, **outputs}
     chosen: list[str] = []
     for pattern in outputs if record is None else record:

@@ -97,7 +97,7 @@ class Schedule:
         self.free = tuple(
             (node, port)
             for node in self.nodes
-            for port in node.block.inputs
+            for port in node.inputs
             if port.draw is None and all(diagram.source_of(node, port, e) is None for e in range(port.size))
         )
         through = Feedthrough(diagram, {i for i in range(len(self.nodes)) if self._outputs(i)})
@@ -154,7 +154,7 @@ class Schedule:
 
     def output_name(self, i: int, offset: int) -> str:
         """Return the full name of the output of node `i` that lies `offset` places behind its first."""
-        return f"{self.nodes[i].name}.{element_name(self.nodes[i].block.outputs, offset)}"
+        return f"{self.nodes[i].name}.{element_name(self.nodes[i].outputs, offset)}"
 
     @property
     def _tight(self) -> bool:
@@ -196,7 +196,7 @@ class Schedule:
     def _check_inputs(self, diagram: Diagram) -> tuple[Draw, ...]:
         draws = []
         for node, slots in zip(self.nodes, self.slots, strict=True):
-            for port in node.block.inputs:
+            for port in node.inputs:
                 unfed = [e for e in range(port.size) if diagram.source_of(node, port, e) is None]
                 if port.draw is not None:
                     columns = port.shape[1] if len(port.shape) > 1 else 1
@@ -225,7 +225,7 @@ class Schedule:
         What comes from the nodes `ahead` is taken from their outputs ahead of time.
         """
         node, slots, copies = self.nodes[i], self.slots[i], []
-        for port in node.block.inputs:
+        for port in node.inputs:
             if feedthrough not in {None, port.feedthrough}:
                 continue
             for element in range(port.size):
@@ -262,7 +262,7 @@ class Schedule:
         total = len(values)
         for i in sorted({i for seen in self._seen_ahead.values() for i in seen}):
             places[i] = total
-            total += sum(port.size for port in self.nodes[i].block.outputs)
+            total += sum(port.size for port in self.nodes[i].outputs)
         return places, np.concatenate([values, np.full(total - len(values), np.nan)])
 
     def _advance(self, diagram: Diagram, groups: list[Group]) -> tuple[Call, ...]:
@@ -286,7 +286,7 @@ class Schedule:
 
     def _feeds(self, diagram: Diagram, i: int, j: int) -> bool:
         node = self.nodes[j]
-        sources = (diagram.source_of(node, port, e) for port in node.block.inputs for e in range(port.size))
+        sources = (diagram.source_of(node, port, e) for port in node.inputs for e in range(port.size))
         return any(source is not None and source[0].node is self.nodes[i] for source in sources)
 
 
@@ -302,7 +302,7 @@ def _check_sample_time(node: Node, step: Fraction) -> None:
 def _check_signal_names(nodes: tuple[Node, ...]) -> None:
     owners: dict[str, Node] = {}
     for node in nodes:
-        for port in (*node.block.inputs, *node.block.outputs):
+        for port in (*node.inputs, *node.outputs):
             name = f"{node.name}.{port.name}"
             if owners.setdefault(name, node) is not node:
                 raise ModelError(

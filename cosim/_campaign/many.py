@@ -255,7 +255,8 @@ class ManyRuns:
         run.recording, run.before, run.k, run.sound = recording[0], 0, -1, True
         if run.seed != seed:
             run.seed = seed
-            self._engine = choose_engine("auto", run)  # an engine holds numbers that it has drawn ahead
+            if not self._goes_from_run_to_run:  # an interpreted engine holds numbers that it has drawn ahead
+                self._engine = choose_engine("auto", run)
         self._fresh = False
 
         limit = self._limit if limited else None

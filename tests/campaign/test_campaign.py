@@ -308,7 +308,7 @@ def test_pieces_have_each_run_once(counts, size):
             {"grid": {"injection_0.start": ["late"]}},
             "Injection does not take what 'injection_0.start' would have it be",
         ),
-        ({"grid": {"sensors.count": [3]}}, "size 2, which is connected, has size 3"),
+        ({"grid": {"sensors.count": [3]}}, "size 2, which is connected, has size 3. Where .* a function"),
         ({"grid": {"controller.model.dt": [0.04]}}, "must run every 0.04 s, but the diagram runs it every 0.02 s"),
         ({"seeds": 0}, "at least one run"),
         ({"seeds": [1, 1]}, "one twice"),
