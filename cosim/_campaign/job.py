@@ -89,7 +89,9 @@ class Job:
         self.columns = tuple(name for metric in self.metrics for name in metric.columns(first))
         if len(set(self.columns)) < len(self.columns):
             twice = next(name for name in self.columns if self.columns.count(name) > 1)
-            raise ModelError(f"Two metrics are called {twice!r}; give one of them another name=...")
+            raise ModelError(
+                f"Two metrics are called {twice!r}; give one of them another name=..., a function as OfResult(f, name=...)."
+            )
         for name in self.columns:
             if name in OWN or not name:
                 raise ModelError(f"A metric is called {name!r}, as no metric can be; give it another name=...")
