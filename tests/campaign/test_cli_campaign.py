@@ -98,6 +98,17 @@ def test_factors_reach_the_scenario_that_the_file_would_say(file, same_bits, tmp
     same_bits(loop.simulate(2.0, seed=seed)["plant.v"], campaign.replay(10)["plant.v"])
 
 
+def test_a_part_of_what_is_another_factor_is_changed_after_it(file):
+    inner = FILE.replace('"faults[0].start" = [0.5, 1.0]', '"controller.precision.prior_shape" = [2.0, 3.0]')
+    file.write_text(inner.replace('fixed = { kind = "fixed_precision" }', ""))
+    job = load_campaign(file).job
+    learners = [job.diagram(point)["controller"].block.precision for point in range(2)]
+    assert [(type(one).__name__, one.forgetting, one.prior_shape) for one in learners] == [
+        ("GammaPrecision", 0.9, 2.0),
+        ("GammaPrecision", 0.9, 3.0),
+    ]
+
+
 @pytest.mark.parametrize(
     ("line", "instead", "message"),
     [

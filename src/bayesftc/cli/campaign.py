@@ -94,9 +94,11 @@ def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Exec
 
 def _numbers(table: pd.DataFrame, factors: list[str], metrics: list[str]) -> dict[str, Any]:
     """Return what is printed: for each point its factors, and of each metric the mean with its confidence interval."""
+    from bayesftc.cosim._campaign.columns import OWN
     from bayesftc.cosim.statistics import summary
 
-    names = [name if name in table else f"factor:{name}" for name in factors]
+    # A factor that is called like a column of every table, as seed, has another name there.
+    names = [name if name in table and name not in OWN else f"factor:{name}" for name in factors]
     points: list[dict[str, Any]] = [
         {
             "point": int(rows["point"].iloc[0]),

@@ -75,8 +75,8 @@ class ScenarioLoop:
     def __call__(self, **factors: Any) -> Diagram:
         """Return the diagram with these lines changed; the names are paths in the file, such as ``"faults[0].start"``."""
         content = deepcopy(dict(self.content))
-        for name, value in factors.items():
-            _set(content, name, deepcopy(value))
+        for name in sorted(factors, key=_depth):  # the whole before its parts, in whatever order they are named
+            _set(content, name, deepcopy(factors[name]))
         return scenario_of(content, Path(self.path)).loop()
 
 
@@ -239,6 +239,10 @@ def _metrics(given: Any, place: Place) -> list[Metric]:
         build_one_of(METRICS, {"kind": table} if isinstance(table, str) else table, place / i)
         for i, table in enumerate(given)
     ]
+
+
+def _depth(path: str) -> int:
+    return path.count(".") + path.count("[")
 
 
 def _set(content: Any, path: str, value: Any) -> None:
