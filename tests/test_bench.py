@@ -150,3 +150,11 @@ def test_import_is_light():
     code = "import sys, bayesftc.bench; print(sorted({'numba', 'rich', 'fmpy', 'numpy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_section_is_measured_alone_by_its_name(bayesftc_):
+    done = bayesftc_("bench", "memory", "--quick", "--json")
+    assert set(json.loads(done.stdout)) == {"machine", "quick", "memory", "bars"}
+    wrong = bayesftc_("bench", "campain")
+    assert wrong.exit_code == 5
+    assert "did you mean 'campaign'" in wrong.stderr

@@ -45,10 +45,20 @@ def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> list[
     Returns
     -------
     list of Section
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such measurement.
     """
     from rich.console import Console
 
-    done = []
+    from bayesftc.cosim.errors import UnknownNameError, did_you_mean
+
+    sections, done = list(sections), []
+    for name in sections:
+        if name not in SECTIONS:
+            raise UnknownNameError(f"There is no measurement {name!r}; {did_you_mean(name, SECTIONS)}")
     console = Console(stderr=True)
     for name in sections:
         if console.is_terminal:  # a line each and no spinner: its thread would take turns with what is measured

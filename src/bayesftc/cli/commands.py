@@ -378,14 +378,17 @@ def replay(
 
 @app.command()
 def bench(
+    section: Annotated[
+        list[str] | None, typer.Argument(help="What to measure, as campaign or export; by default everything.")
+    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Few and short repetitions: shows that all works, not how fast.")
     ] = False,
     json: Json = False,
     debug: Debug = False,
 ) -> None:
-    """Measure the speed of the engines on this machine."""
+    """Measure speed, start-up, memory and compilation on this machine."""
     with guarded(debug):
         from bayesftc import bench as benchmarks
 
-        benchmarks.main(json=json, quick=quick)
+        benchmarks.main(json=json, quick=quick, sections=section or benchmarks.SECTIONS)
