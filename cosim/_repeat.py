@@ -53,9 +53,7 @@ def repeat(
                 yield Result(rows.copy(), selection.columns, schedule.step, units=selection.units)
 
 
-def _fail(
-    diagram: Diagram, duration: float | str | Fraction, seed: int, record: Iterable[str], reason: str
-) -> None:
+def _fail(diagram: Diagram, duration: float | str | Fraction, seed: int, record: Iterable[str], reason: str) -> None:
     """Raise what a run that has to stop raises, with what it has come to."""
     try:
         diagram.simulate(duration, seed=seed, record=record)

@@ -227,4 +227,13 @@ def failed(stopped: str, result: Result, run: Run) -> SimulationError:
     return SimulationError(stopped, result)
 
 
-__all__ = ["advance", "choose_engine", "explain", "failed", "make_room", "open_run", "place_tables", "warn_of_arithmetic"]
+__all__ = [
+    "advance",
+    "choose_engine",
+    "explain",
+    "failed",
+    "make_room",
+    "open_run",
+    "place_tables",
+    "warn_of_arithmetic",
+]
