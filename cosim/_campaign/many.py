@@ -154,10 +154,8 @@ class ManyRuns:
         self._spares.close()
 
     def _how_many(self, left: int) -> int:
-        if (
-            self._pace == 0.0 or self._repeats is None
-        ):  # the run that is made once more is compared with memory after it
-            return 1
+        if self._pace == 0.0 or self._repeats is None:
+            return 1  # it may be made once more, to be compared with memory after it
         return max(1, min(left, self._few, int(BREATH / self._pace)))
 
     def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], wanted: Wanted, *, more: bool) -> Block:
