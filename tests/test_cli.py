@@ -9,6 +9,7 @@ import pytest
 from sklearn.metrics import roc_auc_score
 
 import bayesftc
+from bayesftc.bench import SECTIONS
 from bayesftc.cli import run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.metrics import figures
@@ -441,9 +442,11 @@ def test_inspect(bayesftc_, tmp_path):
 def test_bench_passes_its_options_on(bayesftc_, monkeypatch):
     seen = []
     monkeypatch.setattr("bayesftc.bench.main", lambda **options: seen.append(options))
-    for options in ([], ["--quick"], ["--quick", "--json"]):
+    for options in ([], ["--quick"], ["--quick", "--json"], ["export", "memory"]):
         assert bayesftc_("bench", *options).exit_code == 0
-    assert seen == [{"json": j, "quick": q} for j, q in ((False, False), (False, True), (True, True))]
+    wanted = [(False, False), (False, True), (True, True)]
+    every = [{"json": j, "quick": q, "sections": SECTIONS} for j, q in wanted]
+    assert seen == [*every, {"json": False, "quick": False, "sections": ["export", "memory"]}]
 
 
 def test_example(bayesftc_, tmp_path):
