@@ -70,13 +70,14 @@ def paths_among(job: Job) -> list[Path]:
 
 
 def _settings(metric: Metric) -> dict[str, Any]:
-    """Return the kind and the settings of a metric, as a campaign file would say them, and the names of its numbers."""
-    settings = {name: value for name, value in vars(metric).items() if not callable(value)}
-    function = {
-        n: f"{getattr(f, '__module__', '')}.{getattr(f, '__qualname__', _said(f))}" for n, f in vars(metric).items()
-    }
-    plain = {n: v if isinstance(v, bool | int | float | str | None) else _said(v) for n, v in settings.items()}
-    return {"kind": type(metric).__name__, **plain, **{n: f for n, f in function.items() if n not in settings}}
+    """Return the kind and the settings of a metric, as a campaign file would say them; of functions their names."""
+    return {"kind": type(metric).__name__, **{name: _setting(value) for name, value in vars(metric).items()}}
+
+
+def _setting(value: Any) -> Any:
+    if callable(value):
+        return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', _said(value))}"
+    return value if isinstance(value, bool | int | float | str | None) else _said(value)
 
 
 def _roles(diagram: Diagram) -> dict[str, Any]:
