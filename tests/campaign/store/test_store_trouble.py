@@ -81,6 +81,22 @@ class Killed(BaseException):
     """What a process meets in place of its `count`-th change of a file, and of each one after it."""
 
 
+class Wrapped:
+    """A file that is written to; how, its heirs say."""
+
+    def __init__(self, file):
+        self._file = file
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._file.close()
+
+    def fileno(self):
+        return self._file.fileno()
+
+
 @contextmanager
 def killed_at(count):
     """Let `count` changes of files happen, and no more: of the next one that writes only a part comes to be."""
@@ -99,19 +115,7 @@ def killed_at(count):
 
         return call
 
-    class File:
-        def __init__(self, file):
-            self._file = file
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            self._file.close()
-
-        def fileno(self):
-            return self._file.fileno()
-
+    class File(Wrapped):
         def write(self, data):
             if not alive():
                 self._file.write(data[: len(data) // 2])
@@ -235,19 +239,7 @@ def full_after(size):
     """Let `size` bytes be written, and no more, as on a full disk."""
     left, lock = [size], threading.Lock()
 
-    class Full:
-        def __init__(self, file):
-            self._file = file
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            self._file.close()
-
-        def fileno(self):
-            return self._file.fileno()
-
+    class Full(Wrapped):
         def write(self, data):
             with lock:
                 some = min(len(data), left[0])
