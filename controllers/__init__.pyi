@@ -29,6 +29,7 @@ from .fault_modes import (
     Noisier as Noisier,
     Offset as Offset,
     Ramping as Ramping,
+    Unmodelled as Unmodelled,
 )
 from .gamma import GammaPrecision as GammaPrecision
 from .identification import Identification as Identification

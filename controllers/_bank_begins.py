@@ -39,6 +39,7 @@ def make_begin(layout: Layout) -> Callable[..., None]:
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, grow, first_actuator, process = layout.first, layout.grow, layout.first_actuator, layout.process
     of_actuators, of_process, witnessed = layout.actuator_settings, layout.process_settings, make_witnessed(layout)
+    first_lost, U, lost = layout.first_lost, len(layout.lost), layout.lost or (0,)
 
     def begin_all(memory, settings):
         for i in range(m):
@@ -49,6 +50,9 @@ def make_begin(layout: Layout) -> Callable[..., None]:
                 )
                 healthy = memory[none + kept + i * sensor + HEALTHY]
                 memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (seen if slow[q] else 1.0)
+            for u in range(U):
+                begin = settings[i * row_length + FIRST_SETTINGS + lost[u] * width_of_settings + BEGINS]
+                memory[grow + first_lost + i * U + u] = memory[none] * memory[none + kept + i * sensor + HEALTHY] * begin
         for j in range(p):
             for q in range(L):
                 begin = settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
@@ -70,7 +74,8 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
     kinds, fresh, begins_here, alone = layout.kinds or (0,), layout.fresh, layout.begins_here, layout.alone
     row_length, width, width_of_settings, sensor = layout.row, layout.width, layout.width_of_settings, layout.sensor
     none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
-    first_actuator, process = layout.first_actuator, layout.process
+    first_actuator, process, first_lost, U = layout.first_actuator, layout.process, layout.first_lost, len(layout.lost)
+    courses, course = layout.courses, layout.course
     of_actuators, of_process, receive = layout.actuator_settings, layout.process_settings, make_receive(layout)
 
     def arrive_offsets(e, nominal, memory, settings, stays, left):
@@ -95,6 +100,15 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
                 cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk
                 receive(memory, at, came, pool, i, memory[block + AGE], memory[block + SIZE] + b, b, cc, cb, bb)
         return stays, left
+
+    def arrive_lost(memory, stays):
+        for i in range(m):
+            for u in range(U):
+                at, came = none + (first_lost + i * U + u) * stride, memory[grow + first_lost + i * U + u]
+                stays = stays - came
+                memory[courses + (i * U + u) * course] = came / (memory[at] + came)
+                receive(memory, at, came, none, i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return stays
 
     def arrive_actuators(applied, memory, settings, stays):
         for j in range(p):
@@ -133,7 +147,7 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
 
     def arrive(e, Q, nominal, applied, memory, settings):
         stays, left = arrive_offsets(e, nominal, memory, settings, memory[none], memory[pool])
-        stays = arrive_process(Q, memory, settings, arrive_actuators(applied, memory, settings, stays))
+        stays = arrive_process(Q, memory, settings, arrive_actuators(applied, memory, settings, arrive_lost(memory, stays)))
         go_on(memory, maximum(stays, LEAST), maximum(left, LEAST))
 
     return arrive

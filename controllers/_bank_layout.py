@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesftc.controllers._bank_kernels import PROBABILITY, STATE
+from bayesftc.controllers._course import COURSE_SCRATCH, COURSE
 from bayesftc.controllers._switching_kernels import FIRST, FIRST_SETTINGS, LEAST
 from bayesftc.cosim.block import Floats
 
@@ -28,8 +29,9 @@ class Layout:
     """The numbers of a bank.
 
     The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
-    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each mode of each actuator; each of the
-    process, and that one of those has ended), the pool, and scratch space. The settings are those of the per-sensor form,
+    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each mode
+    of each actuator; each of the process, and that one of those has ended), the pool, what is kept of these courses, and scratch
+    space. The settings are those of the per-sensor form,
     then those of each mode of each actuator and of the process.
 
     An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
@@ -47,6 +49,8 @@ class Layout:
         For each of these, which one it is after its first sample: itself, or the earlier one of the same mode.
     slow : tuple of int
         For each of these, whether other sensors must bear witness (1 or 0).
+    lost : tuple of int
+        Which of the sensors' modes are courses of their own, of which the state is inferred without that sensor.
     alone, other : tuple of int
         For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
         takes no part.
@@ -67,6 +71,7 @@ class Layout:
     kinds: tuple[int, ...]
     becomes: tuple[int, ...]
     slow: tuple[int, ...]
+    lost: tuple[int, ...]
     alone: tuple[int, ...]
     other: tuple[int, ...]
     faults: tuple[int, ...]
@@ -121,9 +126,14 @@ class Layout:
         return self.process + self.process_modes + (self.process_modes > 0)
 
     @property
+    def first_lost(self) -> int:
+        """Which hypothesis is the first one that a sensor goes its own course; up to it all have an offset, but for the very first."""
+        return 1 + self.m * len(self.kinds)
+
+    @property
     def first_actuator(self) -> int:
         """Which hypothesis is the first one of a mode of an actuator."""
-        return 1 + self.m * len(self.kinds)
+        return self.first_lost + self.m * len(self.lost)
 
     @property
     def process(self) -> int:
@@ -171,9 +181,19 @@ class Layout:
         return self.couples + self.n + 2
 
     @property
+    def courses(self) -> int:
+        """Where the courses stand, for each sensor and each of its modes that is one: how much has just begun, and the regression."""
+        return self.shift + self.n + 2
+
+    @property
+    def course(self) -> int:
+        """How many numbers are kept of a course."""
+        return 1 + COURSE
+
+    @property
     def scratch(self) -> int:
         """Where scratch space begins."""
-        return self.shift + self.n + 2
+        return self.courses + self.m * len(self.lost) * self.course
 
     def start(self, sensors: Floats) -> Floats:
         """Return what is kept before the first sample besides ``sensors``, what the per-sensor form keeps of all of them."""
@@ -185,5 +205,6 @@ class Layout:
         hypothesis[self.kept :] = sensors
         hypotheses = np.tile(hypothesis, (self.hypotheses + 1, 1))  # the last one is the pool
         hypotheses[:, PROBABILITY] = [1.0, *[LEAST] * self.hypotheses]
-        scratch = np.zeros(2 * self.hypotheses + 2 * N + N * N)
-        return np.concatenate([np.tile(actuator, self.p), hypotheses.ravel(), scratch])
+        before = np.zeros(self.scratch - self.grow)
+        scratch = np.zeros(max(N * N, COURSE_SCRATCH))
+        return np.concatenate([np.tile(actuator, self.p), hypotheses.ravel(), before, scratch])

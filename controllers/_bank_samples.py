@@ -18,6 +18,7 @@ from bayesftc.controllers._bank_layout import (
     WORKS,
     Layout,
 )  # fmt: skip
+from bayesftc.controllers._course import follow, misfit
 from bayesftc.controllers._mode_kernels import AGE, SIZE, TRUST, WEIGHT, log_density
 from bayesftc.controllers._switching_kernels import (
     FIRST,
@@ -28,12 +29,13 @@ from bayesftc.controllers._switching_kernels import (
     LEAST_TRUST,
     MODE_ARRIVES,
     MODE_MISSING,
+    OWN_SETTINGS,
     TRUSTED,
     held,
     share_of,
 )  # fmt: skip
 from bayesftc.controllers.precision import NAN
-from bayesftc.cosim.ops import both, log, maximum, minimum, select
+from bayesftc.cosim.ops import both, log, maximum, minimum, select, sqrt
 
 ABSURD = 1e12
 """Largest variance of an innovation, in the sensor's own, up to which a larger innovation is learned from: beyond it hypotheses
@@ -60,11 +62,14 @@ def make_weigh(
     kinds, sensor, row_length = layout.kinds or (0,), layout.sensor, layout.row
     width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
     told, scratch = layout.grow + H, layout.scratch
+    first_lost, first_actuator, U, lost = layout.first_lost, layout.first_actuator, len(layout.lost), layout.lost or (0,)
+    courses, course = layout.courses, layout.course
 
     def weigh(y, e, present, nominal, C, memory, settings):
         for h in range(H):
             at = none + h * stride
             memory[told + h] = 0.0 * memory[none]
+            offset = 1 if (h > 0 and h < first_lost) or (h >= first_actuator and h < process) else 0
             for i in range(m):
                 variance, row = nominal[i, i], i * row_length
                 q = h - 1 - i * K  # which kind of offset this sensor has, if it has one
@@ -78,8 +83,7 @@ def make_weigh(
                         present[i] > 0.5, density, settings[own + MODE_MISSING]
                     )
                     correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
-                else:
-                    offset = 1 if h > 0 and h < process else 0
+                elif h < first_lost + i * U or h >= first_lost + (i + 1) * U:
                     spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
@@ -91,6 +95,20 @@ def make_weigh(
                     memory[told + h] = memory[told + h] + density
                     noise = variance / memory[own + TRUSTED]
                     correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
+        for i in range(m):
+            for u in range(U):
+                h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
+                at, own, variance = none + h * stride, i * row_length + k, nominal[i, i]
+                spread, expected = expect(memory, at, n, 0, 0, i, C, scratch)
+                error = held(e[i] - expected, minimum(spread + variance, ABSURD * variance))
+                deviation, begun = sqrt(variance), courses + (i * U + u) * course
+                change = y[i] - memory[i * sensor + LAST]
+                density = follow(
+                    error / deviation, change / deviation, present[i], memory[begun], memory, begun + 1, scratch,
+                    settings, own + OWN_SETTINGS,
+                ) - log(deviation)  # fmt: skip
+                density = select(present[i] > 0.5, settings[own + MODE_ARRIVES] + density, settings[own + MODE_MISSING])
+                memory[told + h] = memory[told + h] + density
         most = memory[told]
         for h in range(1, H):
             most = maximum(most, memory[told + h])
@@ -165,14 +183,17 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
         layout.first_actuator,
     )
     actuators, actuator, of_actuators = layout.actuators, layout.actuator, layout.actuator_settings
+    first_lost, U, lost, courses, course = (
+        layout.first_lost, len(layout.lost), layout.lost or (0,), layout.courses, layout.course,
+    )  # fmt: skip
 
     def summarise(y, present, memory, settings):
         for i in range(m):
             own = i * sensor
             healthy, trust = 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
-                q = h - 1 - i * K
-                if q < 0 or q >= K:
+                q, u = h - 1 - i * K, h - first_lost - i * U
+                if (q < 0 or q >= K) and (u < 0 or u >= U):
                     at = none + h * stride
                     healthy = healthy + memory[at] * memory[at + kept + own + HEALTHY]
                     trust = trust + memory[at] * memory[at + kept + own + TRUSTED]
@@ -184,8 +205,13 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 weight, trusted = 0.0 * memory[none], 0.0 * memory[none]
                 size, age = 0.0 * memory[none], 0.0 * memory[none]
                 for h in range(H):
-                    at, q = none + h * stride, h - 1 - i * K
-                    if q < 0 or q >= K:
+                    at, q, u = none + h * stride, h - 1 - i * K, h - first_lost - i * U
+                    if u >= 0 and u < U:
+                        if lost[u] == k:
+                            size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
+                            age = age + memory[at] * memory[at + OFFSET_AGE]
+                            weight = weight + memory[at]
+                    elif q < 0 or q >= K:
                         here = at + kept + block
                         part = memory[at] * memory[here + WEIGHT]
                         size = size + part * memory[here + SIZE]

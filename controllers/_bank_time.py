@@ -53,6 +53,7 @@ def make_pass_time(
     begin, set_out = make_begin(layout), make_set_out(layout)
     move_offsets, move_actuators = make_move_offsets(layout, pass_other), make_move_actuators(layout, pass_other)
     move_process, arrive = make_move_process(layout, pass_other), make_arrive(layout)
+    move_lost = make_move_lost(layout, pass_other)
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
     couples, shift, scratch = layout.couples, layout.shift, layout.scratch
 
@@ -65,6 +66,7 @@ def make_pass_time(
             memory, none, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
         )  # fmt: skip
         move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings)
+        move_lost(A, Q, start, covariance, largest, memory, settings)
         move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings)
         move_process(A, Q, start, covariance, largest, memory, settings)
         arrive(e, Q, nominal, applied, memory, settings)
@@ -138,6 +140,31 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                     become(memory, none + (1 + i * K + becomes[q]) * stride, at, i)
 
     return move_offsets
+
+
+@cache
+def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that moves the hypotheses that a sensor goes its own course, of which some end."""
+    n, m, U, lost = layout.n, layout.m, len(layout.lost), layout.lost or (0,)
+    row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
+    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    first_lost, collect = layout.first_lost, make_collect(layout)
+
+    def move_lost(A, Q, start, covariance, largest, memory, settings):
+        for i in range(m):
+            for u in range(U):
+                at = none + (first_lost + i * U + u) * stride
+                row = i * row_length + FIRST_SETTINGS + lost[u] * width_of_settings
+                for j in range(m):
+                    if j != i:
+                        pass_other(memory, at + kept + j * sensor, settings, j * row_length)
+                move(
+                    memory, at, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
+                )  # fmt: skip
+                memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
+                collect(memory, at, settings[row + ENDS], i)
+
+    return move_lost
 
 
 @cache

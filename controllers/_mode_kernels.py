@@ -4,6 +4,7 @@ Each has the arguments of `drops` below: one sample of one sensor, and where the
 the sample's density, which counts only if there is a sample; what it writes as the `FACTOR` is still to be multiplied with that.
 """
 
+from bayesftc.controllers._course import COURSE, follow, misfit
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.cosim.ops import absolute, log, maximum, minimum, select, sqrt
 
@@ -125,3 +126,13 @@ def scatters(e, present, variance, nominal, change, healthy, memory, at, setting
     memory[at + TRUST] = minimum(a * a * part, 1.0)
     memory[at + SIZE] = sqrt(b * b * part)
     return told
+
+
+def goes_its_way(e, present, variance, nominal, change, healthy, memory, at, settings, first):
+    """Go a course of its own, which is learned (``_course.py``). Own numbers: what is kept of the course, and scratch space."""
+    deviation, own = sqrt(nominal), at + OWN
+    told = follow(
+        e / deviation, change / deviation, present, memory[at + ENTERED], memory, own, own + COURSE, settings, first
+    )  # fmt: skip
+    memory[at + SIZE] = misfit(memory, own)
+    return select(change == change, told - log(deviation), healthy)

@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from bayesftc.controllers import _mode_kernels as kernels
+from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
 from bayesftc.controllers._checks import as_number, as_vector, check_number
 from bayesftc.controllers._mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST, log_density
 
@@ -63,6 +64,8 @@ class FaultMode:
     """Whether it is told from the state's own motion only while another sensor is healthy (in the joint form)."""
     is_fault: ClassVar[bool] = True
     """Whether the sensor has failed that is in this mode."""
+    own_hypothesis: ClassVar[bool] = False
+    """Whether the joint form has a hypothesis for each sensor that fails so, of which the state is inferred without it."""
     joint_only: ClassVar[bool] = False
     """Whether it takes part only where its offset is estimated together with the state, as it gains nothing elsewhere."""
 
@@ -259,6 +262,53 @@ class Noisier(FaultMode):
 
 
 @dataclass(frozen=True)
+class Unmodelled(FaultMode):
+    """The sensor has failed in a way that has no mode of its own: its samples go their own course, which is learned.
+
+    Its innovations are a linear regression on a constant, on their predecessor, on the change of what is predicted and on the
+    prediction itself, with noise of any scale: so are those of a sensor that is frozen with a dither, filtered, late, swapped,
+    oscillating or of another gain. In the joint form the state is inferred without this sensor meanwhile, in a hypothesis
+    for each sensor.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `FaultMode`.
+    scale, shape : float
+        Expected standard deviation of the regression's noise at the onset, in nominal ones, and shape of the gamma distribution
+        of its precision.
+    forgetting : float
+        Forgetting factor of the regression in (0, 1] per sample.
+    fading : float
+        Factor per sample by which the slow part of the prediction is left out.
+    means, deviations : sequence of float
+        Means and standard deviations of the four coefficients at the onset; the latter in those of the regression's noise.
+    """
+
+    scale: float = 1.0
+    shape: float = 1.0
+    forgetting: float = 0.97
+    fading: float = 0.99
+    means: Sequence[float] = (0.0, 0.5, 0.0, 0.0)
+    deviations: Sequence[float] = (3.0, 0.5, 0.5, 0.3)
+
+    own_hypothesis: ClassVar[bool] = True
+    evidence: ClassVar[Callable[..., float]] = kernels.goes_its_way
+
+    @property
+    def first(self) -> tuple[float, ...]:
+        """See `FaultMode.first`."""
+        return 0.0, self.scale, *[0.0] * (COURSE + COURSE_SCRATCH)
+
+    def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
+        """See `FaultMode.settings`."""
+        weights = [deviation**-2 for deviation in self.deviations]
+        explained = sum(weight * mean**2 for weight, mean in zip(weights, self.means, strict=True))
+        rate = self.shape * self.scale**2 + 0.5 * explained
+        return self.forgetting, self.fading, self.shape, rate, *self.means, *weights
+
+
+@dataclass(frozen=True)
 class Burst(Noisier):
     """The noise swells for a moment and passes, as a wheel's does on a bump: such a sensor has not failed.
 
@@ -279,10 +329,10 @@ class Burst(Noisier):
     is_fault: ClassVar[bool] = False
 
 
-FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, Noisier, DroppedOut, Burst)
+FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, Unmodelled, Noisier, DroppedOut, Burst)
 """To add a fault mode, write it by the rules above and name it here."""
 
 __all__ = [
     "ENTERED", "FACTOR", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Burst", "Drifting", "DroppedOut", "FaultMode", "Frozen",
-    "Noisier", "Offset", "Ramping", "log_density",
+    "Noisier", "Offset", "Ramping", "Unmodelled", "log_density",
 ]  # fmt: skip

@@ -19,7 +19,7 @@ from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._ports import port
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
 from bayesftc.controllers.actuator_modes import ActuatorMode
-from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping
+from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping, Unmodelled
 from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
 from bayesftc.controllers.process_modes import PROCESS_MODES, NoisierProcess
 from bayesftc.cosim.errors import ModelError
@@ -136,7 +136,8 @@ class SwitchingPrecision(PrecisionLearner):
             )
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         own = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
-        first = [first_of(mode) for mode in self.modes]
+        bank = self._has_bank(model)
+        first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
         width = TRUST + max(map(len, first))
         settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in own for values in of_sensor)
         settings = []
@@ -188,7 +189,7 @@ class SwitchingPrecision(PrecisionLearner):
                 f"{who} learns precisions apart from the state, so that modes of the process cannot be told; {instead}, or leave "
                 "the process modes out."
             )
-        return replace(self, process_modes=())
+        return replace(self, process_modes=(), joint=False)
 
     @property
     def _usual_process(self) -> bool:
@@ -204,13 +205,18 @@ class SwitchingPrecision(PrecisionLearner):
         """The modes that are estimated together with the state in the joint form."""
         return tuple(k for k, mode in enumerate(self.modes) if isinstance(mode, Offset))
 
+    @property
+    def _lost(self) -> tuple[int, ...]:
+        """The modes in which the state is inferred without the sensor, in the joint form."""
+        return tuple(k for k, mode in enumerate(self.modes) if mode.own_hypothesis)
+
     def _is_joint(self, model: LinearModel) -> bool:
         nominal = model.matrix("sensor_covariance")
         return self.joint and not np.any(nominal != np.diag(np.diag(nominal)))
 
     def _has_bank(self, model: LinearModel) -> bool:
         """Return whether there is anything for the joint form to tell."""
-        return self._is_joint(model) and bool(self._kinds or self.actuator_modes)
+        return self._is_joint(model) and bool(self._kinds or self._lost or self.actuator_modes)
 
     def _acting(self, model: LinearModel) -> tuple[NoisierProcess, ...]:
         """Return the process modes that can act; those that were given must."""
@@ -239,6 +245,7 @@ class SwitchingPrecision(PrecisionLearner):
             return None
         step = float(model.step)
         begins = model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in kinds)
+        begins += model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in self._lost)
         begins += model.controls * sum(chance(mode, "time_to_fault", step) for mode in actuator_modes)
         begins += sum(mode.settings(step)[0] for mode in process_modes)
         if begins >= 1:
@@ -257,7 +264,7 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
-            becomes=becomes, slow=slow, alone=spans[0], other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes),
+            becomes=becomes, slow=slow, lost=self._lost, alone=spans[0], other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes),
             process_modes=len(process_modes), width=width, width_of_settings=settings,
         )  # fmt: skip
 
@@ -266,9 +273,13 @@ class SwitchingPrecision(PrecisionLearner):
 
         There a drift needs a third sensor that bears witness.
         """
-        alone = tuple(k for k, mode in enumerate(self.modes) if not isinstance(mode, Offset))
+        alone = tuple(k for k, mode in enumerate(self.modes) if not (isinstance(mode, Offset) or mode.own_hypothesis))
         witness = sensors > 2
-        other = (k for k, mode in enumerate(self.modes) if not mode.joint_only and (witness or not mode.needs_witness))
+        other = (
+            k
+            for k, mode in enumerate(self.modes)
+            if not (mode.joint_only or mode.own_hypothesis) and (witness or not mode.needs_witness)
+        )
         return alone, tuple(other)
 
     def _infer(self, layout: Layout, evidence: tuple[Callable[..., float], ...]) -> Callable[..., None]:
