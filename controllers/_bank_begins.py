@@ -9,6 +9,7 @@ from bayesftc.controllers._bank_kernels import blend, blend_sensor, inflate
 from bayesftc.controllers._bank_layout import (
     ACTUATOR_SETTINGS,
     BEGIN,
+    FADES,
     FOLLOWS,
     MEAN,
     MORE,
@@ -128,7 +129,7 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
             stays = stays - came
             part = came / (memory[at] + came)
             receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            inflate(memory, at, n, plant, part * settings[own + MORE], Q)
+            inflate(memory, at, n, plant, part * settings[own + MORE], part * settings[own + FADES], Q)
         return stays
 
     def go_on(memory, stays, left):

@@ -9,7 +9,7 @@ leaves c and b alone.
 from bayesftc.controllers._filter import MEAN_CAP
 from bayesftc.controllers._mode_kernels import AGE, WEIGHT
 from bayesftc.controllers._switching_kernels import HEALTHY, LEAST
-from bayesftc.cosim.ops import absolute, both, maximum, select
+from bayesftc.cosim.ops import absolute, both, maximum, select, sqrt
 
 PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
 
@@ -158,12 +158,20 @@ def blend_healthy(memory, at, part, first, width, modes):
         memory[weight] = maximum((1.0 - part) * memory[weight], LEAST)
 
 
-def inflate(memory, at, n, plant, more, Q):
-    """Add so much of the process noise to what a hypothesis does not know of the first states, those of the plant."""
-    P = at + STATE + n + 2
+def inflate(memory, at, n, plant, more, fades, Q):
+    """Let a hypothesis know less of the first states, those of the plant.
+
+    To their covariance ``more`` times the process noise is added, after it has grown by the part ``fades`` of itself.
+    """
+    P, N = at + STATE + n + 2, n + 2
+    grows = sqrt(1.0 + fades)
+    for a in range(plant):
+        for b in range(n):
+            memory[P + a * N + b] = memory[P + a * N + b] * grows
+            memory[P + b * N + a] = memory[P + b * N + a] * grows
     for a in range(plant):
         for b in range(plant):
-            memory[P + a * (n + 2) + b] = memory[P + a * (n + 2) + b] + more * Q[a, b]
+            memory[P + a * N + b] = memory[P + a * N + b] + more * Q[a, b]
 
 
 def expect(memory, at, n, offset, reads, sensor, C, direction):

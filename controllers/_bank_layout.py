@@ -15,8 +15,8 @@ ACTUATOR_SETTINGS = 9
 BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACTUATOR_SETTINGS)
 """Places in the settings of one mode of one actuator."""
 
-PROCESS_SETTINGS = 3
-STARTS, STOPS, MORE = range(PROCESS_SETTINGS)
+PROCESS_SETTINGS = 4
+STARTS, STOPS, MORE, FADES = range(PROCESS_SETTINGS)
 """Places in the settings of one mode of the process: probabilities that it begins and ends, the variance that it adds."""
 
 WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)

@@ -27,6 +27,7 @@ from bayesftc.controllers._switching_kernels import (
     LAST,
     LEAST,
     LEAST_TRUST,
+    NOISE,
     MODE_ARRIVES,
     MODE_MISSING,
     OWN_SETTINGS,
@@ -71,7 +72,7 @@ def make_weigh(
             memory[told + h] = 0.0 * memory[none]
             offset = 1 if (h > 0 and h < first_lost) or (h >= first_actuator and h < process) else 0
             for i in range(m):
-                variance, row = nominal[i, i], i * row_length
+                variance, row = nominal[i, i] * memory[i * sensor + NOISE], i * row_length
                 q = h - 1 - i * K  # which kind of offset this sensor has, if it has one
                 if q >= 0 and q < K:
                     spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)

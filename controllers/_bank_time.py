@@ -11,6 +11,7 @@ from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
     END,
+    FADES,
     FOLLOWS,
     LOAD,
     MEAN,
@@ -222,6 +223,6 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
                 ended = memory[at] * settings[own + STOPS]
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-                inflate(memory, at, n, plant, settings[own + MORE], Q)
+                inflate(memory, at, n, plant, settings[own + MORE], settings[own + FADES], Q)
 
     return move_process

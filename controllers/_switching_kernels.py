@@ -1,10 +1,12 @@
 """Step functions of switching between fault modes: time passing, probabilities, and what they say of a sensor.
 
 What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample, the probability of being `HEALTHY`, the precision
-that it deserves in nominal ones (`TRUSTED`); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
+that it deserves in those of its noise while healthy (`TRUSTED`); the variance of that `NOISE` in nominal ones, with shape and rate of
+the gamma distribution that it is learned by (one for all hypotheses, where there are such); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
 it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). After all
 sensors follow the number of samples and the logarithm of the last ones' density. The settings likewise, from ``row`` on: the
-logarithms of the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`, and a block for each mode: the
+logarithms of the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how much each sample `KEEPS` of
+what was learned, the prior's shape, and its bounds; and a block for each mode: the
 probabilities that it `BEGINS`, `LASTS`, `ENDS`, the logarithms of those that a sample arrives and is missing, and the mode's
 own settings.
 
@@ -16,8 +18,8 @@ from bayesftc.controllers._mode_kernels import AGE, ENTERED, FURTHEST, SIZE, WEI
 from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import exp, maximum, minimum, select, sqrt
 
-LAST, HEALTHY, TRUSTED, FIRST = 0, 1, 2, 3
-ARRIVES, MISSING, FIRST_SETTINGS = 0, 1, 2
+LAST, HEALTHY, TRUSTED, NOISE, NOISE_SHAPE, NOISE_RATE, FIRST = range(7)
+ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, FIRST_SETTINGS = range(7)
 BEGINS, LASTS, ENDS, MODE_ARRIVES, MODE_MISSING, OWN_SETTINGS = 0, 1, 2, 3, 4, 5
 
 LEAST = 5e-131
@@ -48,6 +50,18 @@ def pass_mode(memory, block, healthy, settings, row):
     return ended - begun
 
 
+def learn_noise(squared, sound, memory, at, settings, row):
+    """Learn the variance of a sensor's noise while it is healthy, from its expected square in nominal variances.
+
+    The precision is gamma distributed; a sample counts as far as the sensor is ``sound``: present, and healthy by this sample.
+    """
+    lost = sound * (1.0 - settings[row + KEEPS])
+    shape = memory[at + NOISE_SHAPE] + lost * (settings[row + SHAPE0] - memory[at + NOISE_SHAPE]) + 0.5 * sound
+    rate = memory[at + NOISE_RATE] + lost * (settings[row + SHAPE0] - memory[at + NOISE_RATE]) + 0.5 * sound * squared
+    memory[at + NOISE_SHAPE], memory[at + NOISE_RATE] = shape, rate
+    memory[at + NOISE] = maximum(minimum(rate / shape, settings[row + MOST_NOISE]), settings[row + LEAST_NOISE])
+
+
 def share_of(told, most):
     """Return the density of a sample over the largest one, from their logarithms."""
     return exp(maximum(told - most, LEAST_LOG))
@@ -63,10 +77,10 @@ def failed(memory, at, width, faults):
 
 
 def use_trust(memory, length, i, present, nominal, R, used, precision, beta):
-    """Write a sensor's part of the sensors' covariance: the nominal one over what each sensor deserves."""
-    trust = memory[i * length + TRUSTED]
+    """Write a sensor's part of the sensors' covariance: the nominal one by its noise, over what each sensor deserves."""
+    trust = memory[i * length + TRUSTED] / memory[i * length + NOISE]
     for j in range(i):
-        R[i, j] = nominal[i, j] / sqrt(trust * memory[j * length + TRUSTED])
+        R[i, j] = nominal[i, j] / sqrt(trust * (memory[j * length + TRUSTED] / memory[j * length + NOISE]))
         R[j, i] = R[i, j]
     R[i, i] = nominal[i, i] / trust
     used[i] = present[i]

@@ -50,10 +50,14 @@ _LEARN = """
 told = 0.0 * nominal[0, 0]
 for i in range(y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
-    variance = spread[i, i] + nominal[i, i]
+    noise = nominal[i, i] * memory[at + NOISE]
+    variance = spread[i, i] + noise
     pass_time(memory, at, settings, row)
     change = y[i] - memory[at + LAST]
-    told = told + weigh(e[i], present[i], variance, nominal[i, i], change, memory, at, settings, row)
+    told = told + weigh(e[i], present[i], variance, noise, change, memory, at, settings, row)
+    part = noise / variance
+    squared = part * (part * e[i] * e[i] + spread[i, i])
+    learn_noise(minimum(squared / nominal[i, i], FURTHEST), present[i] * memory[at + HEALTHY], memory, at, settings, row)
     memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
     fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
     use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)

@@ -41,6 +41,13 @@ if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
 
 
+REPEATS_STRENGTH = 10.0
+"""How many samples it counts as what share of repetitions is expected of a healthy sensor."""
+
+MOST_REPEATS = 0.6
+"""Largest such share that is learned: a sensor of which more repeat is frozen, or has a resolution that should be told."""
+
+
 @dataclass(frozen=True)
 class FaultMode:
     """Base of all fault modes.
@@ -97,11 +104,15 @@ class Frozen(FaultMode):
         Standard deviation of the dither, in those of the sensor's noise.
     resolution : float or sequence of float
         Resolution of the sensors in their unit, for all or for each: a healthy sensor repeats itself, too, if that is coarse.
+    healthy_repeats : float
+        Share of the samples that a healthy sensor repeats exactly, as expected before the first one. It is learned while the
+        sensor is not frozen; this counts as ten samples.
     """
 
     repeats: float = 0.9
     dither: float = 0.01
     resolution: float | Sequence[float] = 0.0
+    healthy_repeats: float = 0.005
 
     evidence: ClassVar[Callable[..., float]] = kernels.freezes
 
@@ -109,6 +120,7 @@ class Frozen(FaultMode):
         super().__post_init__()
         check_number(self, "repeats", above=0, below=1)
         check_number(self, "dither", above=0)
+        check_number(self, "healthy_repeats", above=0, below=1)
         each = self.resolution if isinstance(self.resolution, list | tuple | np.ndarray) else (self.resolution,)
         for value in each:
             as_number("Frozen has resolution", value, least=0)
@@ -121,7 +133,13 @@ class Frozen(FaultMode):
         width = max(float(resolution[sensor]), 1e-9 * sqrt(nominal))
         spread = 2 * self.dither**2 * nominal + width**2 / 6
         near = log(1 - self.repeats) - 0.5 * (log(spread) + kernels.LOG_2_PI)
-        return 0.5 * width, log(self.repeats / width), near, spread
+        prior = self.healthy_repeats * REPEATS_STRENGTH, REPEATS_STRENGTH
+        return 0.5 * width, self.repeats, near, spread, *prior, max(MOST_REPEATS, self.healthy_repeats)
+
+    @property
+    def first(self) -> tuple[float, ...]:
+        """See `FaultMode.first`."""
+        return 0.0, nan, 0.0, 0.0, -1.0
 
 
 @dataclass(frozen=True)

@@ -30,20 +30,21 @@ class NoisierProcess:
     time_to_fault: float = 30000.0
     time_to_recovery: float = 0.0
     scale: float = 50.0
+    fading: float = 1.0
 
     def __post_init__(self) -> None:
         check_number(self, "time_to_fault", above=0)
         check_number(self, "time_to_recovery", least=0)
-        check_number(self, "scale", above=1, most=1e6)
+        check_number(self, "scale", least=1, most=1e6)
 
-    def settings(self, step: float) -> tuple[float, float, float]:
+    def settings(self, step: float) -> tuple[float, float, float, float]:
         """Return the probabilities per sample with which it begins and ends, and how much variance it adds, in nominal ones.
 
         The time that it lasts counts from its first sample on and may be 0: so a mean time T has the probability
         step / (step + T).
         """
         begins, ends = step / (step + self.time_to_fault), step / (step + self.time_to_recovery)
-        return begins, ends, self.scale**2 - 1.0
+        return begins, ends, self.scale**2 - 1.0, self.fading - 1.0
 
 
 PROCESS_MODES: tuple[NoisierProcess, ...] = (NoisierProcess(), NoisierProcess(time_to_recovery=10.0, scale=3.0))

@@ -13,7 +13,7 @@ from bayesftc.controllers import _switching_kernels as kernels
 from bayesftc.controllers._actuator_settings import actuator_settings, chance
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
-from bayesftc.controllers._checks import as_number, as_vector, check_flags
+from bayesftc.controllers._checks import as_number, as_vector, check_flags, check_number
 from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, as_process_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._ports import port
@@ -73,6 +73,14 @@ class SwitchingPrecision(PrecisionLearner):
         form, which then has the output ``process_mode_probability`` (2 + modes: healthy first; last that one has ended, as far as
         that is not settled). Without the joint form, an `Offset` or process noise the default ones are left out.
 
+    noise_factor : float
+        The standard deviation of a healthy sensor's noise is learned while it is healthy, up to so many times the believed one
+        and down to so many times less; 1 for as it is believed.
+    noise_strength : float
+        How many samples the belief in the model's standard deviations counts as.
+    noise_forgetting : float
+        Forgetting factor in (0, 1] per sample of what is learned of that noise.
+
     Raises
     ------
     ModelError
@@ -85,9 +93,15 @@ class SwitchingPrecision(PrecisionLearner):
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
+    noise_factor: float = 3.0
+    noise_strength: float = 5.0
+    noise_forgetting: float = 0.9998
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
+        check_number(self, "noise_factor", least=1, most=1e3)
+        check_number(self, "noise_strength", above=0)
+        check_number(self, "noise_forgetting", above=0, most=1)
         object.__setattr__(self, "modes", as_fault_modes(self.modes))
         object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
         object.__setattr__(self, "process_modes", as_process_modes(self.process_modes))
@@ -143,14 +157,15 @@ class SwitchingPrecision(PrecisionLearner):
         settings = []
         for i in range(m):
             loss = float(losses[i])
-            settings += [math.log1p(-loss), math.log(loss)]
+            settings += [math.log1p(-loss), math.log(loss), self.noise_forgetting, 0.5 * self.noise_strength]
+            settings += [self.noise_factor**-2, self.noise_factor**2]
             for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 block = [begin, 1.0 - end, end, math.log(arrives), math.log1p(-arrives), *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):
-            memory += [np.nan, 1.0, 1.0]
+            memory += [np.nan, 1.0, 1.0, 1.0, 0.5 * self.noise_strength, 0.5 * self.noise_strength]
             for values in first:
                 block = [kernels.LEAST, 0.0, 1.0, 0.0, *values]
                 memory += block + [0.0] * (width - len(block))
