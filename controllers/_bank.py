@@ -20,11 +20,9 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers._bank_layout import LOAD, PUSHES, STEERS, WORKS, Layout
-from bayesftc.controllers._bank_samples import make_conclude, make_summarise, make_weigh
+from bayesftc.controllers._bank_samples import make_conclude, make_listen, make_summarise, make_weigh
 from bayesftc.controllers._bank_time import make_pass_time
-from bayesftc.controllers._mode_kernels import FURTHEST
-from bayesftc.controllers._switching_kernels import HEALTHY, failed, learn_noise, use_trust
-from bayesftc.cosim.ops import minimum
+from bayesftc.controllers._switching_kernels import failed, use_trust
 
 
 @cache
@@ -45,8 +43,8 @@ def make_infer(
         The same of the other sensors where one has an offset.
     """
     pass_time, weigh = make_pass_time(layout, pass_alone, pass_other), make_weigh(layout, weigh_alone, weigh_other)
-    conclude, summarise = make_conclude(layout), make_summarise(layout)
-    n, m, p, sensor, width, faults, row = layout.n, layout.m, layout.p, layout.sensor, layout.width, layout.faults, layout.row
+    conclude, summarise, listen = make_conclude(layout), make_summarise(layout), make_listen(layout)
+    m, p, sensor, width, faults = layout.m, layout.p, layout.sensor, layout.width, layout.faults
     count, actuators, actuator = m * layout.sensor, layout.actuators, layout.actuator
 
     def infer(
@@ -58,14 +56,8 @@ def make_infer(
         weigh(y, e, present, nominal, C, memory, settings)
         conclude(mean, covariance, memory, x_hat, P)
         summarise(y, present, memory, settings)
+        listen(present, memory, settings)
         for i in range(m):
-            squared, error = 0.0 * e[i], e[i]
-            for a in range(n):
-                error = error - C[i, a] * (x_hat[a] - mean[a])
-                for b in range(n):
-                    squared = squared + C[i, a] * P[a, b] * C[i, b]
-            squared = minimum((squared + error * error) / nominal[i, i], FURTHEST)
-            learn_noise(squared, present[i] * memory[i * sensor + HEALTHY], memory, i * sensor, settings, i * row)
             use_trust(memory, sensor, i, present, nominal, R, used, precision, beta)
             fault_probability[i] = failed(memory, i * sensor, width, faults)
         for j in range(p):

@@ -86,6 +86,13 @@ class Layout:
         return tuple(self.becomes[q] != q for q in range(len(self.kinds)))
 
     @property
+    def lone(self) -> tuple[int, ...]:
+        """For each hypothesis which sensor it is that has an offset or a course of its own; -1 if none."""
+        offsets = [i for i in range(self.m) for _ in self.kinds]
+        courses = [i for i in range(self.m) for _ in self.lost]
+        return (-1, *offsets, *courses, *[-1] * (self.hypotheses - self.first_actuator))
+
+    @property
     def begins_here(self) -> tuple[bool, ...]:
         """For each kind of offset whether it begins as this one, and not as its first sample."""
         return tuple(self.fresh[q] or self.becomes.count(q) == 1 for q in range(len(self.kinds)))
@@ -191,9 +198,14 @@ class Layout:
         return 1 + COURSE
 
     @property
+    def squares(self) -> int:
+        """Where it stands for each hypothesis what it makes of the square of each sensor's noise."""
+        return self.courses + self.m * len(self.lost) * self.course
+
+    @property
     def scratch(self) -> int:
         """Where scratch space begins."""
-        return self.courses + self.m * len(self.lost) * self.course
+        return self.squares + self.hypotheses * self.m
 
     def start(self, sensors: Floats) -> Floats:
         """Return what is kept before the first sample besides ``sensors``, what the per-sensor form keeps of all of them."""

@@ -19,7 +19,7 @@ from bayesftc.controllers._bank_layout import (
     Layout,
 )  # fmt: skip
 from bayesftc.controllers._course import follow, misfit
-from bayesftc.controllers._mode_kernels import AGE, SIZE, TRUST, WEIGHT, log_density
+from bayesftc.controllers._mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT, log_density
 from bayesftc.controllers._switching_kernels import (
     FIRST,
     FIRST_SETTINGS,
@@ -33,6 +33,7 @@ from bayesftc.controllers._switching_kernels import (
     OWN_SETTINGS,
     TRUSTED,
     held,
+    learn_noise,
     share_of,
 )  # fmt: skip
 from bayesftc.controllers.precision import NAN
@@ -64,7 +65,7 @@ def make_weigh(
     width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
     told, scratch = layout.grow + H, layout.scratch
     first_lost, first_actuator, U, lost = layout.first_lost, layout.first_actuator, len(layout.lost), layout.lost or (0,)
-    courses, course = layout.courses, layout.course
+    courses, course, squares = layout.courses, layout.course, layout.squares
 
     def weigh(y, e, present, nominal, C, memory, settings):
         for h in range(H):
@@ -96,6 +97,9 @@ def make_weigh(
                     memory[told + h] = memory[told + h] + density
                     noise = variance / memory[own + TRUSTED]
                     correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
+                    part = variance / total
+                    squared = part * (part * error * error + spread) / nominal[i, i]
+                    memory[squares + h * m + i] = minimum(squared, FURTHEST)
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
@@ -122,6 +126,26 @@ def make_weigh(
         memory[m * sensor + 1] = most + log(total)
 
     return weigh
+
+
+@cache
+def make_listen(layout: Layout) -> Callable[..., None]:
+    """Return the step function that learns each sensor's noise, from the hypotheses in which it is healthy."""
+    m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
+    sensor, row, squares, lone = layout.sensor, layout.row, layout.squares, layout.lone
+
+    def listen(present, memory, settings):
+        for i in range(m):
+            sound, squared = LEAST + 0.0 * memory[none], 0.0 * memory[none]
+            for h in range(H):
+                if lone[h] != i:
+                    at = none + h * stride
+                    part = memory[at] * memory[at + kept + i * sensor + HEALTHY]
+                    sound = sound + part
+                    squared = squared + part * memory[squares + h * m + i]
+            learn_noise(squared / sound, present[i] * sound, memory, i * sensor, settings, i * row)
+
+    return listen
 
 
 @cache
