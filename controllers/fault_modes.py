@@ -158,7 +158,7 @@ class Offset(FaultMode):
         Standard deviation of the offset's own random walk, in those of the sensor's noise per sample.
     """
 
-    jump: float = 5.0
+    jump: float = 1.0
     slope: float = 0.0
     walk: float = 0.01
 

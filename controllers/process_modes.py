@@ -47,7 +47,11 @@ class NoisierProcess:
         return begins, ends, self.scale**2 - 1.0, self.fading - 1.0
 
 
-PROCESS_MODES: tuple[NoisierProcess, ...] = (NoisierProcess(), NoisierProcess(time_to_recovery=10.0, scale=3.0))
+PROCESS_MODES: tuple[NoisierProcess, ...] = (
+    NoisierProcess(),
+    NoisierProcess(time_to_fault=3000.0, time_to_recovery=10.0, scale=1.0, fading=1.3),
+    NoisierProcess(time_to_fault=3000.0, time_to_recovery=10.0, scale=1.0, fading=2.0),
+)
 """What the plant does by default: kicks; and longer times in which the model says less than it should, with a scale that makes up
 for a mass or a drag that is not as believed, and beyond which a plant that answers late was followed too closely."""
 

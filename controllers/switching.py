@@ -88,7 +88,7 @@ class SwitchingPrecision(PrecisionLearner):
         sensor, or with the model's sample time a fault would begin or end at each sample.
     """
 
-    modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Noisier(), DroppedOut())
+    modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Unmodelled(), Noisier(), DroppedOut())
     loss: float | Sequence[float] = 0.01
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
