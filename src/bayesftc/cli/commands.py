@@ -59,6 +59,7 @@ detection  Sensors that fail at random: which residual tells (table 3).
 bound      Beyond the paper: how good could a detector be at best?
 models     Beyond the paper: learners where the model is wrong.
 beliefs    Beyond the paper: fault modes whose settings are wrong.
+family     Beyond the paper: every learner in faults that none expects.
 """
 """Help of ``bayesftc reproduce``; lines after a backspace are not joined."""
 
@@ -288,7 +289,7 @@ def reproduce(
         bool,
         typer.Option(
             "--paper-only",
-            help="Leave out what is not in the paper: further techniques, other faults; of all also bound, models, beliefs and family.",
+            help="Leave out what is not in the paper: further techniques, other faults; of all also bound and what follows it.",
         ),
     ] = False,
     json: Json = False,

@@ -26,7 +26,7 @@ from bayesftc.cosim.signals import ALARM
 from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._family_cases import CASES, PLANTS, Case
-from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goal
+from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
 from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._tracking_bench import CHUNK, ORACLE
 from bayesftc.reproduce.settings import Family
@@ -95,9 +95,7 @@ def run(
     bench = _Bench(settings, Ensemble(seed, jobs, progress), list(range(first, first + settings.runs)))
     oracle = bench.measure(ORACLE, chosen, controllers.FixedPrecision(), told=True)
     found = {name: bench.measure(name, chosen, learner) for name, learner in known.items()}
-    table = {
-        case.name: {name: _entry(found[name][case.name], oracle[case.name]) for name in known} for case in chosen
-    }
+    table = {case.name: {name: _entry(found[name][case.name], oracle[case.name]) for name in known} for case in chosen}
     report: dict[str, Any] = without_nan(
         {
             "settings": {
@@ -197,7 +195,7 @@ def _run(case: Case, loop: cosim.Diagram, seeds: Sequence[int], signal: str | No
 
 
 def _judged(case: Case, loop: cosim.Diagram, seeds: Sequence[int], signal: str | None) -> Runs:
-    duration, names = PLANTS[case.plant].duration, (*signals_of_goal(case), *([signal] if signal else []))
+    duration, names = PLANTS[case.plant].duration, (*signals_of_goals(case), *([signal] if signal else []))
     errors, alarms = [], []
     for result in repeat(loop, duration, seeds, names):
         errors.append(rmse(goal_error(case, result)))
@@ -223,7 +221,8 @@ def _rms(errors: Floats) -> float:
 def _entry(runs: Runs, oracle: Runs) -> dict[str, Any]:
     """Return what the report has of a cell; a ratio of runs that could not go on is none."""
     lost = int((~np.isfinite(runs.rmse)).sum())
-    entry = rms_ratio(runs.rmse, oracle.rmse) if not lost else {"ratio": NAN, "ratio_ci": [NAN, NAN], "n": len(runs.rmse)}
+    nothing = {"ratio": NAN, "ratio_ci": [NAN, NAN], "n": len(runs.rmse)}
+    entry = nothing if lost else rms_ratio(runs.rmse, oracle.rmse)
     alarms = runs.alarms
     return {
         **entry,

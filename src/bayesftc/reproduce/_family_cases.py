@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, pi
 from typing import Any
 
 from bayesftc import cosim
@@ -24,12 +24,14 @@ class Plant:
     ----------
     fmu : str
         Name of the shipped FMU.
-    goal : str
-        The output that has the goal, of which the error counts.
+    goals : tuple of str
+        The outputs that have a goal, of which the errors count.
+    references : tuple of Source
+        Their goals over time.
     measured : tuple of str
         The outputs that sensors read, in turn.
-    actuated : str
-        The input that the controller drives.
+    actuated : tuple of str
+        The inputs that the controller drives.
     std : tuple of float
         Standard deviation of a sensor of each measured output.
     noise : mapping of str to float
@@ -38,53 +40,64 @@ class Plant:
         Seconds of a run.
     window : tuple of float
         Seconds between which sensors fail.
-    reference : Source
-        The goal over time.
     accept : tuple of float
         Acceptable error and control, for `bayesftc.controllers.design`; empty for the car, which `design` has not made.
     limits : tuple of float
         Of the control.
     means : mapping of str to float
         Means of disturbed inputs that are not zero.
+    settled : float
+        Seconds from which errors count: after a step that no controller follows at once.
+    dt : float, optional
+        Sample time in seconds, by default the FMU's.
     """
 
     fmu: str
-    goal: str
+    goals: tuple[str, ...]
+    references: tuple[cosim.Source, ...]
     measured: tuple[str, ...]
-    actuated: str
+    actuated: tuple[str, ...]
     std: tuple[float, ...]
     noise: Mapping[str, float]
     duration: float
     window: tuple[float, float]
-    reference: cosim.Source
     accept: tuple[float, ...] = ()
     limits: tuple[float, float] = (-inf, inf)
     means: Mapping[str, float] = field(default_factory=dict)
+    settled: float = 0.0
+    dt: float | None = None
 
 
 PLANTS: Mapping[str, Plant] = {
     CAR: Plant(
-        "CruiseControl", "v", ("v",), "force", (1.0,), {"disturbance": 0.001**0.5}, 20.0, (6.0, 14.0),
-        cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
+        "CruiseControl", ("v",), (cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),), ("v",), ("force",), (1.0,),
+        {"disturbance": 0.001**0.5}, 20.0, (6.0, 14.0),
     ),
     "servo": Plant(
-        "PositionServo", "angle", ("angle",), "voltage", (0.01,), {"load": 0.02}, 10.0, (3.0, 7.0),
-        cosim.Sine(amplitude=0.5, period=4.0), (0.1, 5.0), (-12.0, 12.0),
+        "PositionServo", ("angle",), (cosim.Sine(amplitude=0.5, period=4.0),), ("angle",), ("voltage",), (0.01,),
+        {"load": 0.02}, 10.0, (3.0, 7.0), (0.1, 5.0), (-12.0, 12.0),
     ),
     "masses": Plant(
-        "TwoMasses", "x2", ("x1", "x2"), "force1", (0.01, 0.01), {"force2": 0.5}, 12.0, (4.0, 9.0),
-        cosim.Step(time=2.0, after=0.5), (0.05, 2.0), (-10.0, 10.0),
+        "TwoMasses", ("x2",), (cosim.Step(time=2.0, after=0.5),), ("x1", "x2"), ("force1",), (0.01, 0.01),
+        {"force2": 0.5}, 12.0, (4.0, 9.0), (0.05, 2.0), (-10.0, 10.0), settled=4.0,
     ),
     "pendulum": Plant(
-        "CartPendulum", "position", ("position", "angle"), "force", (0.005, 0.005), {"torque": 0.02}, 12.0, (5.0, 9.0),
-        cosim.Step(time=2.0, after=0.3), (0.1, 5.0), (-15.0, 15.0),
+        "CartPendulum", ("position",), (cosim.Step(time=2.0, after=0.3),), ("position", "angle"), ("force",),
+        (0.005, 0.005), {"torque": 0.02}, 12.0, (5.0, 9.0), (0.1, 5.0), (-15.0, 15.0),
+        settled=5.0,
     ),
     "turbine": Plant(
-        "HydroTurbine", "power", ("power",), "command", (0.01,), {"head": 0.01}, 40.0, (10.0, 30.0),
-        cosim.Step(time=5.0, before=0.6, after=0.7), (0.05, 0.1), (0.2, 1.0), {"head": 1.0},
+        "HydroTurbine", ("power",), (cosim.Step(time=5.0, before=0.6, after=0.7),), ("power",), ("command",), (0.01,),
+        {"head": 0.01}, 40.0, (10.0, 30.0), (0.05, 0.1), (0.2, 1.0), {"head": 1.0},
+        settled=10.0,
+    ),
+    "arm": Plant(
+        "TwoLinkArm", ("q1", "q2"), (cosim.Sine(amplitude=0.3, period=4.0, offset=-pi / 2), cosim.Constant(0.0)),
+        ("q1", "q2"), ("torque1", "torque2"), (0.01, 0.01), {"torque1": 0.5, "torque2": 0.5}, 8.0, (3.0, 6.0),
+        (0.01, 500.0), dt=0.01,
     ),
 }  # fmt: skip
-"""The plants by the name that heads their cases; all but the car as in ``examples/design_from_fmu``."""
+"""The plants by the name that heads their cases; all but car and arm as in ``examples/design_from_fmu``."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +157,6 @@ def _car() -> Iterator[Case]:
     def dithered(size: float) -> tuple[cosim.Fault, ...]:
         return cosim.Freeze(**when()), cosim.NoiseIncrease(std=size, **when())
 
-    def noisier(times: float) -> cosim.Fault:
-        return cosim.NoiseIncrease(std=(times**2 - 1.0) ** 0.5, **when())
-
     def on_and_off(fault: cosim.Fault) -> tuple[cosim.Fault, ...]:
         return tuple(
             replace(fault, start=start, stop=start + 1.0, name=f"{fault.default_name}_from_{start:g}")
@@ -167,8 +177,16 @@ def _car() -> Iterator[Case]:
         swing = cosim.Injection(amplitude=size, period=period, **when())
         yield Case(f"oscillation of {size:g} sd, period {period:g} s", (swing,))
     for times in (2.0, 5.0):
-        yield Case(f"noise {times:g} times", (noisier(times),))
+        yield Case(f"noise {times:g} times", (cosim.NoiseIncrease(std=added_noise(times), **when()),))
     yield Case("spikes of 10 sd in 5 % of samples", (cosim.Spikes(magnitude=10.0, probability=0.05, **when()),))
+    for seconds in (0.1, 0.5, 2.0):
+        yield Case(f"low-pass of {seconds:g} s", (cosim.Lag(time_constant=seconds, **when()),))
+    for seconds in (0.1, 0.5):
+        yield Case(f"delay of {seconds:g} s", (cosim.Delay(delay=seconds, **when()),))
+    yield Case("clips above the mean speed", (cosim.Clipping(high=20.0, **when()),))
+    yield Case("clips above the mean speed plus 4 sd", (cosim.Clipping(high=24.0, **when()),))
+    for size in (0.5, 1.0, 2.0):
+        yield Case(f"rounds to {size:g} sd", (cosim.Rounding(resolution=size, **when()),))
     yield Case("dropout", (cosim.Dropout(**when()),))
     yield Case("bias of 3 sd from the first step", (cosim.Bias(magnitude=3.0, sensor=0),))
     yield Case("stuck at 0", (cosim.Stuck(at=0.0, **when()),))
@@ -193,6 +211,8 @@ def _car() -> Iterator[Case]:
             yield Case(f"two at once: injections of {name}{of}", pair, sensors=sensors)
         pair = cosim.Freeze(**when()), cosim.Freeze(**when(1))
         yield Case(f"two at once: freeze{of}", pair, sensors=sensors)
+    yield Case("car 40 % heavier than believed, healthy", parameters={"m": 140.0})
+    yield Case("car 40 % lighter than believed, healthy", parameters={"m": 60.0})
     unequal = (1.0, 0.3)
     yield Case("unequal noise, healthy", std=unequal)
     yield Case("unequal noise, injection of 1 sd on the worse", (offset(1.0),), std=unequal)
@@ -202,13 +222,56 @@ def _car() -> Iterator[Case]:
     for times, word in ((2.0, "noisier than"), (0.5, "less noisy than")):
         of = f"sensors 2 times {word} believed"
         yield Case(f"{of}, healthy", std=(times,), believed=(1.0,))
-        yield Case(f"{of}, injection of 3 sd", (offset(3.0),), std=(times,), believed=(1.0,))
+        yield Case(f"{of}, injection of 3 sd", (offset(3.0 * times),), std=(times,), believed=(1.0,))
         yield Case(f"{of}, freeze", (cosim.Freeze(**when()),), std=(times,), believed=(1.0,))
-        yield Case(f"{of}, drift of 8 sd per second", (cosim.Drift(slope=8.0, **when()),), std=(times,), believed=(1.0,))
+        drift = cosim.Drift(slope=8.0, **when())
+        yield Case(f"{of}, drift of {8.0 / times:g} sd per second", (drift,), std=(times,), believed=(1.0,))
     yield Case("resolution of 1 sd untold, healthy", resolution=1.0)
     yield Case("resolution of 1 sd untold, injection of 3 sd", (offset(3.0),), resolution=1.0)
     yield Case("resolution of 1 sd untold, freeze", (cosim.Freeze(**when()),), resolution=1.0)
 
 
-CASES: tuple[Case, ...] = (*_car(),)
+def added_noise(times: float) -> float:
+    """Return the standard deviation of what makes noise of 1 `times` as large."""
+    return float((times**2 - 1.0) ** 0.5)
+
+
+def _of_plant(name: str, sensor: int, lag: float) -> Iterator[Case]:
+    """Yield the cases of a plant: in which a sensor fails, and with which time constant it lags, in seconds."""
+    plant = PLANTS[name]
+    sd = plant.std[sensor % len(plant.std)]
+    when: dict[str, Any] = dict(zip(("sensor", "start", "stop"), (sensor, *plant.window), strict=True))
+
+    def case(words: str, *faults: cosim.Fault, **of: Any) -> Case:
+        return Case(f"{name}: {words}", faults, plant=name, **of)
+
+    freeze = cosim.Freeze(**when)
+    yield case("healthy")
+    yield case("freeze", freeze)
+    yield case("freeze with dither of 0.2 sd", freeze, cosim.NoiseIncrease(std=0.2 * sd, **when))
+    yield case("gain of 0.7", cosim.GainFault(factor=0.7, **when))
+    for size in (3.0, 10.0):
+        yield case(f"injection of {size:g} sd", cosim.Injection(magnitude=size * sd, **when))
+    yield case("drift of 2 sd per second", cosim.Drift(slope=2.0 * sd, **when))
+    yield case("oscillation of 5 sd, period 1 s", cosim.Injection(amplitude=5.0 * sd, period=1.0, **when))
+    yield case("noise 10 times", cosim.NoiseIncrease(std=added_noise(10.0) * sd, **when))
+    yield case(f"low-pass of {lag:g} s", cosim.Lag(time_constant=lag, **when))
+    yield case("stuck at 0", cosim.Stuck(at=0.0, **when))
+    if len(plant.measured) > 1:
+        one, other = plant.measured
+        yield case(f"a sensor of {other} reads {one}", reads={1: (1.0, 0.0)})
+        yield case(f"sensors of {one} and {other} swapped", reads={0: (0.0, 1.0), 1: (1.0, 0.0)})
+
+
+def _others() -> Iterator[Case]:
+    for name, sensor, lag in (("servo", 0, 0.5), ("masses", 1, 0.2), ("pendulum", 1, 0.1), ("turbine", 0, 2.0)):
+        yield from _of_plant(name, sensor, lag)
+    yield from _of_plant("arm", 0, 0.2)
+    for part, parameter, mass in (("cart", "M_cart", 0.5), ("pendulum", "m", 0.2)):
+        for times, word in ((1.4, "heavier"), (0.6, "lighter")):
+            name = f"pendulum: {part} 40 % {word} than believed, healthy"
+            yield Case(name, plant="pendulum", parameters={parameter: times * mass})
+
+
+CASES: tuple[Case, ...] = (*_car(), *_others())
 """All cases; the names of two are never the same."""

@@ -26,7 +26,11 @@ def family_loop(case: Case, learner: controllers.PrecisionLearner, *, told: bool
         _controller(case.plant, case.sensors, _each(case, case.believed or case.std), learner),
         control=plant.actuated,
         measured=plant.measured,
-        noise={name: cosim.Gaussian(mean=plant.means.get(name, 0.0), std=std) for name, std in plant.noise.items()},
+        noise={
+            name: cosim.Gaussian(mean=plant.means.get(name, 0.0), std=std)
+            for name, std in plant.noise.items()
+            if name not in plant.actuated
+        },
         sensors=cosim.Sensors(
             count=count,
             std=_each(case, case.std),
@@ -35,23 +39,27 @@ def family_loop(case: Case, learner: controllers.PrecisionLearner, *, told: bool
             matrix=_matrix(plant, count, case.reads),
         ),
         faults=[*case.faults, *(case.missing if told else ())],
-        reference=plant.reference,
+        reference=plant.references if len(plant.references) > 1 else plant.references[0],
     )
 
 
 def goal_error(case: Case, result: cosim.Result) -> Floats:
-    """Return the goal output minus its reference over time.
+    """Return the goal outputs minus their references over the time that counts.
 
     The car's controller aims at the goal of t_k with the state of t_k+1; those of `controllers.design` look further ahead.
     """
-    plant = PLANTS[case.plant]
-    output, reference = (result[name] for name in signals_of_goal(case))
-    return output - reference if plant.accept else output[1:] - reference[:-1]
+    values = [result[name] for name in signals_of_goals(case)]
+    half = len(values) // 2
+    pairs = zip(values[:half], values[half:], strict=True)
+    ahead, first = int(not PLANTS[case.plant].accept), int(np.searchsorted(result.time, PLANTS[case.plant].settled))
+    return np.array([(output[ahead:] - reference[: len(reference) - ahead])[first:] for output, reference in pairs])
 
 
-def signals_of_goal(case: Case) -> tuple[str, str]:
-    """Return the names of the goal output and its reference."""
-    return f"plant.{PLANTS[case.plant].goal}", "reference.y"
+def signals_of_goals(case: Case) -> tuple[str, ...]:
+    """Return the names of the goal outputs, and then of their references."""
+    goals = PLANTS[case.plant].goals
+    references = [f"reference_{i}" for i in range(len(goals))] if len(goals) > 1 else ["reference"]
+    return (*(f"plant.{goal}" for goal in goals), *(f"{reference}.y" for reference in references))
 
 
 def faulty_samples(case: Case, time: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
@@ -78,14 +86,15 @@ def _each(case: Case, relative: Sequence[float]) -> tuple[float, ...]:
     return tuple(std * relative[i % len(relative)] for i, std in enumerate(nominal))
 
 
-def _matrix(plant: Plant, count: int, reads: Mapping[int, tuple[float, ...]]) -> Floats | None:
+def _matrix(plant: Plant, count: int, reads: Mapping[int, tuple[float, ...]]) -> list[list[float]] | None:
     """Return what each sensor reads of the measured outputs; None if these are read in turn."""
     if not reads:
         return None
     matrix = np.eye(len(plant.measured))[[i % len(plant.measured) for i in range(count)]]
     for sensor, row in reads.items():
         matrix[sensor] = row
-    return matrix
+    rows: list[list[float]] = matrix.tolist()
+    return rows
 
 
 def _controller(
@@ -108,11 +117,12 @@ def _designed(name: str, sensors: int, std: tuple[float, ...]) -> controllers.Ba
     return controllers.design(
         cosim.FMU(fmus.path(plant.fmu)),
         measured=plant.measured,
-        goal=plant.goal,
+        goal=plant.goals,
         actuated=plant.actuated,
         sensors=len(std),
         sensor_std=std,
         noise=plant.noise,
+        dt=plant.dt,
         acceptable_error=plant.accept[0],
         acceptable_control=plant.accept[1],
         precision=controllers.FixedPrecision(),

@@ -18,9 +18,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     """Yield the errors over the oracle's, the false alarms and delays of those who tell, and the worst case of each learner."""
     settings, cells = report["settings"], report["table"]
     learners = list(settings["learners"])
-    title = (
-        f"root-mean-square error over that of the oracle, {settings['runs']} runs a case ({MARK}: above {settings['bar']:g})"
-    )
+    title = f"root-mean-square error over that of the oracle, {settings['runs']} runs a case ({MARK}: above {settings['bar']:g})"
     rows = {case: [_ratio(of[name], settings["bar"]) for name in learners] for case, of in cells.items()}
     yield table(title, learners, rows, corner="case")
     tell = [n for n in learners if any(of[n]["false_share"] is not None for of in cells.values())]
@@ -35,14 +33,16 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         worst, mean = ("lost" if n is None else f"{n:.2f}" for n in (summary["worst"]["ratio"], summary["mean"]))
         above, behind = (str(len(summary[which])) for which in ("above_the_bar", "behind_the_best"))
         rows[name] = [mean, worst, above, behind, summary["worst"]["case"]]
-    heads = ["geometric mean", "worst", f"above {settings['bar']:g}", f"{settings['behind']:g} behind the best", "worst case"]
+    above, behind = f"above {settings['bar']:g}", f"{settings['behind']:g} behind the best"
+    heads = ["geometric mean", "worst", above, behind, "worst case"]
     yield table(f"of {len(cells)} cases", heads, rows, corner="learner")
 
 
 def _ratio(cell: dict[str, Any], bar: float) -> str:
     if cell["lost"]:
         return f"lost {cell['lost']}{MARK}"
-    return f"{cell['ratio']:.2f}{MARK if cell['ratio'] > bar else ' '}"
+    form = ".2f" if cell["ratio"] < 100.0 else ".0f"
+    return f"{cell['ratio']:{form}}{MARK if cell['ratio'] > bar else ' '}"
 
 
 def _percent(share: float | None) -> str:

@@ -33,6 +33,7 @@ from bayesftc.reproduce import (
     _detection_figures,
     _detection_tables,
     _family,
+    _family_figures,
     _family_tables,
     _models,
     _models_figures,
@@ -72,7 +73,7 @@ EXPERIMENTS = {
         Experiment("bound", _bound.run, _bound_tables.show, _bound_figures.FIGURES, beyond=True),
         Experiment("models", _models.run, _models_tables.show, _models_figures.FIGURES, beyond=True),
         Experiment("beliefs", _beliefs.run, _beliefs_tables.show, {}, beyond=True),
-        Experiment("family", _family.run, _family_tables.show, {}, beyond=True, filtered=True),
+        Experiment("family", _family.run, _family_tables.show, _family_figures.FIGURES, beyond=True, filtered=True),
     )
 }
 """All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""
