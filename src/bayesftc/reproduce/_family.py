@@ -32,6 +32,8 @@ from bayesftc.reproduce._tracking_bench import CHUNK, ORACLE
 from bayesftc.reproduce.settings import Family
 
 PER_SENSOR = f"{SWITCHING}, per sensor"
+LOST = 1e9
+"""Times the oracle's error: a run with more has lost its plant, as one that could not go on."""
 Learners = Mapping[str, controllers.PrecisionLearner]
 
 
@@ -85,17 +87,28 @@ def run(
     Raises
     ------
     ModelError
-        If a seed, a number of jobs or a number of runs cannot be one.
+        If a seed, a number of jobs or a number of runs cannot be one, or the oracle itself loses the plant in a case.
     UnknownNameError
         If a pattern fits no case or no learner.
     """
     settings = Family.of(settings, runs)
     first = check_seed(seed)
     chosen, known = chosen_cases(cases), chosen_learners(learners)
+    if not chosen or not known:
+        raise ModelError("family has no case or no learner to run; name one at least, or leave cases and learners out.")
     bench = _Bench(settings, Ensemble(seed, jobs, progress), list(range(first, first + settings.runs)))
     oracle = bench.measure(ORACLE, chosen, controllers.FixedPrecision(), told=True)
+    for case in chosen:
+        if not np.isfinite(oracle[case.name].rmse).all():
+            raise ModelError(
+                f"The oracle loses the plant in the case {case.name!r}, so there is nothing to compare with; leave more sensors "
+                "healthy, or make the faults shorter."
+            )
     found = {name: bench.measure(name, chosen, learner) for name, learner in known.items()}
-    table = {case.name: {name: _entry(found[name][case.name], oracle[case.name]) for name in known} for case in chosen}
+    table = {
+        case.name: {name: _entry(found[name][case.name], oracle[case.name], settings.bar) for name in known}
+        for case in chosen
+    }
     report: dict[str, Any] = without_nan(
         {
             "settings": {
@@ -218,15 +231,16 @@ def _rms(errors: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _entry(runs: Runs, oracle: Runs) -> dict[str, Any]:
-    """Return what the report has of a cell; a ratio of runs that could not go on is none."""
-    lost = int((~np.isfinite(runs.rmse)).sum())
+def _entry(runs: Runs, oracle: Runs, bar: float) -> dict[str, Any]:
+    """Return what the report has of a cell; of runs that have lost their plant there is no ratio."""
+    lost = int((~(runs.rmse < LOST * oracle.rmse)).sum())
     nothing = {"ratio": NAN, "ratio_ci": [NAN, NAN], "n": len(runs.rmse)}
     entry = nothing if lost else rms_ratio(runs.rmse, oracle.rmse)
     alarms = runs.alarms
     return {
         **entry,
         "lost": lost,
+        "above_share": float(np.mean(~(runs.rmse <= bar * oracle.rmse))),
         "false_share": NAN if alarms is None else alarms.false_share,
         "delay": NAN if alarms is None else alarms.delay() * alarms.step,
         "missed_share": NAN if alarms is None else alarms.missed_share,
@@ -247,5 +261,5 @@ def _summary(name: str, table: Mapping[str, Mapping[str, Any]], settings: Family
 
 
 def _ratio(cell: Mapping[str, Any]) -> float:
-    """Return the ratio of a cell; infinite if a run could not go on."""
+    """Return the ratio of a cell; infinite if a run has lost its plant."""
     return np.inf if cell["lost"] else float(cell["ratio"])
