@@ -9,6 +9,7 @@ from fractions import Fraction
 from math import inf, isfinite, isnan
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim import _fault_kernels as kernels
@@ -56,6 +57,7 @@ class Fault(Block):
 
     value: ClassVar[Callable[..., Any]]
     draws: ClassVar[tuple[str, ...]] = ()
+    remembers: ClassVar[bool] = False
 
     sensor: int = 0
     start: float = field(default=0.0, metadata={"unit": "s"})
@@ -103,6 +105,19 @@ class Fault(Block):
         """The kind's own settings in the order of its fields."""
         return tuple(float(getattr(self, f.name)) for f in fields(self) if f.name not in COMMON)
 
+    def numbers(self, step: Fraction) -> tuple[float, ...]:
+        """Return the settings as the kind's function finds them, at a sample time of `step` seconds."""
+        return self.settings
+
+    def memory(self, step: Fraction) -> int:
+        """Return how many numbers the kind remembers, if it does."""
+        return 1
+
+    @classmethod
+    def kernel(cls) -> Callable[..., Any]:
+        """Return the kind's function, with a memory."""
+        return cls.value if cls.remembers else kernels.without_memory(cls.value)
+
     @property
     def default_name(self) -> str:
         """The name that was given, else kind and channel, as ``noise_increase_1``."""
@@ -134,8 +149,14 @@ class Fault(Block):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        parameters = {**self.common_parameters(step), "settings": [[*self.settings, 0.0]]}
-        return Definition(kernels.one_kind(type(self).value), state=STATE, parameters=parameters)
+        parameters: dict[str, ArrayLike] = {
+            **self.common_parameters(step),
+            "settings": [[*self.numbers(step), 0.0]],
+        }
+        memory = {"memory": np.zeros((1, self.memory(step)))}
+        if self.remembers:
+            return Definition(kernels.one_kind(self.kernel()), state={**STATE, **memory}, parameters=parameters)
+        return Definition(kernels.one_kind(self.kernel()), state=STATE, parameters={**parameters, **memory})
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -2,8 +2,10 @@
 
 A kind is a function ``(sample, held, age, chance, noise, settings) -> value`` of scalars: the sample that comes in, the
 last one before the onset, seconds since the onset, a number uniform in (0, 1), a standard normal number, and the kind's
-own settings (an array in the order of its fields). Every kind is computed at every step, whether it is present or not,
-and ``select`` drops what is not wanted, even a NaN or infinity; so a kind may return anything, but never raises.
+own settings (an array in the order of its fields). A kind that remembers has a seventh argument, ``memory``: an array that is
+all zeros at first and its own to write to. Every kind is computed at every step, whether it is present or not,
+and ``select`` drops what is not wanted, even a NaN or infinity; so a kind may return anything, but never raises. ``age`` is 0 at
+the onset and while the fault is absent.
 """
 
 from collections.abc import Callable
@@ -12,7 +14,7 @@ from math import tau
 from typing import Any
 
 from bayesftc.cosim.block import Kernel
-from bayesftc.cosim.ops import both, select, sin
+from bayesftc.cosim.ops import both, floor, maximum, minimum, select, sin
 
 Value = Callable[..., Any]
 
@@ -72,6 +74,48 @@ def ageing(sample, held, age, chance, noise, settings):
     return sample + settings[0] * age * noise
 
 
+def clipped(sample, held, age, chance, noise, settings):
+    """Keep within limits, a missing sample as it is; settings: low, high."""
+    return select(sample == sample, maximum(minimum(sample, settings[1]), settings[0]), sample)
+
+
+def rounded(sample, held, age, chance, noise, settings):
+    """Round to the nearest multiple, halves up; settings: resolution."""
+    return floor(sample / settings[0] + 0.5) * settings[0]
+
+
+def lagging(sample, held, age, chance, noise, settings, memory):
+    """Follow from the last sample before the onset; settings: share of the way in a step; memory: where it is, if finite."""
+    last = select(age == 0.0, held, memory[0])
+    last = select(last - last == 0.0, last, sample)
+    now = last + settings[0] * (sample - last)
+    memory[0] = select(now - now == 0.0, now, last)
+    return now
+
+
+def delayed(sample, held, age, chance, noise, settings, memory):
+    """Show an earlier sample; settings: steps; memory: whether it has begun, then samples, the newest last."""
+    newest = memory.shape[0] - 1
+    value = sample
+    for i in range(1, newest):
+        memory[i] = select(memory[0] > HALF, memory[i + 1], sample)
+    memory[newest] = sample
+    for i in range(1, newest):
+        value = select(newest - i == settings[0], memory[i], value)
+    memory[0] = 1.0
+    return value
+
+
+@cache
+def without_memory(kind: Value) -> Value:
+    """Return a kind that remembers nothing with the arguments of one that does."""
+
+    def value(sample, held, age, chance, noise, settings, memory):
+        return kind(sample, held, age, chance, noise, settings)
+
+    return value
+
+
 def gate(t, transition, window, hazard, on, age):
     """Let the fault come and go.
 
@@ -101,15 +145,15 @@ def replace(u, channel, value, y):
 
 @cache
 def one_kind(kind: Value) -> Kernel:
-    """Return the step function of a fault of one kind."""
+    """Return the step function of a fault of one kind, which takes a memory; ``settings`` and ``memory`` have one row."""
 
     def fault(
-        t, k, u, transition, chance, noise, channel, window, hazard, step, settings, on, age, held, y, active
+        t, k, u, transition, chance, noise, channel, window, hazard, step, settings, on, age, held, memory, y, active
     ):  # fmt: skip
         gate(t, transition, window, hazard, on, age)
         sample = element(u, channel)
         before = select(k == 0, sample, held[0])
-        value = kind(sample, before, age[0] * step[0], chance[0], noise[0], settings[0])
+        value = kind(sample, before, age[0] * step[0], chance[0], noise[0], settings[0], memory[0])
         replace(u, channel, select(on[0] > HALF, value, sample), y)
         held[0] = select(on[0] > HALF, before, sample)
         active[0] = on[0]
@@ -119,12 +163,12 @@ def one_kind(kind: Value) -> Kernel:
 
 @cache
 def several_kinds(kinds: tuple[Value, ...]) -> Kernel:
-    """Return the step function of a fault whose kind is drawn at every onset; ``settings`` has a row for each kind."""
+    """Return the step function of a fault whose kind is drawn at every onset; ``settings`` and ``memory`` have a row for each."""
     value_of = _numbered(kinds, len(kinds) - 1)
 
     def fault(
         t, k, u, transition, pick, chance, noise, channel, window, hazard, step, shares, settings, on, age, held,
-        chosen, y, active, kind,
+        chosen, memory, y, active, kind,
     ):  # fmt: skip
         gate(t, transition, window, hazard, on, age)
         sample = element(u, channel)
@@ -133,7 +177,7 @@ def several_kinds(kinds: tuple[Value, ...]) -> Kernel:
         for i in range(shares.shape[0] - 1):  # the last share is 1, which no draw reaches
             drawn = drawn + select(pick[0] >= shares[i], 1.0, 0.0)
         chosen[0] = select(age[0] == 0.0, drawn, chosen[0])
-        value = value_of(chosen[0], sample, before, age[0] * step[0], chance[0], noise[0], settings)
+        value = value_of(chosen[0], sample, before, age[0] * step[0], chance[0], noise[0], settings, memory)
         replace(u, channel, select(on[0] > HALF, value, sample), y)
         held[0] = select(on[0] > HALF, before, sample)
         active[0] = on[0]
@@ -147,14 +191,14 @@ def _numbered(kinds: tuple[Value, ...], last: int) -> Value:
     this = kinds[last]
     if last == 0:
 
-        def first(number, sample, held, age, chance, noise, settings):
-            return this(sample, held, age, chance, noise, settings[0])
+        def first(number, sample, held, age, chance, noise, settings, memory):
+            return this(sample, held, age, chance, noise, settings[0], memory[0])
 
         return first
     others = _numbered(kinds, last - 1)
 
-    def value(number, sample, held, age, chance, noise, settings):
-        mine = this(sample, held, age, chance, noise, settings[last])
-        return select(number == last, mine, others(number, sample, held, age, chance, noise, settings))
+    def value(number, sample, held, age, chance, noise, settings, memory):
+        mine = this(sample, held, age, chance, noise, settings[last], memory[last])
+        return select(number == last, mine, others(number, sample, held, age, chance, noise, settings, memory))
 
     return value

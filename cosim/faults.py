@@ -15,8 +15,10 @@ To add a kind of fault you must:
    of the signal;
 3. name in its ``draws`` the random numbers that it uses: ``"chance"`` (uniform in (0, 1)), ``"noise"`` (standard
    normal);
-4. override ``check`` where a setting can be wrong in other ways than not being finite;
-5. put it into `FAULTS` and ``cosim/__init__.pyi``, and into the list of ``tests/test_faults.py`` with its formula in NumPy.
+4. if what it shows depends on earlier samples, set ``remembers = True``, return from ``memory(step)`` how many numbers it keeps,
+   and give the function a seventh argument ``memory``; override ``numbers`` if it wants its settings in steps;
+5. override ``check`` where a setting can be wrong in other ways than not being finite;
+6. put it into `FAULTS` and ``cosim/__init__.pyi``, and into the list of ``tests/test_faults.py`` with its formula in NumPy.
 
 Random, scheduled and mixed faults, both engines and scenario files then have it.
 """
@@ -26,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
+from math import expm1, inf
 
 import numpy as np
 
@@ -218,6 +221,103 @@ class NoiseGrowth(Fault):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Clipping(Fault):
+    """The sample where it is within limits, else the nearer limit: a sensor that saturates.
+
+    Parameters
+    ----------
+    low, high : float
+        The limits; by default there is none.
+    """
+
+    low: float = field(default=-inf, metadata={"unit": "{u}"})
+    high: float = field(default=inf, metadata={"unit": "{u}"})
+    value = staticmethod(kernels.clipped)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        if not self.low <= self.high:
+            raise ModelError(f"Clipping has low={self.low!r} and high={self.high!r}; low must not be above high.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rounding(Fault):
+    """The nearest whole multiple of `resolution`, halves up, as of `Sensors`: a sensor that has become coarse.
+
+    Parameters
+    ----------
+    resolution : float
+        Positive.
+    """
+
+    resolution: float = field(metadata={"unit": "{u}"})
+    value = staticmethod(kernels.rounded)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.resolution <= 0:
+            raise ModelError(f"Rounding has resolution={self.resolution!r}; it must be positive.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag(Fault):
+    """The channel follows slowly, as a low-pass filter of first order that begins at the last sample before the onset.
+
+    Each step it goes a share ``1 - exp(-step / time_constant)`` of the way to the sample. A sample that is
+    missing, or not finite, is shown as it is and does not move it.
+
+    Parameters
+    ----------
+    time_constant : float
+        Seconds, not negative; 0 for no lag.
+    """
+
+    time_constant: float = field(metadata={"unit": "s"})
+    value = staticmethod(kernels.lagging)
+    remembers = True
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.time_constant < 0:
+            raise ModelError(f"Lag has time_constant={self.time_constant!r}; it must not be negative.")
+
+    def numbers(self, step: Fraction) -> tuple[float, ...]:
+        """See `Fault.numbers`."""
+        return (-expm1(-float(step) / self.time_constant) if self.time_constant else 1.0,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delay(Fault):
+    """The channel shows an earlier sample; until there is one, the first.
+
+    Parameters
+    ----------
+    delay : float
+        Seconds, not negative; rounded to whole steps.
+    """
+
+    delay: float = field(metadata={"unit": "s"})
+    value = staticmethod(kernels.delayed)
+    remembers = True
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.delay < 0:
+            raise ModelError(f"Delay has delay={self.delay!r}; it must not be negative.")
+
+    def numbers(self, step: Fraction) -> tuple[float, ...]:
+        """See `Fault.numbers`."""
+        return (float(round(self.delay / float(step))),)
+
+    def memory(self, step: Fraction) -> int:
+        """See `Fault.memory`."""
+        return int(self.numbers(step)[0]) + 2
+
+
+@dataclass(frozen=True, kw_only=True)
 class RandomFaults(Fault):
     """Faults of several kinds, one at a time: whenever the fault comes, its kind is drawn.
 
@@ -289,19 +389,24 @@ class RandomFaults(Fault):
         """See `Block.define`."""
         settings = np.zeros((len(self.kinds), max(len(kind.settings) for kind in self.kinds) + 1))
         for row, kind in zip(settings, self.kinds, strict=True):
-            row[: len(kind.settings)] = kind.settings
+            row[: len(kind.settings)] = kind.numbers(step)
         weights = np.ones(len(self.kinds)) if self.weights is None else np.asarray(self.weights)
         parameters = {
             **self.common_parameters(step),
             "settings": settings,
             "shares": np.cumsum(weights) / np.cumsum(weights)[-1],
         }
-        kernel = kernels.several_kinds(tuple(type(kind).value for kind in self.kinds))
-        return Definition(kernel, state={**STATE, "chosen": 0.0}, parameters=parameters)
+        memory = np.zeros((len(self.kinds), max(kind.memory(step) for kind in self.kinds)))
+        kernel = kernels.several_kinds(tuple(kind.kernel() for kind in self.kinds))
+        state = {**STATE, "chosen": 0.0}
+        if any(kind.remembers for kind in self.kinds):
+            return Definition(kernel, state={**state, "memory": memory}, parameters=parameters)
+        return Definition(kernel, state=state, parameters={**parameters, "memory": memory})
 
 
 FAULTS: tuple[type[Fault], ...] = (
-    Freeze, Stuck, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, NoiseGrowth, RandomFaults,
+    Freeze, Stuck, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, NoiseGrowth, Clipping, Rounding, Lag,
+    Delay, RandomFaults,
 )  # fmt: skip
 """All kinds; the last one mixes the others."""
 

@@ -26,6 +26,17 @@ SIGNAL[20:22], SIGNAL[24, SENSOR] = nan, nan  # missing samples, among them the 
 SIGNAL[50, :], SIGNAL[51, :], SIGNAL[52, :] = inf, -inf, nan
 SIGNAL[110], SIGNAL[111] = 0.0, -0.0
 
+
+def followed(time_constant, u, held, age):
+    """A low-pass filter's output: the held value, and from there the exact solution with each sample held for a step."""
+    shown, last = np.array(u), nan
+    for k in np.flatnonzero(np.isfinite(u)):
+        last = held[k] if age[k] == 0 else last
+        shown[k] = u[k] + np.exp(-DT / time_constant) * (last - u[k]) if np.isfinite(last) else u[k]
+        last = shown[k]
+    return shown
+
+
 # Each kind with its formula: what it shows, given the samples u, the last one before the onset, the age in seconds, and the
 # uniform and normal numbers of its streams.
 KINDS = [
@@ -49,6 +60,12 @@ KINDS = [
     ),
     (cosim.NoiseIncrease(std=4.0), lambda f, u, held, age, chance, noise: u + 4.0 * noise),
     (cosim.NoiseGrowth(slope=3.0), lambda f, u, held, age, chance, noise: u + 3.0 * age * noise),
+    (cosim.Clipping(low=9.5, high=10.5), lambda f, u, held, age, chance, noise: np.clip(u, 9.5, 10.5)),
+    (cosim.Clipping(high=10.0, name="clipping_above"), lambda f, u, held, age, chance, noise: np.minimum(u, 10.0)),
+    (cosim.Rounding(resolution=0.5), lambda f, u, held, age, chance, noise: np.floor(u / 0.5 + 0.5) * 0.5),
+    (cosim.Lag(time_constant=0.1), lambda f, u, held, age, chance, noise: followed(0.1, u, held, age)),
+    (cosim.Delay(delay=0.1), lambda f, u, held, age, chance, noise: u[np.maximum(np.arange(len(u)) - 5, 0)]),
+    (cosim.Delay(delay=0.0, name="no_delay"), lambda f, u, held, age, chance, noise: u),
 ]
 FORMULAS = {type(fault): formula for fault, formula in KINDS if fault.name is None}
 MIXED = tuple(fault for fault, _ in KINDS if fault.name is None)
@@ -339,6 +356,13 @@ def test_plain_settings(kind):
         (cosim.Spikes, {"magnitude": nan}, "finite"),
         (cosim.NoiseIncrease, {"std": -1.0}, "not be negative"),
         (cosim.NoiseGrowth, {"slope": -1.0}, "not be negative"),
+        (cosim.Clipping, {"low": 2.0, "high": 1.0}, "must not be above"),
+        (cosim.Clipping, {"low": nan}, "must not be above"),
+        (cosim.Rounding, {"resolution": 0.0}, "positive"),
+        (cosim.Lag, {"time_constant": -1.0}, "not be negative"),
+        (cosim.Lag, {"time_constant": inf}, "finite"),
+        (cosim.Delay, {"delay": -0.1}, "not be negative"),
+        (cosim.Delay, {"delay": nan}, "finite"),
         (cosim.RandomFaults, {"kinds": ()}, "at least one kind"),
         (cosim.RandomFaults, {"kinds": (cosim.RandomFaults(),)}, "at least one kind"),
         (cosim.RandomFaults, {"kinds": (cosim.Freeze(start=1.0),)}, "start=1.0 of its own"),

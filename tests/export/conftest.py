@@ -41,6 +41,10 @@ SIZES = {
     "NoiseGrowth": {"slope": 1.0},
     "NoiseIncrease": {"std": 1.0},
     "Spikes": {"magnitude": 3.0},
+    "Clipping": {"low": -0.5, "high": 0.5},
+    "Rounding": {"resolution": 0.5},
+    "Lag": {"time_constant": 0.5},
+    "Delay": {"delay": 0.3},
 }
 """What the kinds of fault need beside a window."""
 

@@ -59,6 +59,7 @@ detection  Sensors that fail at random: which residual tells (table 3).
 bound      Beyond the paper: how good could a detector be at best?
 models     Beyond the paper: learners where the model is wrong.
 beliefs    Beyond the paper: fault modes whose settings are wrong.
+family     Beyond the paper: every learner in faults that none expects.
 """
 """Help of ``bayesftc reproduce``; lines after a backspace are not joined."""
 
@@ -277,11 +278,18 @@ def reproduce(
     seed: Annotated[int, typer.Option(help="Seed of all noise and faults.")] = 0,
     jobs: Annotated[int | None, typer.Option(help="Number of threads; by default one for each core.")] = None,
     runs: Annotated[int | None, typer.Option(help="Runs of each case, fewer than by default for a quick look.")] = None,
+    cases: Annotated[
+        list[str] | None, typer.Option("--case", metavar="PATTERN", help="Of family: a case, as 'freeze*'; repeatable.")
+    ] = None,
+    learners: Annotated[
+        list[str] | None,
+        typer.Option("--learner", metavar="PATTERN", help="Of family: a learner, as '*Precision'; repeatable."),
+    ] = None,
     paper_only: Annotated[
         bool,
         typer.Option(
             "--paper-only",
-            help="Leave out what is not in the paper: further techniques, other faults; of all also bound, models and beliefs.",
+            help="Leave out what is not in the paper: further techniques, other faults; of all also bound and what follows it.",
         ),
     ] = False,
     json: Json = False,
@@ -293,7 +301,8 @@ def reproduce(
         from bayesftc.cli.reproduce import reproduce_experiments
 
         options = {"seed": seed, "jobs": jobs, "runs": runs, "beyond": not paper_only}
-        reproduce_experiments(experiment, out, options, json=json, quiet=quiet)
+        filters = {"cases": cases, "learners": learners}
+        reproduce_experiments(experiment, out, options, filters, json=json, quiet=quiet)
 
 
 @app.command()

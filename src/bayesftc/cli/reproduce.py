@@ -6,7 +6,7 @@ import io
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cosim.errors import UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.random import check_seed
 from bayesftc.reproduce._ensemble import Progress, check_jobs
 from bayesftc.reproduce.experiments import EXPERIMENTS
@@ -29,7 +29,15 @@ QUICK = {"compress_level": 3}
 """Figures are written in three quarters of the time, and are one twentieth larger."""
 
 
-def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any], *, json: bool, quiet: bool) -> None:
+def reproduce_experiments(
+    name: str,
+    out: Path | None,
+    options: Mapping[str, Any],
+    filters: Mapping[str, Sequence[str] | None],
+    *,
+    json: bool,
+    quiet: bool,
+) -> None:
     """Run one experiment or all, print their tables and write their files.
 
     Parameters
@@ -41,6 +49,8 @@ def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any
         of an earlier run.
     options : mapping
         ``seed``, ``jobs`` (None: one for each core), ``runs``, ``beyond``, as the experiments take them.
+    filters : mapping
+        Names or patterns of the ``cases`` and ``learners`` that are to run; None for all.
     json, quiet : bool
         How the numbers are printed: as one JSON object with a key for each experiment, or not at all.
     """
@@ -48,6 +58,10 @@ def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any
         raise UnknownNameError(f"There is no experiment {name!r}; {did_you_mean(name, [*EXPERIMENTS, ALL])}")
     paper_only = name == ALL and not options["beyond"]
     chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL} and not (paper_only and e.beyond)]
+    given = {what: patterns for what, patterns in filters.items() if patterns}
+    if given and not all(e.filtered for e in chosen):
+        able = ", ".join(e.name for e in EXPERIMENTS.values() if e.filtered)
+        raise ModelError(f"{name} always runs all {' and '.join(given)}; choose among those of: {able}.")
     jobs = options["jobs"]
     options = {**options, "seed": check_seed(options["seed"]), "jobs": check_jobs(_cores() if jobs is None else jobs)}
     if out is not None:
@@ -55,7 +69,7 @@ def reproduce_experiments(name: str, out: Path | None, options: Mapping[str, Any
     reports = {}
     for experiment in chosen:
         with _progress(experiment.name, shown=sys.stderr.isatty() and not quiet and not json) as progress:
-            report = experiment.run(**options, progress=progress)
+            report = experiment.run(**options, **given, progress=progress)
         reports[experiment.name] = report
         written = [] if out is None else _write(out, experiment, report)
         if not (json or quiet):

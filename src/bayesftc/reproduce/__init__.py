@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from bayesftc.reproduce._beliefs import run as beliefs
     from bayesftc.reproduce._bound import run as bound
     from bayesftc.reproduce._detection import run as detection
+    from bayesftc.reproduce._family import run as family
     from bayesftc.reproduce._models import run as models
     from bayesftc.reproduce._tracking import run as tracking
 
-__all__ = ["arm", "beliefs", "bound", "detection", "models", "tracking"]
+__all__ = ["arm", "beliefs", "bound", "detection", "family", "models", "tracking"]
 
 
 def __getattr__(name: str) -> Any:

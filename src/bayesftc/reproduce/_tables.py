@@ -24,13 +24,13 @@ def table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]],
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     made.add_column(corner)
     for column in columns:
-        made.add_column(Text(_broken(column)), justify="right", overflow="fold")
+        made.add_column(Text(broken(column)), justify="right", overflow="fold")
     for name, cells in rows.items():
         made.add_row(Text(name), *(Text(cell) for cell in cells))
     return Group(Text(title, style="bold"), made)
 
 
-def _broken(name: str) -> str:
+def broken(name: str) -> str:
     """Return a long class name on several lines, a word on each, and what follows it: columns are narrow."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=,) ", "\n", name) if len(name) > LONGEST else name
 

@@ -32,6 +32,9 @@ from bayesftc.reproduce import (
     _detection,
     _detection_figures,
     _detection_tables,
+    _family,
+    _family_figures,
+    _family_tables,
     _models,
     _models_figures,
     _models_tables,
@@ -57,6 +60,8 @@ class Experiment:
     figures: Mapping[str, Callable[[Report], Figure | None]]
     beyond: bool = False
     """Whether it is not in the paper: then ``all --paper-only`` leaves it out."""
+    filtered: bool = False
+    """Whether its `run` also takes ``cases`` and ``learners``, names or patterns of those that are to run."""
 
 
 EXPERIMENTS = {
@@ -68,6 +73,7 @@ EXPERIMENTS = {
         Experiment("bound", _bound.run, _bound_tables.show, _bound_figures.FIGURES, beyond=True),
         Experiment("models", _models.run, _models_tables.show, _models_figures.FIGURES, beyond=True),
         Experiment("beliefs", _beliefs.run, _beliefs_tables.show, {}, beyond=True),
+        Experiment("family", _family.run, _family_tables.show, _family_figures.FIGURES, beyond=True, filtered=True),
     )
 }
 """All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""

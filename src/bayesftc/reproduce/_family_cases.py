@@ -1,0 +1,279 @@
+"""The cases of the family: plants as they are shipped, and what goes wrong with their sensors, as data.
+
+To add a case, name it in `CASES`; to add a plant, in `PLANTS`. A case that is no fault of a sensor has no faults: then the oracle
+is fixed precision with all sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from math import inf, pi
+from typing import Any
+
+from bayesftc import cosim
+
+CAR = "car"
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant, what is measured and driven of it, where it goes, and when its sensors fail.
+
+    Attributes
+    ----------
+    fmu : str
+        Name of the shipped FMU.
+    goals : tuple of str
+        The outputs that have a goal, of which the errors count.
+    references : tuple of Source
+        Their goals over time.
+    measured : tuple of str
+        The outputs that sensors read, in turn.
+    actuated : tuple of str
+        The inputs that the controller drives.
+    std : tuple of float
+        Standard deviation of a sensor of each measured output.
+    noise : mapping of str to float
+        Standard deviation of each disturbed input, by its name.
+    duration : float
+        Seconds of a run.
+    window : tuple of float
+        Seconds between which sensors fail.
+    accept : tuple of float
+        Acceptable error and control, for `bayesftc.controllers.design`; empty for the car, which `design` has not made.
+    limits : tuple of float
+        Of the control.
+    means : mapping of str to float
+        Means of disturbed inputs that are not zero.
+    settled : float
+        Seconds from which errors count: after a step that no controller follows at once.
+    dt : float, optional
+        Sample time in seconds, by default the FMU's.
+    """
+
+    fmu: str
+    goals: tuple[str, ...]
+    references: tuple[cosim.Source, ...]
+    measured: tuple[str, ...]
+    actuated: tuple[str, ...]
+    std: tuple[float, ...]
+    noise: Mapping[str, float]
+    duration: float
+    window: tuple[float, float]
+    accept: tuple[float, ...] = ()
+    limits: tuple[float, float] = (-inf, inf)
+    means: Mapping[str, float] = field(default_factory=dict)
+    settled: float = 0.0
+    dt: float | None = None
+
+
+PLANTS: Mapping[str, Plant] = {
+    CAR: Plant(
+        "CruiseControl", ("v",), (cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),), ("v",), ("force",), (1.0,),
+        {"disturbance": 0.001**0.5}, 20.0, (6.0, 14.0),
+    ),
+    "servo": Plant(
+        "PositionServo", ("angle",), (cosim.Sine(amplitude=0.5, period=4.0),), ("angle",), ("voltage",), (0.01,),
+        {"load": 0.02}, 10.0, (3.0, 7.0), (0.1, 5.0), (-12.0, 12.0),
+    ),
+    "masses": Plant(
+        "TwoMasses", ("x2",), (cosim.Step(time=2.0, after=0.5),), ("x1", "x2"), ("force1",), (0.01, 0.01),
+        {"force2": 0.5}, 12.0, (4.0, 9.0), (0.05, 2.0), (-10.0, 10.0), settled=4.0,
+    ),
+    "pendulum": Plant(
+        "CartPendulum", ("position",), (cosim.Step(time=2.0, after=0.3),), ("position", "angle"), ("force",),
+        (0.005, 0.005), {"torque": 0.02}, 12.0, (5.0, 9.0), (0.1, 5.0), (-15.0, 15.0),
+        settled=5.0,
+    ),
+    "turbine": Plant(
+        "HydroTurbine", ("power",), (cosim.Step(time=5.0, before=0.6, after=0.7),), ("power",), ("command",), (0.01,),
+        {"head": 0.01}, 40.0, (10.0, 30.0), (0.05, 0.1), (0.2, 1.0), {"head": 1.0},
+        settled=10.0,
+    ),
+    "arm": Plant(
+        "TwoLinkArm", ("q1", "q2"), (cosim.Sine(amplitude=0.3, period=4.0, offset=-pi / 2), cosim.Constant(0.0)),
+        ("q1", "q2"), ("torque1", "torque2"), (0.01, 0.01), {"torque1": 0.5, "torque2": 0.5}, 8.0, (3.0, 6.0),
+        (0.01, 500.0), dt=0.01,
+    ),
+}  # fmt: skip
+"""The plants by the name that heads their cases; all but car and arm as in ``examples/design_from_fmu``."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What goes wrong.
+
+    Attributes
+    ----------
+    name : str
+        In plain words; that of the plant comes first where it is not the car.
+    faults : tuple of Fault
+        Of sensors, each in its window.
+    plant : str
+        Name of the plant.
+    sensors : int
+        How many sensors read each measured output.
+    std : tuple of float
+        True standard deviation of each sensor in that of the plant's, by default 1 each; one number is for all.
+    believed : tuple of float
+        The believed ones, by default the true ones.
+    resolution : float
+        Of all sensors, in standard deviations; the controller is not told.
+    parameters : mapping
+        Of the plant that are not as the controller believes.
+    reads : mapping of int to tuple of float
+        Sensors that read something else from the first step on: how much of each measured output.
+    """
+
+    name: str
+    faults: tuple[cosim.Fault, ...] = ()
+    plant: str = CAR
+    sensors: int = 2
+    std: tuple[float, ...] = (1.0,)
+    believed: tuple[float, ...] = ()
+    resolution: float = 0.0
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    reads: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def missing(self) -> tuple[cosim.Dropout, ...]:
+        """The faults as the oracle sees them: no samples."""
+        windows = dict.fromkeys((f.sensor, f.start, f.stop) for f in self.faults)
+        windows |= dict.fromkeys((sensor, 0.0, inf) for sensor in self.reads)
+        return tuple(
+            cosim.Dropout(sensor=sensor, start=start, stop=stop, name=f"missing_{i}")
+            for i, (sensor, start, stop) in enumerate(windows)
+        )
+
+
+def _car() -> Iterator[Case]:
+    def when(sensor: int = 0, start: float = 6.0, stop: float = 14.0) -> dict[str, Any]:
+        return {"sensor": sensor, "start": start, "stop": stop}
+
+    def offset(size: float, **of: Any) -> cosim.Fault:
+        return cosim.Injection(magnitude=size, **when(**of))
+
+    def dithered(size: float) -> tuple[cosim.Fault, ...]:
+        return cosim.Freeze(**when()), cosim.NoiseIncrease(std=size, **when())
+
+    def on_and_off(fault: cosim.Fault) -> tuple[cosim.Fault, ...]:
+        return tuple(
+            replace(fault, start=start, stop=start + 1.0, name=f"{fault.default_name}_from_{start:g}")
+            for start in (6.0, 8.0, 10.0, 12.0)
+        )
+
+    yield Case("healthy")
+    yield Case("freeze", (cosim.Freeze(**when()),))
+    for size in (0.1, 0.2, 0.3, 0.5):
+        yield Case(f"freeze with dither of {size:g} sd", dithered(size))
+    for size in (1.0, 2.0, 3.0, 5.0, 7.0, 10.0):
+        yield Case(f"injection of {size:g} sd", (offset(size),))
+    for slope in (0.5, 1.0, 2.0, 5.0, 8.0):
+        yield Case(f"drift of {slope:g} sd per second", (cosim.Drift(slope=slope, **when()),))
+    for factor in (0.5, 0.7, 0.9, 1.3):
+        yield Case(f"gain of {factor:g}", (cosim.GainFault(factor=factor, **when()),))
+    for period, size in ((0.2, 5.0), (0.5, 5.0), (1.0, 5.0), (3.0, 4.0), (8.0, 4.0)):
+        swing = cosim.Injection(amplitude=size, period=period, **when())
+        yield Case(f"oscillation of {size:g} sd, period {period:g} s", (swing,))
+    for times in (2.0, 5.0):
+        yield Case(f"noise {times:g} times", (cosim.NoiseIncrease(std=added_noise(times), **when()),))
+    yield Case("spikes of 10 sd in 5 % of samples", (cosim.Spikes(magnitude=10.0, probability=0.05, **when()),))
+    for seconds in (0.1, 0.5, 2.0):
+        yield Case(f"low-pass of {seconds:g} s", (cosim.Lag(time_constant=seconds, **when()),))
+    for seconds in (0.1, 0.5):
+        yield Case(f"delay of {seconds:g} s", (cosim.Delay(delay=seconds, **when()),))
+    yield Case("clips above the mean speed", (cosim.Clipping(high=20.0, **when()),))
+    yield Case("clips above the mean speed plus 4 sd", (cosim.Clipping(high=24.0, **when()),))
+    for size in (0.5, 1.0, 2.0):
+        yield Case(f"rounds to {size:g} sd", (cosim.Rounding(resolution=size, **when()),))
+    yield Case("dropout", (cosim.Dropout(**when()),))
+    yield Case("bias of 3 sd from the first step", (cosim.Bias(magnitude=3.0, sensor=0),))
+    yield Case("stuck at 0", (cosim.Stuck(at=0.0, **when()),))
+    yield Case("reads the negated speed", (cosim.GainFault(factor=-1.0, **when()),))
+    yield Case("freeze on and off every second", on_and_off(cosim.Freeze(**when())))
+    yield Case("injection of 5 sd on and off every second", on_and_off(offset(5.0)))
+    yield Case("freeze from the first step", (cosim.Freeze(**when(start=0.0)),))
+    yield Case("injection of 5 sd from the first step", (offset(5.0, start=0.0),))
+    yield Case("both sensors: injections of +5 sd", (offset(5.0), offset(5.0, sensor=1)))
+    yield Case("both sensors: injections of +5 and -5 sd", (offset(5.0), offset(-5.0, sensor=1)))
+    yield Case("both sensors: freeze", (cosim.Freeze(**when()), cosim.Freeze(**when(1))))
+    for sensors in (3, 5):
+        of = f", {sensors} sensors"
+        yield Case(f"healthy{of}", sensors=sensors)
+        yield Case(f"freeze{of}", (cosim.Freeze(**when()),), sensors=sensors)
+        yield Case(f"freeze with dither of 0.3 sd{of}", dithered(0.3), sensors=sensors)
+        yield Case(f"injection of 3 sd{of}", (offset(3.0),), sensors=sensors)
+        yield Case(f"drift of 2 sd per second{of}", (cosim.Drift(slope=2.0, **when()),), sensors=sensors)
+        yield Case(f"gain of 0.7{of}", (cosim.GainFault(factor=0.7, **when()),), sensors=sensors)
+        for other, name in ((6.0, "+6 and +6 sd"), (-8.0, "+6 and -8 sd")):
+            pair = offset(6.0), offset(other, sensor=1)
+            yield Case(f"two at once: injections of {name}{of}", pair, sensors=sensors)
+        pair = cosim.Freeze(**when()), cosim.Freeze(**when(1))
+        yield Case(f"two at once: freeze{of}", pair, sensors=sensors)
+    yield Case("car 40 % heavier than believed, healthy", parameters={"m": 140.0})
+    yield Case("car 40 % lighter than believed, healthy", parameters={"m": 60.0})
+    unequal = (1.0, 0.3)
+    yield Case("unequal noise, healthy", std=unequal)
+    yield Case("unequal noise, injection of 1 sd on the worse", (offset(1.0),), std=unequal)
+    yield Case("unequal noise, injection of 3 sd on the worse", (offset(3.0),), std=unequal)
+    yield Case("unequal noise, injection of 3 sd on the better", (offset(0.9, sensor=1),), std=unequal)
+    yield Case("unequal noise, freeze of the better", (cosim.Freeze(**when(1)),), std=unequal)
+    for times, word in ((2.0, "noisier than"), (0.5, "less noisy than")):
+        of = f"sensors 2 times {word} believed"
+        yield Case(f"{of}, healthy", std=(times,), believed=(1.0,))
+        yield Case(f"{of}, injection of 3 sd", (offset(3.0 * times),), std=(times,), believed=(1.0,))
+        yield Case(f"{of}, freeze", (cosim.Freeze(**when()),), std=(times,), believed=(1.0,))
+        drift = cosim.Drift(slope=8.0, **when())
+        yield Case(f"{of}, drift of {8.0 / times:g} sd per second", (drift,), std=(times,), believed=(1.0,))
+    yield Case("resolution of 1 sd untold, healthy", resolution=1.0)
+    yield Case("resolution of 1 sd untold, injection of 3 sd", (offset(3.0),), resolution=1.0)
+    yield Case("resolution of 1 sd untold, freeze", (cosim.Freeze(**when()),), resolution=1.0)
+
+
+def added_noise(times: float) -> float:
+    """Return the standard deviation of what makes noise of 1 `times` as large."""
+    return float((times**2 - 1.0) ** 0.5)
+
+
+def _of_plant(name: str, sensor: int, lag: float) -> Iterator[Case]:
+    """Yield the cases of a plant: in which a sensor fails, and with which time constant it lags, in seconds."""
+    plant = PLANTS[name]
+    sd = plant.std[sensor % len(plant.std)]
+    when: dict[str, Any] = dict(zip(("sensor", "start", "stop"), (sensor, *plant.window), strict=True))
+
+    def case(words: str, *faults: cosim.Fault, **of: Any) -> Case:
+        return Case(f"{name}: {words}", faults, plant=name, **of)
+
+    freeze = cosim.Freeze(**when)
+    yield case("healthy")
+    yield case("freeze", freeze)
+    yield case("freeze with dither of 0.2 sd", freeze, cosim.NoiseIncrease(std=0.2 * sd, **when))
+    yield case("gain of 0.7", cosim.GainFault(factor=0.7, **when))
+    for size in (3.0, 10.0):
+        yield case(f"injection of {size:g} sd", cosim.Injection(magnitude=size * sd, **when))
+    yield case("drift of 2 sd per second", cosim.Drift(slope=2.0 * sd, **when))
+    yield case("oscillation of 5 sd, period 1 s", cosim.Injection(amplitude=5.0 * sd, period=1.0, **when))
+    yield case("noise 10 times", cosim.NoiseIncrease(std=added_noise(10.0) * sd, **when))
+    yield case(f"low-pass of {lag:g} s", cosim.Lag(time_constant=lag, **when))
+    yield case("stuck at 0", cosim.Stuck(at=0.0, **when))
+    if len(plant.measured) > 1:
+        one, other = plant.measured
+        yield case(f"a sensor of {other} reads {one}", reads={1: (1.0, 0.0)})
+        yield case(f"sensors of {one} and {other} swapped", reads={0: (0.0, 1.0), 1: (1.0, 0.0)})
+
+
+def _others() -> Iterator[Case]:
+    yield from _of_plant("servo", 0, 0.5)
+    yield from _of_plant("masses", 1, 0.2)
+    yield from _of_plant("pendulum", 1, 0.1)
+    for part, parameter, mass in (("cart", "M_cart", 0.5), ("pendulum", "m", 0.2)):
+        for times, word in ((1.4, "heavier"), (0.6, "lighter")):
+            name = f"pendulum: {part} 40 % {word} than believed, healthy"
+            yield Case(name, plant="pendulum", parameters={parameter: times * mass})
+    yield from _of_plant("turbine", 0, 2.0)
+    yield from _of_plant("arm", 0, 0.2)
+
+
+CASES: tuple[Case, ...] = (*_car(), *_others())
+"""All cases; the names of two are never the same."""

@@ -1,0 +1,277 @@
+"""The family of faults, small: what its cases are, and its numbers by other ways of computing them."""
+
+import json
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from bayesftc import controllers, cosim, reproduce
+from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.reproduce import _family, _family_figures, _family_tables
+from bayesftc.reproduce._ensemble import Ensemble
+from bayesftc.reproduce._family_cases import CASES, PLANTS, Case
+from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
+from bayesftc.reproduce.settings import Family, Tracking
+
+BY_NAME = {case.name: case for case in CASES}
+TWO = {"explicit": controllers.ExplicitDetection(), "gamma": controllers.GammaPrecision()}
+FEW = ("injection of 5 sd on and off every second", "two at once: freeze, 3 sensors", "healthy")
+FIXED = controllers.FixedPrecision()
+
+
+def interpreted(loop, duration, own_seeds, record):
+    """Return runs of a loop without compiling it."""
+    return [loop.simulate(duration, seed=seed, record=record, engine="interpreted") for seed in own_seeds]
+
+
+def small(jobs, **options):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_family, "repeat", interpreted)
+        patch.setattr(Ensemble, "prepare", lambda self, loops: None)
+        return reproduce.family(seed=5, jobs=jobs, runs=2, **options)
+
+
+@pytest.fixture(scope="module")
+def report():
+    return small(2, cases=FEW, learners=TWO)
+
+
+def test_the_family_is_as_large_as_it_should_be():
+    assert len(BY_NAME) == len(CASES) >= 40
+    assert {case.plant for case in CASES} == set(PLANTS)
+    assert {PLANTS[name].fmu for name in PLANTS} == {
+        "CruiseControl", "PositionServo", "TwoMasses", "CartPendulum", "HydroTurbine", "TwoLinkArm"
+    }  # fmt: skip
+    learners = _family.all_learners()
+    assert {type(learner) for learner in learners.values()} == set(controllers.LEARNERS)
+    assert [learner.joint for learner in learners.values() if isinstance(learner, controllers.SwitchingPrecision)] == [
+        True,
+        False,
+    ]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_every_case_is_a_loop_in_which_the_oracle_misses_the_samples_that_are_wrong(case):
+    """Faults and dropouts are blocks of their own names, present in the windows that the judge takes for faulty."""
+    plant = PLANTS[case.plant]
+    loop, oracle = family_loop(case, FIXED), family_loop(case, FIXED, told=True)
+    names = [node.name for node in oracle.nodes]
+    assert len(set(names)) == len(names)
+    time = np.arange(0.0, plant.duration, 0.05)
+    truth = faulty_samples(case, time)
+    assert truth.shape == (len(time), loop["sensors"].block.count)
+    assert truth.any() == bool(case.faults or case.reads)
+    assert all(0.0 <= fault.start < plant.duration for fault in case.faults)
+    faults = [node.block for node in loop.nodes if isinstance(node.block, cosim.Fault)]
+    missing = [node.block for node in oracle.nodes if node.name.startswith("missing")]
+    assert len(faults) == len(case.faults)
+    for sensor in range(truth.shape[1]):
+        own = [f for f in [*faults, *([cosim.Dropout(sensor=s) for s in case.reads])] if f.sensor == sensor]
+        for blocks in (own, [d for d in missing if d.sensor == sensor]):
+            present = np.any([(b.start <= time) & (time < b.stop) for b in blocks], axis=0) if blocks else False
+            assert np.array_equal(truth[:, sensor], np.broadcast_to(present, len(time)))
+
+
+@pytest.mark.parametrize("name", FEW)
+def test_the_controller_of_the_oracle_gets_no_faulty_sample(name):
+    case = BY_NAME[name]
+    loop = family_loop(case, FIXED, told=True)
+    result = loop.simulate(9.0, seed=1, engine="interpreted")
+    last = [node.name for node in loop.nodes if isinstance(node.block, cosim.Fault)][-1:] or ["sensors"]
+    assert np.array_equal(np.isnan(result[f"{last[0]}.y"]), faulty_samples(case, result.time))
+
+
+def test_what_is_not_as_believed():
+    """Noise, resolution, parameters and wiring of the plant's sensors, and what the controller takes them for."""
+
+    def parts(name):
+        loop = family_loop(BY_NAME[name], FIXED)
+        blocks = (loop[name].block for name in ("sensors", "controller", "plant"))
+        sensors, controller, plant = blocks
+        return sensors, np.sqrt(np.diag(controller.model.sensor_covariance)), plant
+
+    sensors, believed, _ = parts("sensors 2 times noisier than believed, freeze")
+    assert (sensors.std, believed.tolist()) == ((2.0, 2.0), [1.0, 1.0])
+    sensors, believed, _ = parts("unequal noise, healthy")
+    assert sensors.std == (1.0, 0.3)
+    assert believed == pytest.approx([1.0, 0.3])
+    sensors, _, _ = parts("resolution of 1 sd untold, freeze")
+    assert sensors.resolution == (1.0, 1.0)
+    sensors, believed, _ = parts("masses: sensors of x1 and x2 swapped")
+    assert np.array_equal(sensors.matrix, [[0, 1], [1, 0], [1, 0], [0, 1]])
+    assert believed == pytest.approx([0.01] * 4)
+    _, _, plant = parts("pendulum: cart 40 % heavier than believed, healthy")
+    assert plant.parameters == {"M_cart": pytest.approx(0.7)}
+    switching = controllers.SwitchingPrecision()
+    of = {n: family_loop(BY_NAME[n], switching)["controller"].block.precision for n in ("healthy", "turbine: healthy")}
+    assert of == {"healthy": switching, "turbine: healthy": switching.slowed(2.5)}
+
+
+def test_numbers_are_those_of_the_runs(report):
+    """Each run again by itself, alarms counted by hand."""
+    for name in FEW:
+        case, squares, sizes, false, delays = BY_NAME[name], {}, {}, [], []
+        for learner, told in (("gamma", False), ("explicit", False), ("oracle", True)):
+            loop = family_loop(case, TWO.get(learner, FIXED), told=told)
+            results = interpreted(loop, 20.0, (5, 6), None)
+            errors = [r["plant.v"][1:] - r["reference.y"][:-1] for r in results]
+            squares[learner] = np.mean(np.square(errors))
+            sizes[learner] = np.sqrt(np.mean(np.square(errors), axis=1))
+            for r in results if learner == "explicit" else ():
+                alarm, truth = r["controller.detected"] >= 0.5, faulty_samples(case, r.time)
+                arrived = ~np.isnan(r["sensors.y"])
+                false.append(alarm[~truth & arrived])
+                for sensor in range(truth.shape[1]):
+                    onsets = np.flatnonzero(np.diff(truth[:, sensor].astype(int), prepend=0) == 1)
+                    for onset in onsets:
+                        end = onset + np.argmin(np.append(truth[onset:, sensor], False))
+                        seen = np.flatnonzero(alarm[onset:end, sensor])
+                        delays.append(seen[0] * 0.02 if len(seen) else np.inf)
+        cells = report["table"][name]
+        for learner in TWO:
+            assert cells[learner]["ratio"] == pytest.approx(np.sqrt(squares[learner] / squares["oracle"]), rel=1e-12)
+            assert (cells[learner]["n"], cells[learner]["lost"]) == (2, 0)
+            assert cells[learner]["above_share"] == np.mean(sizes[learner] > 1.25 * sizes["oracle"])
+        assert report["oracle"][name] == pytest.approx(np.sqrt(squares["oracle"]), rel=1e-12)
+        entry = cells["explicit"]
+        assert entry["false_share"] == pytest.approx(np.concatenate(false).mean(), rel=1e-9)
+        assert cells["gamma"]["false_share"] is None
+        if delays:
+            assert entry["missed_share"] == np.isinf(delays).mean()
+            median = np.sort(delays)[(len(delays) - 1) // 2]
+            assert entry["delay"] == (pytest.approx(median) if np.isfinite(median) else None)
+        else:
+            assert entry["missed_share"] is entry["delay"] is None
+
+
+def test_errors_of_other_plants_count_once_they_have_settled():
+    case = BY_NAME["arm: gain of 0.7"]
+    result = family_loop(case, FIXED).simulate(0.2, seed=1, engine="interpreted")
+    names = ("plant.q1", "plant.q2", "reference_0.y", "reference_1.y")
+    assert signals_of_goals(case) == names
+    q1, q2, r1, r2 = (result[name] for name in names)
+    assert np.array_equal(goal_error(case, result), [q1 - r1, q2 - r2])
+    case = BY_NAME["turbine: healthy"]
+    result = family_loop(case, FIXED).simulate(11.0, seed=1, engine="interpreted")
+    assert np.array_equal(goal_error(case, result), [(result["plant.power"] - result["reference.y"])[200:]])
+
+
+def test_the_summary_is_that_of_the_table(report):
+    for name, summary in report["summary"].items():
+        ratios = {case: cells[name]["ratio"] for case, cells in report["table"].items()}
+        assert summary["worst"]["ratio"] == max(ratios.values()) == ratios[summary["worst"]["case"]]
+        assert summary["mean"] == pytest.approx(np.prod(list(ratios.values())) ** (1 / 3))
+        assert summary["above_the_bar"] == [case for case, ratio in ratios.items() if ratio > 1.25]
+        best = {case: min(cell["ratio"] for cell in cells.values()) for case, cells in report["table"].items()}
+        assert summary["behind_the_best"] == [case for case in ratios if ratios[case] > best[case] + 0.05]
+
+
+def test_runs_that_cannot_go_on_are_counted_and_worst():
+    """A gain of a million makes the loop unstable, until the speed is no number; the oracle does not see the sensor."""
+    lost = Case("beyond all numbers", (cosim.GainFault(factor=1e6, start=1.0),))
+    made = small(1, cases=[lost], learners={"fixed": FIXED})
+    cell = made["table"]["beyond all numbers"]["fixed"]
+    assert (cell["lost"], cell["ratio"], cell["n"]) == (2, None, 2)
+    assert made["summary"]["fixed"]["worst"] == {"case": "beyond all numbers", "ratio": None}
+    assert made["summary"]["fixed"]["above_the_bar"] == ["beyond all numbers"]
+    text = shown(made)
+    assert "lost 2*" in text
+    _family_figures.ratios(made)
+    json.dumps(made, allow_nan=False)
+
+
+def shown(report):
+    console = Console(file=StringIO(), width=120)
+    for part in _family_tables.show(report):
+        console.print(part)
+    return console.file.getvalue()
+
+
+def test_what_is_printed_and_drawn(report):
+    text = " ".join(shown(report).split())
+    for name in FEW:
+        entry = report["table"][name]["gamma"]["ratio"]
+        assert f"{entry:.2f}{'*' * (entry > 1.25)}" in text
+        assert name in text
+    assert "explicit gamma" in text
+    figure = _family_figures.ratios(report)
+    values = figure.axes[0].images[0].get_array()
+    assert np.allclose(values, [[report["table"][c][n]["ratio"] for n in TWO] for c in FEW_IN_ORDER])
+    assert [t.get_text() for t in figure.axes[0].get_yticklabels()] == FEW_IN_ORDER
+
+
+FEW_IN_ORDER = [case.name for case in CASES if case.name in FEW]
+
+
+def test_the_report_is_the_same_for_any_number_of_jobs_and_says_why(report):
+    assert small(1, cases=FEW, learners=TWO) == report
+    json.dumps(report, allow_nan=False)
+    assert list(report["table"]) == FEW_IN_ORDER
+    for name in vars(Family()):
+        assert len(report["settings"]["why"][name]) > 5
+
+
+def test_cases_and_learners_are_chosen_by_pattern_or_given():
+    assert [case.name for case in _family.chosen_cases("Freeze from*")] == ["freeze from the first step"]
+    own = Case("mine", (cosim.Stuck(at=1.0),))
+    assert _family.chosen_cases([own]) == [own]
+    assert [case.name for case in _family.chosen_cases(["healthy", own])] == ["healthy", "mine"]
+    assert _family.chosen_cases(None) == list(CASES)
+    assert list(_family.chosen_learners(["ser*", "gamma*"])) == ["GammaPrecision", "SERFDI"]
+    assert _family.chosen_learners(TWO) == TWO
+    mine = [name for name in _family.chosen_learners(None) if name.startswith("Switching")]
+    assert mine == ["SwitchingPrecision", "SwitchingPrecision, per sensor"]
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (lambda: reproduce.family(cases=["frezee"]), UnknownNameError, "no case 'frezee'.*did you mean 'freeze'"),
+        (lambda: reproduce.family(learners="gama*"), UnknownNameError, "no learner"),
+        (lambda: reproduce.family(cases=[]), ModelError, "no case"),
+        (lambda: reproduce.family(learners={}), ModelError, "at least one"),
+        (lambda: reproduce.family(learners={"mine": 3}), ModelError, "at least one"),
+        (lambda: reproduce.family(runs=1), ModelError, "runs is 1"),
+        (lambda: reproduce.family(settings=Tracking()), ModelError, "takes Family"),
+        (
+            lambda: small(1, cases=[Case("light", parameters={"m": 1e-3})], learners=TWO),
+            ModelError,
+            "oracle loses the plant in the case 'light'",
+        ),
+        (lambda: Family(bar=1.0), ModelError, "bar=1.0"),
+        (lambda: Family(behind=-0.1), ModelError, "behind=-0.1"),
+        (lambda: Family(tuning_seed=-1), ModelError, "tuning_seed is -1"),
+    ],
+)
+def test_wrong_input_is_a_sentence(make, error, words):
+    with pytest.raises(error, match=words):
+        make()
+
+
+def test_seeds_for_tuning_and_judging_are_apart():
+    settings = Family()
+    assert settings.judging_seed + 10 * settings.runs <= settings.tuning_seed
+
+
+def test_the_command(bayesftc_, tmp_path):
+    only = ("--case", "healthy", "--learner", "FixedPrecision", "--runs", 2, "--jobs", 1)
+    done = bayesftc_("reproduce", "family", *only, "--out", "here")
+    assert done.exit_code == 0, done.output
+    assert "of 1 cases" in done.stdout
+    report = json.loads((tmp_path / "here" / "family.json").read_text())
+    assert report["table"] == {"healthy": {"FixedPrecision": report["table"]["healthy"]["FixedPrecision"]}}
+    assert report["table"]["healthy"]["FixedPrecision"]["ratio"] == 1.0
+    assert (tmp_path / "here" / "family.png").stat().st_size > 5_000
+    refused = bayesftc_("reproduce", "tracking", "--learner", "PL")
+    assert refused.exit_code == 9
+    assert "tracking always runs all learners" in refused.stderr
+
+
+def test_a_changed_case_is_another(report):
+    """Cases are data: what is replaced in one is what changes in its loop."""
+    case = replace(BY_NAME["injection of 3 sd"], sensors=4)
+    assert family_loop(case, FIXED)["sensors"].block.count == 4
+    assert faulty_samples(case, np.array([5.98, 6.0, 13.98, 14.0])).sum(axis=1).tolist() == [0, 1, 1, 0]
