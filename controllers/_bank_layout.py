@@ -174,13 +174,13 @@ class Layout:
 
     @property
     def grow(self) -> int:
-        """Where the probabilities stand of what begins, then what each hypothesis says of the samples."""
+        """Where the probabilities stand of what begins, then what each hypothesis says of the samples: logarithm and factor."""
         return self.pool + self.length
 
     @property
     def couples(self) -> int:
         """Where it stands how an offset moves the state."""
-        return self.grow + 2 * self.hypotheses
+        return self.grow + 3 * self.hypotheses
 
     @property
     def shift(self) -> int:

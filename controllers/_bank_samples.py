@@ -21,6 +21,7 @@ from bayesftc.controllers._bank_layout import (
 from bayesftc.controllers._course import follow, misfit
 from bayesftc.controllers._mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT, log_density
 from bayesftc.controllers._switching_kernels import (
+    DENSITY,
     FIRST,
     FIRST_SETTINGS,
     HEALTHY,
@@ -63,7 +64,7 @@ def make_weigh(
     n, m, H, K, process = layout.n, layout.m, layout.hypotheses, len(layout.kinds), layout.process
     kinds, sensor, row_length = layout.kinds or (0,), layout.sensor, layout.row
     width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
-    told, scratch = layout.grow + H, layout.scratch
+    told, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
     first_lost, first_actuator, U, lost = layout.first_lost, layout.first_actuator, len(layout.lost), layout.lost or (0,)
     courses, course, squares = layout.courses, layout.course, layout.squares
 
@@ -71,6 +72,7 @@ def make_weigh(
         for h in range(H):
             at = none + h * stride
             memory[told + h] = 0.0 * memory[none]
+            memory[factor + h] = memory[at]
             offset = 1 if (h > 0 and h < first_lost) or (h >= first_actuator and h < process) else 0
             for i in range(m):
                 variance, row = nominal[i, i] * memory[i * sensor + NOISE], i * row_length
@@ -80,11 +82,11 @@ def make_weigh(
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
                     own = row + FIRST_SETTINGS + kinds[q] * width_of_settings
-                    density = settings[own + MODE_ARRIVES] + log_density(error * error, total)
-                    memory[told + h] = memory[told + h] + select(
-                        present[i] > 0.5, density, settings[own + MODE_MISSING]
-                    )
+                    density = select(present[i] > 0.5, log_density(error * error, total), 0.0)
+                    times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
                     correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
+                    memory[told + h] = memory[told + h] + density
+                    memory[factor + h] = memory[factor + h] * times
                 elif h < first_lost + i * U or h >= first_lost + (i + 1) * U:
                     spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                     total = spread + variance
@@ -95,11 +97,15 @@ def make_weigh(
                     else:
                         density = weigh_other(error, present[i], total, variance, change, memory, own, settings, row)
                     memory[told + h] = memory[told + h] + density
+                    memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
                     noise = variance / memory[own + TRUSTED]
                     correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
                     part = variance / total
                     squared = part * (part * error * error + spread) / nominal[i, i]
                     memory[squares + h * m + i] = minimum(squared, FURTHEST)
+                if i % 2 == 1 and i < m - 1:  # before the product of many small ones is none
+                    memory[told + h] = memory[told + h] + log(memory[factor + h])
+                    memory[factor + h] = 1.0 + 0.0 * memory[none]
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
@@ -112,14 +118,15 @@ def make_weigh(
                     error / deviation, change / deviation, present[i], memory[begun], memory, begun + 1, scratch,
                     settings, own + OWN_SETTINGS,
                 ) - log(deviation)  # fmt: skip
-                density = select(present[i] > 0.5, settings[own + MODE_ARRIVES] + density, settings[own + MODE_MISSING])
-                memory[told + h] = memory[told + h] + density
+                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
+                memory[told + h] = memory[told + h] + select(present[i] > 0.5, density, 0.0)
+                memory[factor + h] = memory[factor + h] * times
         most = memory[told]
         for h in range(1, H):
             most = maximum(most, memory[told + h])
         total = 0.0 * most
         for h in range(H):
-            memory[none + h * stride] = memory[none + h * stride] * share_of(memory[told + h], most)
+            memory[none + h * stride] = memory[factor + h] * share_of(memory[told + h], most)
             total = total + memory[none + h * stride]
         for h in range(H):
             memory[none + h * stride] = maximum(memory[none + h * stride] / total, LEAST)

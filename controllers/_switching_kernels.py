@@ -1,14 +1,13 @@
 """Step functions of switching between fault modes: time passing, probabilities, and what they say of a sensor.
 
 What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample, the probability of being `HEALTHY`, the precision
-that it deserves in those of its noise while healthy (`TRUSTED`); the variance of that `NOISE` in nominal ones, with shape and rate of
+that it deserves in those of its noise while healthy (`TRUSTED`); the factor of its last sample's `DENSITY` beside the logarithm that was returned; the variance of that `NOISE` in nominal ones, with shape and rate of
 the gamma distribution that it is learned by (one for all hypotheses, where there are such); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
 it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). After all
 sensors follow the number of samples and the logarithm of the last ones' density. The settings likewise, from ``row`` on: the
-logarithms of the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how much each sample `KEEPS` of
+probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how much each sample `KEEPS` of
 what was learned, the prior's shape, and its bounds; and a block for each mode: the
-probabilities that it `BEGINS`, `LASTS`, `ENDS`, the logarithms of those that a sample arrives and is missing, and the mode's
-own settings.
+probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is missing, and the mode's own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
 sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.
@@ -18,7 +17,7 @@ from bayesftc.controllers._mode_kernels import AGE, ENTERED, FURTHEST, SIZE, WEI
 from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import exp, maximum, minimum, select, sqrt
 
-LAST, HEALTHY, TRUSTED, NOISE, NOISE_SHAPE, NOISE_RATE, FIRST = range(7)
+LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, FIRST = range(8)
 ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, FIRST_SETTINGS = range(7)
 BEGINS, LASTS, ENDS, MODE_ARRIVES, MODE_MISSING, OWN_SETTINGS = 0, 1, 2, 3, 4, 5
 

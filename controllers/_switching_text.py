@@ -24,26 +24,26 @@ memory[at + HEALTHY] = stays
 _PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings, row + {settings})"
 
 _WEIGH = """
-error = held(e, variance)
-sound = log_density(error * error, variance)
-told = select(present > 0.5, settings[row + ARRIVES] + sound, settings[row + MISSING])
+sound = log_density(e * e, variance)
+told = select(present > 0.5, sound, 0.0)
 {modes}
 most = {most}
-healthy = memory[at + HEALTHY] * share_of(told, most)
+healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], settings[row + MISSING]) * share_of(told, most)
 {weights}
 total = {total}
 part = 1.0 / total
 memory[at + HEALTHY] = healthy * part + LEAST
 {probabilities}
 memory[at + TRUSTED] = maximum(({trust}) * part, LEAST_TRUST)
-return most + log(total)
+memory[at + DENSITY] = total
+return most
 """
 
 _WEIGH_MODE = """\
 block{k}, own = at + {block}, row + {settings}
-told{k} = mode{k}(error, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
-told{k} = select(present > 0.5, settings[own + MODE_ARRIVES] + told{k}, settings[own + MODE_MISSING])
-factor{k} = select(present > 0.5, memory[block{k} + FACTOR], 1.0)\
+told{k} = mode{k}(e, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
+told{k} = select(present > 0.5, told{k}, 0.0)
+factor{k} = select(present > 0.5, settings[own + MODE_ARRIVES] * memory[block{k} + FACTOR], settings[own + MODE_MISSING])\
 """
 
 _LEARN = """
@@ -54,9 +54,11 @@ for i in range(y.shape[0]):
     variance = spread[i, i] + noise
     pass_time(memory, at, settings, row)
     change = y[i] - memory[at + LAST]
-    told = told + weigh(e[i], present[i], variance, noise, change, memory, at, settings, row)
+    error = held(e[i], variance)
+    told = told + weigh(error, present[i], variance, noise, change, memory, at, settings, row)
+    told = told + log(memory[at + DENSITY])
     part = noise / variance
-    squared = part * (part * e[i] * e[i] + spread[i, i])
+    squared = part * (part * error * error + spread[i, i])
     learn_noise(minimum(squared / nominal[i, i], FURTHEST), present[i] * memory[at + HEALTHY], memory, at, settings, row)
     memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
     fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
@@ -89,7 +91,7 @@ def sensor_functions(
 ) -> tuple[Callable[..., None], Callable[..., float]]:
     """Return the functions by which time passes for a sensor's modes, and by which they are weighed by a sample.
 
-    The latter returns the logarithm of the sample's density. Only the ``chosen`` modes take part.
+    The latter returns the logarithm of the sample's density, but for a factor (`DENSITY`). Only the ``chosen`` modes take part.
 
     Parameters
     ----------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -157,15 +156,15 @@ class SwitchingPrecision(PrecisionLearner):
         settings = []
         for i in range(m):
             loss = float(losses[i])
-            settings += [math.log1p(-loss), math.log(loss), self.noise_forgetting, 0.5 * self.noise_strength]
+            settings += [1.0 - loss, loss, self.noise_forgetting, 0.5 * self.noise_strength]
             settings += [self.noise_factor**-2, self.noise_factor**2]
             for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
-                block = [begin, 1.0 - end, end, math.log(arrives), math.log1p(-arrives), *values]
+                block = [begin, 1.0 - end, end, arrives, 1.0 - arrives, *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):
-            memory += [np.nan, 1.0, 1.0, 1.0, 0.5 * self.noise_strength, 0.5 * self.noise_strength]
+            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, 0.5 * self.noise_strength, 0.5 * self.noise_strength]
             for values in first:
                 block = [kernels.LEAST, 0.0, 1.0, 0.0, *values]
                 memory += block + [0.0] * (width - len(block))
