@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.controllers._absurd import screening
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, check_choice, check_number, frozen
 from bayesftc.controllers._curvature import check_stable, curvature_of_belief, curvature_of_control, largest_step
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
@@ -196,13 +197,14 @@ class UnbiasedActiveInference(Block):
         curvature, rates = self._nominal_curvature()
         largest, squarings = largest_step(curvature, rates)
         q = len(rates)
+        screens, screen_parameters = screening(self._learned_model(), self.precision)
         parameters = {
             "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self._groups),
             "settings": learner.settings, "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
             "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
             "prior_curvature": self._prior_curvature(), "root_rate": np.sqrt(rates), "largest": largest,
-            **law.parameters, **sensing.parameters,
+            **law.parameters, **sensing.parameters, **screen_parameters,
         }  # fmt: skip
         shapes = {
             "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "L": (m, m), "inverse": (m, m),
@@ -213,7 +215,7 @@ class UnbiasedActiveInference(Block):
         state = {
             "mean": self.initial_mean, "predicted": self.initial_mean, "memory": learner.memory,
             "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in shapes.items()},
-            **law.state, **sensing.state,
+            **law.state, **sensing.state, **screens,
         }  # fmt: skip
         names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
         functions = {

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
+from bayesftc.controllers._absurd import blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
@@ -49,14 +50,19 @@ def _make_step(
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
+        heard, doubts, widening, reach, plant, witnesses, patience, certain,
     ):  # fmt: skip
         apply(C, mean, expected)
-        innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        innovate(
+            y, expected, covariance, C, nominal, plant, witnesses, patience, largest, doubts, widening, reach, heard, e, present,
+            CP, spread, innovation,
+        )  # fmt: skip
+        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         update(
-            y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+            heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
             R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         )  # fmt: skip
+        blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
         seek(
             goal,
@@ -181,7 +187,8 @@ class BayesianController(BayesianBlock):
         model, learner, (G, _, prior) = self.model, self._learner(), self._priors()
         n, p, g = model.states, model.controls, len(G)
         B = model.matrix("B")
-        parameters = self._shared_parameters(step) | {
+        screens, screen_parameters = screening(model, self._precision)
+        parameters = self._shared_parameters(step) | screen_parameters | {
             "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "prior_precision": prior,
         }  # fmt: skip
         scratch = {
@@ -201,7 +208,7 @@ class BayesianController(BayesianBlock):
             "h": (n,),
         }
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
-        state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
+        state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
         state |= {name: np.zeros(shape) for name, shape in scratch.items()}
         seek, constants, seeking = self._seeking(G @ B, prior)
         parameters |= constants

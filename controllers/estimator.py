@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 
+from bayesftc.controllers._absurd import blame, screening
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, extended_mean, known_constant
 from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
@@ -35,15 +36,19 @@ def _make_estimate(
     def state_estimator(
         y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, applied, memory,
         A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
-        works, load,
+        works, load, heard, doubts, widening, reach, plant, witnesses, patience, certain,
     ):  # fmt: skip
         apply(C, mean, expected)
-        innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        innovate(
+            y, expected, covariance, C, nominal, plant, witnesses, patience, largest, doubts, widening, reach, heard, e, present,
+            CP, spread, innovation,
+        )  # fmt: skip
+        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         update(
-            y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+            heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
             R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         )  # fmt: skip
+        blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
 
     return state_estimator
@@ -156,11 +161,13 @@ class StateEstimator(Block):
         model, learner = self.model, self.precision.learner(self.model)
         Q, nominal = model.matrix("process_covariance"), model.matrix("sensor_covariance")
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
+        screens, screen_parameters = screening(model, self.precision)
         parameters = {
             **{name: model.matrix(name) for name in "ABC"},
             **{"Q": Q, "nominal": nominal, "settings": learner.settings, "largest": largest},
+            **screen_parameters,
         }
         first = sum(port.size for port in self._own_outputs)
         estimate = _make_estimate(*make_ways(learner.step, learner.infer), learner.report, first)
-        state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
+        state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
         return Definition(estimate, look_ahead, state=state, parameters=parameters)

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayesftc.controllers._absurd import blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix, check_choice, check_number, frozen
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
@@ -121,13 +122,18 @@ def _make_step(
         Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
         z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
+        heard, doubts, widening, reach, plant, witnesses, patience, certain,
     ):  # fmt: skip
         n, p = x_hat.shape[0], u.shape[0]
         T = squares[0]
         g(mean, reading)
         g_jacobian(mean, C)
-        innovate(y, reading, covariance, C, e, present, CP, spread, innovation)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        innovate(
+            y, reading, covariance, C, nominal, plant, witnesses, patience, largest, doubts, widening, reach, heard, e, present,
+            CP, spread, innovation,
+        )  # fmt: skip
+        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
         leave_out_distant(e, nominal, used)
         cholesky_semidefinite(covariance, root)
@@ -146,7 +152,7 @@ def _make_step(
                 for j in range(p):
                     prior[i, j] = whole * prior_root[i, j]
             minimise(
-                z, y, goal, kept, mean, root, noise, G, prior, control_mean,
+                z, heard, goal, kept, mean, root, noise, G, prior, control_mean,
                 point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
             )  # fmt: skip
             locate(z, mean, root, point)
@@ -230,17 +236,18 @@ class NonlinearBayesianController(BayesianBlock):
         check_choice(self, "prediction", "model", "random walk")
         check_number(self, "iterations", least=1, most=1000, whole=True)
         self._check_settings()
-        start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
-        self._check_reach(start.matrix("B"))
+        self._check_reach(self._start().matrix("B"))
         self._learner()  # settings that do not fit the model fail here, not in the loop
 
     def _distinct_outputs(self) -> Floats:
         raise ModelError("goal_on='outputs' is for linear models; give the matrix G of what the goal is of the state.")
 
-    def _learner(self) -> Learner:
+    def _start(self) -> LinearModel:
         # Learners know the sensors by a linear model: the one at the initial mean, where it is known to be finite.
-        start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
-        return self.precision.apart("NonlinearBayesianController").learner(start)
+        return self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
+
+    def _learner(self) -> Learner:
+        return self.precision.apart("NonlinearBayesianController").learner(self._start())
 
     @property
     def measurement_matrix(self) -> Floats:
@@ -268,7 +275,8 @@ class NonlinearBayesianController(BayesianBlock):
             sum(port.size for port in self._own_outputs),
         )
         prior = self._prior_precision()
-        parameters = self._shared_parameters(step) | {
+        screens, screen_parameters = screening(self._start(), self.precision)
+        parameters = self._shared_parameters(step) | screen_parameters | {
             "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
         }  # fmt: skip
@@ -283,7 +291,7 @@ class NonlinearBayesianController(BayesianBlock):
         }  # fmt: skip
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
+            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()}, **screens,
         }  # fmt: skip
         return Definition(kernel, state=state, parameters=parameters)
 

@@ -1,0 +1,141 @@
+"""Samples that no fault of the model explains: they count as missing, and their sensor as faulty at that sample.
+
+A sample is absurd if its innovation is more than a million of its standard deviations: 1e20, the largest integer or float of a
+device, a value in other units. Weights can be capped, the innovation of such a sample cannot: it would move belief and learner
+for minutes. So the learner, the update and all else see a missing sample.
+
+The belief may be what is wrong, and then every sample is absurd. A sensor confirms its absurd samples by further ones that lie
+near the one before, but do not repeat it: a device that has failed repeats one value. A sensor that has sent no ordinary sample
+yet may repeat itself, for a healthy sensor at rest does, and then it is the initial mean that is in doubt. Nothing is confirmed
+while another sensor of the same quantity sends ordinary samples, nor beyond what is `CREDIBLE`. After `PATIENCE` the belief is
+taken for lost: it is widened until the sample is an ordinary one. A belief without a covariance goes back to the samples as
+they are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.controllers.precision import NAN
+from bayesftc.cosim.ops import absolute, both, either, isnan, maximum, negate, select, sqrt
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+    from bayesftc.controllers.precision import PrecisionLearner
+    from bayesftc.cosim.block import Floats
+
+EXPLICABLE = 1e12
+"""Largest squared innovation, in units of its variance, that a fault explains: a million standard deviations."""
+
+CREDIBLE = 1e20
+"""Largest squared innovation, in the same units, for which the belief may be to blame."""
+
+NEAR = 0.1
+"""Largest change since the sample before, in units of the innovation, with which a sample confirms that one."""
+
+PATIENCE = 0.5
+"""Seconds for which a sensor must confirm its absurd samples until the belief is taken for lost."""
+
+LEAST_SAMPLES = 10
+"""Least number of samples in that time: the sample time may be long."""
+
+ALIKE = 0.99
+"""Least squared cosine between the rows of two sensors that measure the same quantity."""
+
+COUNT, LAST, ABSURD = range(3)
+"""Rows of ``doubts``, with a column for each sensor: samples in a row that confirm each other, the last sample, and whether this
+one is absurd."""
+
+
+def widen(covariance, plant, widening):
+    """Multiply the standard deviations of the plant's states; those of disturbances and sensors' errors stay."""
+    n = covariance.shape[0]
+    for i in range(n):
+        own = 1.0 + plant[i] * (widening[0] - 1.0)
+        for j in range(n):
+            covariance[i, j] = covariance[i, j] * (own * (1.0 + plant[j] * (widening[0] - 1.0)))
+
+
+def screen(y, expected, spread, nominal, heard, doubts):
+    """Write the samples as they count (``heard``, NaN for an absurd one), and which ones are absurd.
+
+    ``spread`` is the covariance of what is ``expected``, ``nominal`` that of the sensors' noise.
+    """
+    for i in range(y.shape[0]):
+        d = y[i] - expected[i]
+        absurd = both(d - d == 0.0, d * d > EXPLICABLE * (spread[i, i] + nominal[i, i]))
+        doubts[ABSURD, i] = select(absurd, 1.0, 0.0)
+        heard[i] = select(absurd, NAN, y[i])
+
+
+def count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening):
+    """Count how long each sensor has confirmed its absurd samples, and compute by how much the belief is to be widened.
+
+    ``widening`` is a factor of standard deviations, 1 while no sensor has confirmed its samples for longer than ``patience``.
+    """
+    widening[0] = 1.0 + 0.0 * patience[0]
+    for i in range(y.shape[0]):
+        absurd, there = doubts[ABSURD, i] > 0.5, heard[i] - heard[i] == 0.0
+        contradicted = 0.0 * patience[0]
+        for j in range(y.shape[0]):
+            contradicted = select(heard[j] - heard[j] == 0.0, maximum(contradicted, witnesses[i, j]), contradicted)
+        count, last, error = doubts[COUNT, i], doubts[LAST, i], absolute(y[i] - expected[i])
+        first, change = isnan(last), absolute(y[i] - last)
+        follows = either(first, both(change > 0.0, change <= NEAR * error))
+        confirmed = select(follows, count + 1.0, select(change == 0.0, count, 1.0))
+        credible = error * error <= CREDIBLE * (spread[i, i] + nominal[i, i])
+        confirmed = select(both(credible, contradicted < 0.5), confirmed, 0.0)
+        doubts[COUNT, i] = select(absurd, confirmed, select(there, 0.0, count))
+        doubts[LAST, i] = select(either(there, both(absurd, negate(first))), y[i], last)
+        lost = both(absurd, both(confirmed > patience[0], spread[i, i] > 0.0))
+        widening[0] = maximum(widening[0], select(lost, error / sqrt(spread[i, i]), 1.0))
+
+
+def listen(y, patience, heard, doubts):
+    """Let samples count that their sensor has confirmed for longer than ``patience``: for a belief without a covariance."""
+    for i in range(y.shape[0]):
+        confirmed = both(doubts[ABSURD, i] > 0.5, doubts[COUNT, i] > patience[0])
+        heard[i] = select(confirmed, y[i], heard[i])
+        doubts[ABSURD, i] = select(confirmed, 0.0, doubts[ABSURD, i])
+
+
+def blame(doubts, certain, fault_probability):
+    """Give the sensors of absurd samples the probability ``certain``: 1, or NaN for a learner that gives no probability."""
+    for i in range(fault_probability.shape[0]):
+        fault_probability[i] = select(doubts[ABSURD, i] > 0.5, certain[0], fault_probability[i])
+
+
+def screening(model: LinearModel, precision: PrecisionLearner) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the state and the parameters that these step functions need.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Of the sensors; of a nonlinear model, where it is linearised.
+    precision : PrecisionLearner
+        What gives the fault probability.
+    """
+    m = model.sensors
+    doubts = np.zeros((3, m))
+    doubts[LAST] = np.nan
+    state = {"heard": np.zeros(m), "doubts": doubts, "widening": 1.0, "reach": 0.0}
+    plant = model.states - model.disturbances
+    parameters = {
+        "plant": (np.arange(model.states) < plant).astype(np.float64),
+        "witnesses": _witnesses(model.matrix("C")[:, :plant]),
+        "patience": float(max(math.ceil(PATIENCE / model.step), LEAST_SAMPLES)),
+        "certain": 1.0 if precision.why_no_probability is None else NAN,
+    }
+    return state, parameters
+
+
+def _witnesses(rows: Floats) -> Floats:
+    """Return for each sensor which other ones measure the same quantity (1 or 0), from their rows of states."""
+    lengths = np.linalg.norm(rows, axis=1)
+    alike = (rows @ rows.T) ** 2 >= ALIKE * np.outer(lengths, lengths) ** 2
+    seen = np.outer(lengths, lengths) > 0
+    np.fill_diagonal(alike, False)
+    return np.asarray(alike & seen, dtype=np.float64)
