@@ -5,11 +5,11 @@ device, a value in other units. Weights can be capped, the innovation of such a 
 for minutes. So the learner, the update and all else see a missing sample.
 
 The belief may be what is wrong, and then every sample is absurd. A sensor confirms its absurd samples by further ones that lie
-near the one before, but do not repeat it: a device that has failed repeats one value. A sensor that has sent no ordinary sample
-yet may repeat itself, for a healthy sensor at rest does, and then it is the initial mean that is in doubt. Nothing is confirmed
-while another sensor of the same quantity sends ordinary samples, nor beyond what is `CREDIBLE`. After `PATIENCE` the belief is
-taken for lost: it is widened until the sample is an ordinary one. A belief without a covariance goes back to the samples as
-they are.
+near the one before, but do not repeat it: a device that has failed repeats one value. A repetition confirms half a sample for
+a sensor that has sent no ordinary sample yet: a healthy sensor at rest repeats itself, and the initial mean is in doubt then.
+Nothing is confirmed while another sensor of the same quantity sends ordinary samples, nor beyond what is `CREDIBLE`. After
+`PATIENCE` the belief is taken for lost: it is widened until the sample is an ordinary one. A belief without a covariance takes
+the samples as they are, after the same time.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.controllers.precision import NAN
-from bayesftc.cosim.ops import absolute, both, either, isnan, maximum, negate, select, sqrt
+from bayesftc.cosim._invalid import invalid_values
+from bayesftc.cosim.ops import absolute, both, either, maximum, select, sqrt
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.controllers.precision import PrecisionLearner
     from bayesftc.cosim.block import Floats
 
 EXPLICABLE = 1e12
@@ -45,9 +45,12 @@ LEAST_SAMPLES = 10
 ALIKE = 0.99
 """Least squared cosine between the rows of two sensors that measure the same quantity."""
 
-COUNT, LAST, ABSURD = range(3)
-"""Rows of ``doubts``, with a column for each sensor: samples in a row that confirm each other, the last sample, and whether this
-one is absurd."""
+REPEATED = 0.5
+"""What a repeated sample of a sensor confirms that has sent no ordinary one yet."""
+
+COUNT, LAST, HEARD, ABSURD = range(4)
+"""Rows of ``doubts``, with a column for each sensor: samples in a row that confirm each other, the last sample, whether there
+has been an ordinary one, and whether this one is absurd."""
 
 
 def widen(covariance, plant, widening):
@@ -59,16 +62,23 @@ def widen(covariance, plant, widening):
             covariance[i, j] = covariance[i, j] * (own * (1.0 + plant[j] * (widening[0] - 1.0)))
 
 
-def screen(y, expected, spread, nominal, heard, doubts):
-    """Write the samples as they count (``heard``, NaN for an absurd one), and which ones are absurd.
+def screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts):
+    """Write the samples as they count (``heard``): NaN for one that is absurd or has an ``invalid`` value.
 
-    ``spread`` is the covariance of what is ``expected``, ``nominal`` that of the sensors' noise.
+    ``spread`` is the covariance of what is ``expected``, ``nominal`` that of the sensors' noise. Once the belief has been
+    widened, the samples of sensors that were absurd and have not confirmed it stay absurd at that step: a wide belief explains
+    them as well.
     """
     for i in range(y.shape[0]):
-        d = y[i] - expected[i]
-        absurd = both(d - d == 0.0, d * d > EXPLICABLE * (spread[i, i] + nominal[i, i]))
+        sample = y[i]
+        for s in range(invalid.shape[1]):
+            sample = select(y[i] == invalid[i, s], NAN, sample)
+        d = sample - expected[i]
+        unconfirmed = both(widening[0] > 1.0, both(doubts[ABSURD, i] > 0.5, doubts[COUNT, i] <= patience[0]))
+        absurd = either(d * d > EXPLICABLE * (spread[i, i] + nominal[i, i]), unconfirmed)
+        absurd = both(d - d == 0.0, absurd)
         doubts[ABSURD, i] = select(absurd, 1.0, 0.0)
-        heard[i] = select(absurd, NAN, y[i])
+        heard[i] = select(absurd, NAN, sample)
 
 
 def count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening):
@@ -83,15 +93,16 @@ def count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubt
         for j in range(y.shape[0]):
             contradicted = select(heard[j] - heard[j] == 0.0, maximum(contradicted, witnesses[i, j]), contradicted)
         count, last, error = doubts[COUNT, i], doubts[LAST, i], absolute(y[i] - expected[i])
-        first, change = isnan(last), absolute(y[i] - last)
-        follows = either(first, both(change > 0.0, change <= NEAR * error))
-        confirmed = select(follows, count + 1.0, select(change == 0.0, count, 1.0))
+        change = absolute(y[i] - last)
+        repeated = count + select(doubts[HEARD, i] > 0.5, 0.0, REPEATED)
+        confirmed = select(change == 0.0, repeated, select(change <= NEAR * error, count + 1.0, 1.0))
         credible = error * error <= CREDIBLE * (spread[i, i] + nominal[i, i])
         confirmed = select(both(credible, contradicted < 0.5), confirmed, 0.0)
         doubts[COUNT, i] = select(absurd, confirmed, select(there, 0.0, count))
-        doubts[LAST, i] = select(either(there, both(absurd, negate(first))), y[i], last)
+        doubts[LAST, i] = select(either(there, absurd), y[i], last)
+        doubts[HEARD, i] = select(there, 1.0, doubts[HEARD, i])
         lost = both(absurd, both(confirmed > patience[0], spread[i, i] > 0.0))
-        widening[0] = maximum(widening[0], select(lost, error / sqrt(spread[i, i]), 1.0))
+        widening[0] = maximum(widening[0], select(lost, error / sqrt(select(lost, spread[i, i], 1.0)), 1.0))
 
 
 def listen(y, patience, heard, doubts):
@@ -108,26 +119,27 @@ def blame(doubts, certain, fault_probability):
         fault_probability[i] = select(doubts[ABSURD, i] > 0.5, certain[0], fault_probability[i])
 
 
-def screening(model: LinearModel, precision: PrecisionLearner) -> tuple[dict[str, Any], dict[str, Any]]:
+def screening(block: Any, model: LinearModel) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the state and the parameters that these step functions need.
 
     Parameters
     ----------
+    block : controller or estimator
+        With the settings ``precision`` and ``invalid``.
     model : LinearModel
         Of the sensors; of a nonlinear model, where it is linearised.
-    precision : PrecisionLearner
-        What gives the fault probability.
     """
     m = model.sensors
-    doubts = np.zeros((3, m))
+    doubts = np.zeros((4, m))
     doubts[LAST] = np.nan
     state = {"heard": np.zeros(m), "doubts": doubts, "widening": 1.0, "reach": 0.0}
     plant = model.states - model.disturbances
     parameters = {
         "plant": (np.arange(model.states) < plant).astype(np.float64),
+        "invalid": invalid_values(type(block).__name__, block.invalid, m),
         "witnesses": _witnesses(model.matrix("C")[:, :plant]),
         "patience": float(max(math.ceil(PATIENCE / model.step), LEAST_SAMPLES)),
-        "certain": 1.0 if precision.why_no_probability is None else NAN,
+        "certain": 1.0 if block.precision.why_no_probability is None else NAN,
     }
     return state, parameters
 

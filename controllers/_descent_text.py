@@ -13,7 +13,7 @@ from bayesftc.cosim.ops import select
 # What stands in braces are the calls of the modalities' functions and of the law, and what the form of control makes of them.
 _STEP = """
 {measure}
-screen(y, expected, spread, nominal, heard, doubts)
+screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts)
 count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening)
 listen(y, patience, heard, doubts)
 read(heard, expected, limit, e, present)

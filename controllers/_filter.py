@@ -22,20 +22,20 @@ MEAN_CAP = 1e150
 
 
 def innovate(
-    y, expected, covariance, C, nominal, plant, witnesses, patience, largest, doubts, widening, reach, heard, e, present,
-    CP, spread, innovation,
+    y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+    heard, e, present, CP, spread, innovation,
 ):  # fmt: skip
     """Compute the innovation ``e = y - expected``, which samples there are, and its covariance ``spread = C P C'``.
 
-    A sample that is not finite counts as none, and so does an absurd one (``_absurd.py``), which is NaN in ``heard``; its ``e``
-    is 0, and the ``innovation`` that is reported NaN. Where the belief has been lost its ``covariance`` is widened first, and
-    ``reach``, else the ``largest`` variance that a hypothesis may have, is negative: no hypothesis goes on as it was.
+    A sample that is not finite counts as none, and so does one of an ``invalid`` value and an absurd one (``_absurd.py``);
+    these are NaN in ``heard``. Then ``e`` is 0, and the ``innovation`` that is reported NaN. A belief that was lost is widened
+    first. ``reach`` is the ``largest`` variance of a hypothesis, and negative then: no hypothesis goes on as it was.
     """
     widen(covariance, plant, widening)
     reach[0] = select(widening[0] > 1.0, -1.0, largest[0])
     multiply(C, covariance, CP)
     multiply_transposed(CP, C, spread)
-    screen(y, expected, spread, nominal, heard, doubts)
+    screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts)
     count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening)
     for i in range(y.shape[0]):
         d = heard[i] - expected[i]

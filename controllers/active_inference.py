@@ -22,6 +22,7 @@ from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
+from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
@@ -100,6 +101,8 @@ class UnbiasedActiveInference(Block):
         Belief before the first sample.
     sizes : tuple of three ints, optional
         Numbers of states, goals and controls; needed where the law is a plain function.
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -122,6 +125,7 @@ class UnbiasedActiveInference(Block):
     precision: PrecisionLearner = field(default_factory=FixedPrecision)
     initial_mean: float | Sequence[float] = 0.0
     sizes: Sequence[int] | None = None
+    invalid: Invalid = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         self._check_choices()
@@ -143,6 +147,7 @@ class UnbiasedActiveInference(Block):
                 raise ModelError(f"The {name} is {value.tolist()}; it must be positive.")
             object.__setattr__(self, name, value)
         self._check_prior()
+        invalid_values(type(self).__name__, self.invalid, self._sensors)  # wrong ones fail here
         self._learner()  # settings that do not fit fail here, not in the loop
         remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
         check_stable(*self._nominal_curvature(), remedy)
@@ -197,7 +202,7 @@ class UnbiasedActiveInference(Block):
         curvature, rates = self._nominal_curvature()
         largest, squarings = largest_step(curvature, rates)
         q = len(rates)
-        screens, screen_parameters = screening(self._learned_model(), self.precision)
+        screens, screen_parameters = screening(self, self._learned_model())
         parameters = {
             "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self._groups),
             "settings": learner.settings, "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),

@@ -50,12 +50,12 @@ def _make_step(
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
-        heard, doubts, widening, reach, plant, witnesses, patience, certain,
+        heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(
-            y, expected, covariance, C, nominal, plant, witnesses, patience, largest, doubts, widening, reach, heard, e, present,
-            CP, spread, innovation,
+            y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+            heard, e, present, CP, spread, innovation,
         )  # fmt: skip
         learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         update(
@@ -138,6 +138,8 @@ class BayesianController(BayesianBlock):
         Largest change of the control per second; the first step is measured from 0.
     initial_mean, initial_covariance : optional
         Belief before the first sample; by default 0 and the identity.
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -187,7 +189,7 @@ class BayesianController(BayesianBlock):
         model, learner, (G, _, prior) = self.model, self._learner(), self._priors()
         n, p, g = model.states, model.controls, len(G)
         B = model.matrix("B")
-        screens, screen_parameters = screening(model, self._precision)
+        screens, screen_parameters = screening(self, model)
         parameters = self._shared_parameters(step) | screen_parameters | {
             "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "prior_precision": prior,
         }  # fmt: skip

@@ -18,6 +18,7 @@ from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
+from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import select
@@ -36,12 +37,12 @@ def _make_estimate(
     def state_estimator(
         y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, applied, memory,
         A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
-        works, load, heard, doubts, widening, reach, plant, witnesses, patience, certain,
+        works, load, heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(
-            y, expected, covariance, C, nominal, plant, witnesses, patience, largest, doubts, widening, reach, heard, e, present,
-            CP, spread, innovation,
+            y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+            heard, e, present, CP, spread, innovation,
         )  # fmt: skip
         learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         update(
@@ -85,6 +86,8 @@ class StateEstimator(Block):
     initial_covariance : number, vector, matrix or None
         Its covariance. By default the plant's states have a variance of 1, and so have disturbances that wander without end; a
         sensor's error (`LinearModel.with_sensor_errors`) has the variance that it keeps.
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -96,6 +99,7 @@ class StateEstimator(Block):
     precision: PrecisionLearner = field(default_factory=FixedPrecision)
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix | None = None
+    invalid: Invalid = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
@@ -107,6 +111,7 @@ class StateEstimator(Block):
         start = self._start() if self.initial_covariance is None else self.initial_covariance
         covariance = as_covariance("The initial_covariance", start, n, singular=True)
         object.__setattr__(self, "initial_covariance", known_constant(self.model, covariance))
+        invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # wrong ones fail here
         self.precision.learner(self.model)  # settings that do not fit the model fail here, not in the loop
 
     def _extended(self, mean: object) -> object:
@@ -161,7 +166,7 @@ class StateEstimator(Block):
         model, learner = self.model, self.precision.learner(self.model)
         Q, nominal = model.matrix("process_covariance"), model.matrix("sensor_covariance")
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
-        screens, screen_parameters = screening(model, self.precision)
+        screens, screen_parameters = screening(self, model)
         parameters = {
             **{name: model.matrix(name) for name in "ABC"},
             **{"Q": Q, "nominal": nominal, "settings": learner.settings, "largest": largest},

@@ -122,15 +122,15 @@ def _make_step(
         Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
         z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
-        heard, doubts, widening, reach, plant, witnesses, patience, certain,
+        heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
     ):  # fmt: skip
         n, p = x_hat.shape[0], u.shape[0]
         T = squares[0]
         g(mean, reading)
         g_jacobian(mean, C)
         innovate(
-            y, reading, covariance, C, nominal, plant, witnesses, patience, largest, doubts, widening, reach, heard, e, present,
-            CP, spread, innovation,
+            y, reading, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+            heard, e, present, CP, spread, innovation,
         )  # fmt: skip
         learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         blame(doubts, certain, fault_probability)
@@ -215,6 +215,8 @@ class NonlinearBayesianController(BayesianBlock):
     iterations : int
         Number of steps of each of the two minimisations a sample (belief, control). A sample's cost in time is proportional to
         it; with the default strongly nonlinear problems converge, too (docs/controllers.md has the shares).
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -275,7 +277,7 @@ class NonlinearBayesianController(BayesianBlock):
             sum(port.size for port in self._own_outputs),
         )
         prior = self._prior_precision()
-        screens, screen_parameters = screening(self._start(), self.precision)
+        screens, screen_parameters = screening(self, self._start())
         parameters = self._shared_parameters(step) | screen_parameters | {
             "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
