@@ -15,6 +15,7 @@ the samples as they are, after the same time.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,13 +26,14 @@ from bayesftc.cosim.ops import absolute, both, either, maximum, select, sqrt
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.controllers.precision import Learner
+    from bayesftc.cosim.block import Floats, Kernel
 
 EXPLICABLE = 1e12
 """Largest squared innovation, in units of its variance, that a fault explains: a million standard deviations."""
 
-CREDIBLE = 1e20
-"""Largest squared innovation, in the same units, for which the belief may be to blame."""
+CREDIBLE = 1e30
+"""Largest squared sample, in the same units, that can confirm another: a larger double does not resolve its own noise."""
 
 NEAR = 0.1
 """Largest change since the sample before, in units of the innovation, with which a sample confirms that one."""
@@ -96,7 +98,7 @@ def count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubt
         change = absolute(y[i] - last)
         repeated = count + select(doubts[HEARD, i] > 0.5, 0.0, REPEATED)
         confirmed = select(change == 0.0, repeated, select(change <= NEAR * error, count + 1.0, 1.0))
-        credible = error * error <= CREDIBLE * (spread[i, i] + nominal[i, i])
+        credible = y[i] * y[i] <= CREDIBLE * (spread[i, i] + nominal[i, i])
         confirmed = select(both(credible, contradicted < 0.5), confirmed, 0.0)
         doubts[COUNT, i] = select(absurd, confirmed, select(there, 0.0, count))
         doubts[LAST, i] = select(either(there, absurd), y[i], last)
@@ -117,6 +119,37 @@ def blame(doubts, certain, fault_probability):
     """Give the sensors of absurd samples the probability ``certain``: 1, or NaN for a learner that gives no probability."""
     for i in range(fault_probability.shape[0]):
         fault_probability[i] = select(doubts[ABSURD, i] > 0.5, certain[0], fault_probability[i])
+
+
+def raise_no_alarm(doubts, outputs):
+    """Leave the outputs as they are: the learner detects nothing."""
+
+
+@cache
+def _make_alarm(first: int) -> Kernel:
+    def raise_alarm(doubts, outputs):
+        """Count the sensors of absurd samples as detected."""
+        for i in range(doubts.shape[1]):
+            outputs[first + i] = select(doubts[ABSURD, i] > 0.5, 1.0, outputs[first + i])
+
+    return raise_alarm
+
+
+def alarm_of(learner: Learner, first: int) -> Kernel:
+    """Return the step function that sets the learner's output ``detected`` for absurd samples, if it has one.
+
+    Parameters
+    ----------
+    learner : Learner
+        What has the output.
+    first : int
+        Where its outputs begin among all outputs.
+    """
+    for port in learner.ports:
+        if port.name == "detected":
+            return _make_alarm(first)
+        first += port.size
+    return raise_no_alarm
 
 
 def screening(block: Any, model: LinearModel) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -22,6 +22,7 @@ for i in range(e.shape[0]):
 learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
 blame(doubts, certain, fault_probability)
 report(memory, settings, nominal, first, outputs)
+alarm(doubts, outputs)
 log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_determinant[0]
 for s in range(inner_steps):
     if s > 0:

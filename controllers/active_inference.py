@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers._absurd import screening
+from bayesftc.controllers._absurd import alarm_of, screening
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, check_choice, check_number, frozen
 from bayesftc.controllers._curvature import check_stable, curvature_of_belief, curvature_of_control, largest_step
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
@@ -223,10 +223,12 @@ class UnbiasedActiveInference(Block):
             **law.state, **sensing.state, **screens,
         }  # fmt: skip
         names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
+        first = sum(port.size for port in self._own_outputs)
         functions = {
             **FUNCTIONS, **law.functions, **sensing.functions, "learn": learner.step, "report": learner.report,
+            "alarm": alarm_of(learner, first),
             "inner_steps": int(self.inner_steps), "squarings": squarings, "__name__": __name__,
-            "first": sum(port.size for port in self._own_outputs),
+            "first": first,
         }  # fmt: skip
         lines = step_lines({**law.calls, **sensing.calls}, descends=self.control == "gradient")
         step_function = function_from_text("unbiased_active_inference", names, lines, functions)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
-from bayesftc.controllers._absurd import blame, screening
+from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
@@ -34,6 +34,7 @@ def _make_step(
     learn: Callable[..., None],
     update: Callable[..., None],
     report: Callable[..., None],
+    alarm: Callable[..., None],
     fold: Callable[..., None],
     seek: Callable[..., None],
     first: int,
@@ -64,6 +65,7 @@ def _make_step(
         )  # fmt: skip
         blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
+        alarm(doubts, outputs)
         seek(
             goal,
             x_hat,
@@ -218,7 +220,8 @@ class BayesianController(BayesianBlock):
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
         ways = make_ways(learner.step, None if joint else learner.infer)
-        return Definition(_make_step(*ways, learner.report, fold, seek, first), state=state, parameters=parameters)
+        kernel = _make_step(*ways, learner.report, alarm_of(learner, first), fold, seek, first)
+        return Definition(kernel, state=state, parameters=parameters)
 
     def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""

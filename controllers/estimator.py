@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from bayesftc.controllers._absurd import blame, screening
+from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, extended_mean, known_constant
 from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
@@ -27,7 +27,11 @@ from bayesftc.cosim.ports import Port
 
 @cache
 def _make_estimate(
-    learn: Callable[..., None], update: Callable[..., None], report: Callable[..., None], first: int
+    learn: Callable[..., None],
+    update: Callable[..., None],
+    report: Callable[..., None],
+    alarm: Callable[..., None],
+    first: int,
 ) -> Callable[..., None]:
     """Return the step function from the samples to the belief, for ways of learning, of coming to it and of reporting.
 
@@ -51,6 +55,7 @@ def _make_estimate(
         )  # fmt: skip
         blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
+        alarm(doubts, outputs)
 
     return state_estimator
 
@@ -173,6 +178,7 @@ class StateEstimator(Block):
             **screen_parameters,
         }
         first = sum(port.size for port in self._own_outputs)
-        estimate = _make_estimate(*make_ways(learner.step, learner.infer), learner.report, first)
+        ways = make_ways(learner.step, learner.infer)
+        estimate = _make_estimate(*ways, learner.report, alarm_of(learner, first), first)
         state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
         return Definition(estimate, look_ahead, state=state, parameters=parameters)

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesftc.controllers._absurd import blame, screening
+from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix, check_choice, check_number, frozen
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
@@ -111,7 +111,7 @@ def take_joint(found, point, spread_out, x_hat, P):
 
 @cache
 def _make_step(
-    learn: Kernel, report: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
+    learn: Kernel, report: Kernel, alarm: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
     first: int,
 ) -> Callable[..., None]:  # fmt: skip
     """Return the controller's step function; the learner's own outputs begin at the place `first` among all outputs."""
@@ -135,6 +135,7 @@ def _make_step(
         learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
         blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
+        alarm(doubts, outputs)
         leave_out_distant(e, nominal, used)
         cholesky_semidefinite(covariance, root)
 
@@ -266,15 +267,17 @@ class NonlinearBayesianController(BayesianBlock):
         of_f, of_g = model.derivatives
         look_ahead, iterations = make_look_ahead(model.f, of_f), int(self.iterations)
         move = make_move(look_ahead) if self.prediction == "model" else stay
+        first = sum(port.size for port in self._own_outputs)
         kernel = _make_step(
             learner.step,
             learner.report,
+            alarm_of(learner, first),
             model.g,
             of_g,
             make_minimiser(model.g, of_g, look_ahead, iterations),
             take_joint if self.belief == "joint" else keep_filtered,
             make_predict(model.g, of_g, move),
-            sum(port.size for port in self._own_outputs),
+            first,
         )
         prior = self._prior_precision()
         screens, screen_parameters = screening(self, self._start())
