@@ -29,7 +29,8 @@ def innovate(
 
     A sample that is not finite counts as none, and so does one of an ``invalid`` value and an absurd one (``_absurd.py``);
     these are NaN in ``heard``. Then ``e`` is 0, and the ``innovation`` that is reported NaN. A belief that was lost is widened
-    first. ``reach`` is the ``largest`` variance of a hypothesis, and negative then: no hypothesis goes on as it was.
+    first. ``reach`` is the ``largest`` variance of a hypothesis, and negative then: no hypothesis goes on as it was. ``e`` is 0
+    as well then, for a learner, until `restore`: it is the belief that was wrong, not the sensors.
     """
     widen(covariance, plant, widening)
     reach[0] = select(widening[0] > 1.0, -1.0, largest[0])
@@ -41,8 +42,14 @@ def innovate(
         d = heard[i] - expected[i]
         finite = d - d == 0.0
         present[i] = select(finite, 1.0, 0.0)
-        e[i] = select(finite, d, 0.0)
+        e[i] = select(both(finite, reach[0] > 0.0), d, 0.0)
         innovation[i] = select(finite, d, NAN)
+
+
+def restore(heard, expected, present, e):
+    """Write the innovations as they are, after the learner has seen them."""
+    for i in range(e.shape[0]):
+        e[i] = select(present[i] > 0.5, heard[i] - expected[i], 0.0)
 
 
 def keep_only(kept, R):

@@ -16,7 +16,7 @@ from bayesftc.controllers import _filter
 from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
-from bayesftc.controllers._filter import decide, innovate, limit, predict
+from bayesftc.controllers._filter import decide, innovate, limit, predict, restore
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._steady import steady_gains
 from bayesftc.controllers.model import LinearModel
@@ -59,6 +59,7 @@ def _make_step(
             heard, e, present, CP, spread, innovation,
         )  # fmt: skip
         learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        restore(heard, expected, present, e)
         update(
             heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
             R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,

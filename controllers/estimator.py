@@ -13,7 +13,7 @@ from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, extended_mean, known_constant
 from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
-from bayesftc.controllers._filter import innovate, predict
+from bayesftc.controllers._filter import innovate, predict, restore
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.model import LinearModel
@@ -49,6 +49,7 @@ def _make_estimate(
             heard, e, present, CP, spread, innovation,
         )  # fmt: skip
         learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        restore(heard, expected, present, e)
         update(
             heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
             R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,

@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix, check_choice, check_number, frozen
-from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
+from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit, restore
 from bayesftc.controllers._joint import (
     DISTANT,
     SLOPES,
@@ -133,6 +133,7 @@ def _make_step(
             heard, e, present, CP, spread, innovation,
         )  # fmt: skip
         learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        restore(heard, reading, present, e)
         blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
         alarm(doubts, outputs)
