@@ -156,6 +156,13 @@ def test_a_signal_leaves_them_out():
         monitoring.Signal([0, 1], [5.0, 5.0], invalid=[5.0])
 
 
+def test_absurd_samples_do_not_hide_a_resolution():
+    samples = np.round(10.0 + np.random.default_rng(2).normal(size=1000), 2)
+    for value in (2147483647.0, 1e20, -1e300):
+        samples[[5, 500]] = value
+        assert controllers.find_resolution(samples) == pytest.approx(0.01)
+
+
 def test_an_absurd_first_sample_of_a_recording_does_no_harm(tmp_path):
     t = np.arange(300) * 0.02
     y = 10.0 + 0.05 * np.random.default_rng(1).normal(size=(300, 2))
