@@ -12,6 +12,7 @@ import numpy as np
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector, check_choice, frozen
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
+from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
@@ -44,7 +45,7 @@ class BayesianBlock(Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
     The settings ``model, precision, goal_on, goal_covariance, control_covariance, control_mean, belief, u_min, u_max, u_rate,
-    initial_mean, initial_covariance`` are described by the controllers.
+    initial_mean, initial_covariance, invalid`` are described by the controllers.
     """
 
     model: Any
@@ -59,6 +60,7 @@ class BayesianBlock(Block, ABC):
     u_rate: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}/s"})
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix = 1.0
+    invalid: Invalid = field(default=(), kw_only=True)
 
     def _check_settings(self) -> None:
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
@@ -77,6 +79,7 @@ class BayesianBlock(Block, ABC):
                 self.model, as_covariance("The initial_covariance", self.initial_covariance, n, singular=True)
             ),
         }
+        invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # wrong ones fail here
         if self.control_covariance is not None:
             values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
         for name, value in values.items():

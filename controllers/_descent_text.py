@@ -6,23 +6,28 @@ from collections.abc import Mapping
 from textwrap import indent
 from typing import Any
 
-from bayesftc.controllers import _curvature, _descent
+from bayesftc.controllers import _absurd, _curvature, _descent
 from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import select
 
 # What stands in braces are the calls of the modalities' functions and of the law, and what the form of control makes of them.
 _STEP = """
 {measure}
-read(y, expected, limit, e, present)
+screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts)
+count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening)
+listen(y, patience, heard, doubts)
+read(heard, expected, limit, e, present)
 for i in range(e.shape[0]):
     innovation[i] = select(present[i] > 0.5, y[i] - expected[i], NAN)
-learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+blame(doubts, certain, fault_probability)
 report(memory, settings, nominal, first, outputs)
+alarm(doubts, outputs)
 log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_determinant[0]
 for s in range(inner_steps):
     if s > 0:
         {measure_again}
-        read(y, expected, limit, e, present)
+        read(heard, expected, limit, e, present)
     {differentiate}
     prior_error(mean, predicted, eps_x)
     energy = quadratic(e, weights, weighted) + quadratic(eps_x, Px, pull_x)
@@ -71,6 +76,7 @@ FUNCTIONS: dict[str, Any] = {
             "predict_state", "prior_error", "quadratic", "read", "weigh",
         )
     },
+    **{name: getattr(_absurd, name) for name in ("blame", "count_doubts", "listen", "screen")},
     **{name: getattr(_curvature, name) for name in ("curvature_of_belief", "curvature_of_control", "shortening")},
 }  # fmt: skip
 """What the text calls, besides the functions of modalities, law and learner."""

@@ -1,5 +1,6 @@
 """Step functions of the Bayesian controller's three stages: measurement update, control, prediction."""
 
+from bayesftc.controllers._absurd import count_doubts, screen, widen
 from bayesftc.controllers._linalg import (
     add_product,
     apply,
@@ -20,19 +21,35 @@ MEAN_CAP = 1e150
 """Largest magnitude of a predicted state; its square is still a double."""
 
 
-def innovate(y, expected, covariance, C, e, present, CP, spread, innovation):
+def innovate(
+    y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+    heard, e, present, CP, spread, innovation,
+):  # fmt: skip
     """Compute the innovation ``e = y - expected``, which samples there are, and its covariance ``spread = C P C'``.
 
-    A sample that is not finite counts as none; its ``e`` is 0, and the ``innovation`` that is reported NaN.
+    A sample that is not finite counts as none, and so does one of an ``invalid`` value and an absurd one (``_absurd.py``);
+    these are NaN in ``heard``. Then ``e`` is 0, and the ``innovation`` that is reported NaN. A belief that was lost is widened
+    first. ``reach`` is the ``largest`` variance of a hypothesis, and negative then: no hypothesis goes on as it was. ``e`` is 0
+    as well then, for a learner, until `restore`: it is the belief that was wrong, not the sensors.
     """
+    widen(covariance, plant, widening)
+    reach[0] = select(widening[0] > 1.0, -1.0, largest[0])
     multiply(C, covariance, CP)
     multiply_transposed(CP, C, spread)
+    screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts)
+    count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening)
     for i in range(y.shape[0]):
-        d = y[i] - expected[i]
+        d = heard[i] - expected[i]
         finite = d - d == 0.0
         present[i] = select(finite, 1.0, 0.0)
-        e[i] = select(finite, d, 0.0)
+        e[i] = select(both(finite, reach[0] > 0.0), d, 0.0)
         innovation[i] = select(finite, d, NAN)
+
+
+def restore(heard, expected, present, e):
+    """Write the innovations as they are, after the learner has seen them."""
+    for i in range(e.shape[0]):
+        e[i] = select(present[i] > 0.5, heard[i] - expected[i], 0.0)
 
 
 def keep_only(kept, R):

@@ -19,6 +19,9 @@ FEWEST, FURTHEST = 20, 50
 NEAR, SHARE = 0.1, 0.95
 """What share of them must be nearer than this to a whole multiple, in resolutions: of any numbers a fifth are."""
 
+ROUNDING, USUAL = 1e-9, 0.98
+"""Smaller changes, in units of this quantile of the samples' magnitude, are rounding. A few absurd samples are beyond it."""
+
 
 def find_resolution(samples: ArrayLike) -> float:
     """Return the resolution of a sensor: of what the changes from sample to sample are whole multiples, or 0.
@@ -38,7 +41,8 @@ def find_resolution(samples: ArrayLike) -> float:
     y = as_numbers("The samples", samples, "give the numbers that one sensor has sent").ravel()
     y = y[np.isfinite(y)]
     changes = np.sort(np.abs(np.diff(y)))
-    changes = changes[changes > 1e-9 * np.abs(y).max(initial=0.0)]
+    if len(y):
+        changes = changes[changes > ROUNDING * np.quantile(np.abs(y), USUAL)]
     if len(changes) < FEWEST:
         return 0.0
     bases = [changes[int(rank * len(changes))] for rank in RANKS]

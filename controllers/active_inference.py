@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.controllers._absurd import alarm_of, screening
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, check_choice, check_number, frozen
 from bayesftc.controllers._curvature import check_stable, curvature_of_belief, curvature_of_control, largest_step
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
@@ -21,6 +22,7 @@ from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
+from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
@@ -99,6 +101,8 @@ class UnbiasedActiveInference(Block):
         Belief before the first sample.
     sizes : tuple of three ints, optional
         Numbers of states, goals and controls; needed where the law is a plain function.
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -121,6 +125,7 @@ class UnbiasedActiveInference(Block):
     precision: PrecisionLearner = field(default_factory=FixedPrecision)
     initial_mean: float | Sequence[float] = 0.0
     sizes: Sequence[int] | None = None
+    invalid: Invalid = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         self._check_choices()
@@ -142,6 +147,7 @@ class UnbiasedActiveInference(Block):
                 raise ModelError(f"The {name} is {value.tolist()}; it must be positive.")
             object.__setattr__(self, name, value)
         self._check_prior()
+        invalid_values(type(self).__name__, self.invalid, self._sensors)  # wrong ones fail here
         self._learner()  # settings that do not fit fail here, not in the loop
         remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
         check_stable(*self._nominal_curvature(), remedy)
@@ -196,13 +202,14 @@ class UnbiasedActiveInference(Block):
         curvature, rates = self._nominal_curvature()
         largest, squarings = largest_step(curvature, rates)
         q = len(rates)
+        screens, screen_parameters = screening(self, self._learned_model())
         parameters = {
             "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self._groups),
             "settings": learner.settings, "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
             "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
             "prior_curvature": self._prior_curvature(), "root_rate": np.sqrt(rates), "largest": largest,
-            **law.parameters, **sensing.parameters,
+            **law.parameters, **sensing.parameters, **screen_parameters,
         }  # fmt: skip
         shapes = {
             "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "L": (m, m), "inverse": (m, m),
@@ -213,13 +220,15 @@ class UnbiasedActiveInference(Block):
         state = {
             "mean": self.initial_mean, "predicted": self.initial_mean, "memory": learner.memory,
             "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in shapes.items()},
-            **law.state, **sensing.state,
+            **law.state, **sensing.state, **screens,
         }  # fmt: skip
         names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
+        first = sum(port.size for port in self._own_outputs)
         functions = {
             **FUNCTIONS, **law.functions, **sensing.functions, "learn": learner.step, "report": learner.report,
+            "alarm": alarm_of(learner, first),
             "inner_steps": int(self.inner_steps), "squarings": squarings, "__name__": __name__,
-            "first": sum(port.size for port in self._own_outputs),
+            "first": first,
         }  # fmt: skip
         lines = step_lines({**law.calls, **sensing.calls}, descends=self.control == "gradient")
         step_function = function_from_text("unbiased_active_inference", names, lines, functions)

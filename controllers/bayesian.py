@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.controllers import _filter
+from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
-from bayesftc.controllers._filter import decide, innovate, limit, predict
+from bayesftc.controllers._filter import decide, innovate, limit, predict, restore
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._steady import steady_gains
 from bayesftc.controllers.model import LinearModel
@@ -33,6 +34,7 @@ def _make_step(
     learn: Callable[..., None],
     update: Callable[..., None],
     report: Callable[..., None],
+    alarm: Callable[..., None],
     fold: Callable[..., None],
     seek: Callable[..., None],
     first: int,
@@ -49,15 +51,22 @@ def _make_step(
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
+        heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
     ):  # fmt: skip
         apply(C, mean, expected)
-        innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        innovate(
+            y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+            heard, e, present, CP, spread, innovation,
+        )  # fmt: skip
+        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        restore(heard, expected, present, e)
         update(
-            y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+            heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
             R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         )  # fmt: skip
+        blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
+        alarm(doubts, outputs)
         seek(
             goal,
             x_hat,
@@ -132,6 +141,8 @@ class BayesianController(BayesianBlock):
         Largest change of the control per second; the first step is measured from 0.
     initial_mean, initial_covariance : optional
         Belief before the first sample; by default 0 and the identity.
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -181,7 +192,8 @@ class BayesianController(BayesianBlock):
         model, learner, (G, _, prior) = self.model, self._learner(), self._priors()
         n, p, g = model.states, model.controls, len(G)
         B = model.matrix("B")
-        parameters = self._shared_parameters(step) | {
+        screens, screen_parameters = screening(self, model)
+        parameters = self._shared_parameters(step) | screen_parameters | {
             "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "prior_precision": prior,
         }  # fmt: skip
         scratch = {
@@ -201,7 +213,7 @@ class BayesianController(BayesianBlock):
             "h": (n,),
         }
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
-        state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
+        state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
         state |= {name: np.zeros(shape) for name, shape in scratch.items()}
         seek, constants, seeking = self._seeking(G @ B, prior)
         parameters |= constants
@@ -209,7 +221,8 @@ class BayesianController(BayesianBlock):
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
         ways = make_ways(learner.step, None if joint else learner.infer)
-        return Definition(_make_step(*ways, learner.report, fold, seek, first), state=state, parameters=parameters)
+        kernel = _make_step(*ways, learner.report, alarm_of(learner, first), fold, seek, first)
+        return Definition(kernel, state=state, parameters=parameters)
 
     def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""

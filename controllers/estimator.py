@@ -9,14 +9,16 @@ from functools import cache
 
 import numpy as np
 
+from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, extended_mean, known_constant
 from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
-from bayesftc.controllers._filter import innovate, predict
+from bayesftc.controllers._filter import innovate, predict, restore
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
+from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import select
@@ -25,7 +27,11 @@ from bayesftc.cosim.ports import Port
 
 @cache
 def _make_estimate(
-    learn: Callable[..., None], update: Callable[..., None], report: Callable[..., None], first: int
+    learn: Callable[..., None],
+    update: Callable[..., None],
+    report: Callable[..., None],
+    alarm: Callable[..., None],
+    first: int,
 ) -> Callable[..., None]:
     """Return the step function from the samples to the belief, for ways of learning, of coming to it and of reporting.
 
@@ -35,16 +41,22 @@ def _make_estimate(
     def state_estimator(
         y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, applied, memory,
         A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
-        works, load,
+        works, load, heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
     ):  # fmt: skip
         apply(C, mean, expected)
-        innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        innovate(
+            y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+            heard, e, present, CP, spread, innovation,
+        )  # fmt: skip
+        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        restore(heard, expected, present, e)
         update(
-            y, e, present, nominal, A, B, C, Q, applied, largest, mean, covariance, memory, settings,
+            heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
             R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
         )  # fmt: skip
+        blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
+        alarm(doubts, outputs)
 
     return state_estimator
 
@@ -80,6 +92,8 @@ class StateEstimator(Block):
     initial_covariance : number, vector, matrix or None
         Its covariance. By default the plant's states have a variance of 1, and so have disturbances that wander without end; a
         sensor's error (`LinearModel.with_sensor_errors`) has the variance that it keeps.
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -91,6 +105,7 @@ class StateEstimator(Block):
     precision: PrecisionLearner = field(default_factory=FixedPrecision)
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix | None = None
+    invalid: Invalid = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
@@ -102,6 +117,7 @@ class StateEstimator(Block):
         start = self._start() if self.initial_covariance is None else self.initial_covariance
         covariance = as_covariance("The initial_covariance", start, n, singular=True)
         object.__setattr__(self, "initial_covariance", known_constant(self.model, covariance))
+        invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # wrong ones fail here
         self.precision.learner(self.model)  # settings that do not fit the model fail here, not in the loop
 
     def _extended(self, mean: object) -> object:
@@ -156,11 +172,14 @@ class StateEstimator(Block):
         model, learner = self.model, self.precision.learner(self.model)
         Q, nominal = model.matrix("process_covariance"), model.matrix("sensor_covariance")
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
+        screens, screen_parameters = screening(self, model)
         parameters = {
             **{name: model.matrix(name) for name in "ABC"},
             **{"Q": Q, "nominal": nominal, "settings": learner.settings, "largest": largest},
+            **screen_parameters,
         }
         first = sum(port.size for port in self._own_outputs)
-        estimate = _make_estimate(*make_ways(learner.step, learner.infer), learner.report, first)
-        state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
+        ways = make_ways(learner.step, learner.infer)
+        estimate = _make_estimate(*ways, learner.report, alarm_of(learner, first), first)
+        state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
         return Definition(estimate, look_ahead, state=state, parameters=parameters)

@@ -94,7 +94,7 @@ class LQGController(BayesianController):
         Inverse of the cost of the controls: squares of acceptable deviations from what holds the goal.
     control_mean : 0
         Not used: the control prior's mean is u_ss.
-    belief, u_min, u_max, u_rate, initial_mean, initial_covariance
+    belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid
         See `BayesianController`.
 
     Raises

@@ -10,9 +10,10 @@ from typing import Literal
 
 import numpy as np
 
+from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix, check_choice, check_number, frozen
-from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit
+from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit, restore
 from bayesftc.controllers._joint import (
     DISTANT,
     SLOPES,
@@ -110,7 +111,7 @@ def take_joint(found, point, spread_out, x_hat, P):
 
 @cache
 def _make_step(
-    learn: Kernel, report: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
+    learn: Kernel, report: Kernel, alarm: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
     first: int,
 ) -> Callable[..., None]:  # fmt: skip
     """Return the controller's step function; the learner's own outputs begin at the place `first` among all outputs."""
@@ -121,14 +122,21 @@ def _make_step(
         Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
         z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
+        heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
     ):  # fmt: skip
         n, p = x_hat.shape[0], u.shape[0]
         T = squares[0]
         g(mean, reading)
         g_jacobian(mean, C)
-        innovate(y, reading, covariance, C, e, present, CP, spread, innovation)
-        learn(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        innovate(
+            y, reading, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+            heard, e, present, CP, spread, innovation,
+        )  # fmt: skip
+        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        restore(heard, reading, present, e)
+        blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
+        alarm(doubts, outputs)
         leave_out_distant(e, nominal, used)
         cholesky_semidefinite(covariance, root)
 
@@ -146,7 +154,7 @@ def _make_step(
                 for j in range(p):
                     prior[i, j] = whole * prior_root[i, j]
             minimise(
-                z, y, goal, kept, mean, root, noise, G, prior, control_mean,
+                z, heard, goal, kept, mean, root, noise, G, prior, control_mean,
                 point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
             )  # fmt: skip
             locate(z, mean, root, point)
@@ -209,6 +217,8 @@ class NonlinearBayesianController(BayesianBlock):
     iterations : int
         Number of steps of each of the two minimisations a sample (belief, control). A sample's cost in time is proportional to
         it; with the default strongly nonlinear problems converge, too (docs/controllers.md has the shares).
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
@@ -230,17 +240,18 @@ class NonlinearBayesianController(BayesianBlock):
         check_choice(self, "prediction", "model", "random walk")
         check_number(self, "iterations", least=1, most=1000, whole=True)
         self._check_settings()
-        start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
-        self._check_reach(start.matrix("B"))
+        self._check_reach(self._start().matrix("B"))
         self._learner()  # settings that do not fit the model fail here, not in the loop
 
     def _distinct_outputs(self) -> Floats:
         raise ModelError("goal_on='outputs' is for linear models; give the matrix G of what the goal is of the state.")
 
-    def _learner(self) -> Learner:
+    def _start(self) -> LinearModel:
         # Learners know the sensors by a linear model: the one at the initial mean, where it is known to be finite.
-        start = self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
-        return self.precision.apart("NonlinearBayesianController").learner(start)
+        return self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
+
+    def _learner(self) -> Learner:
+        return self.precision.apart("NonlinearBayesianController").learner(self._start())
 
     @property
     def measurement_matrix(self) -> Floats:
@@ -257,18 +268,21 @@ class NonlinearBayesianController(BayesianBlock):
         of_f, of_g = model.derivatives
         look_ahead, iterations = make_look_ahead(model.f, of_f), int(self.iterations)
         move = make_move(look_ahead) if self.prediction == "model" else stay
+        first = sum(port.size for port in self._own_outputs)
         kernel = _make_step(
             learner.step,
             learner.report,
+            alarm_of(learner, first),
             model.g,
             of_g,
             make_minimiser(model.g, of_g, look_ahead, iterations),
             take_joint if self.belief == "joint" else keep_filtered,
             make_predict(model.g, of_g, move),
-            sum(port.size for port in self._own_outputs),
+            first,
         )
         prior = self._prior_precision()
-        parameters = self._shared_parameters(step) | {
+        screens, screen_parameters = screening(self, self._start())
+        parameters = self._shared_parameters(step) | screen_parameters | {
             "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
         }  # fmt: skip
@@ -283,7 +297,7 @@ class NonlinearBayesianController(BayesianBlock):
         }  # fmt: skip
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
+            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()}, **screens,
         }  # fmt: skip
         return Definition(kernel, state=state, parameters=parameters)
 

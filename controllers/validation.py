@@ -116,7 +116,8 @@ def check_kalman(
     Parameters
     ----------
     signals : Result
-        Must hold ``u``, ``x_hat``, ``P`` and ``R`` of the controller and the samples it saw, at every step (decimation 1).
+        Must hold ``u``, ``x_hat``, ``P`` and ``R`` of the controller and the samples it saw, at every step (decimation 1). With
+        its ``innovation``, samples that counted as missing are left out.
     controller : BayesianController
         The controller that ran, for its model and initial belief.
     y : str, optional
@@ -137,9 +138,12 @@ def check_kalman(
             )
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The Kalman check needs every step; run with decimation=1.")
+    samples, innovation = np.asarray(signals[source]), f"{name}.innovation"
+    if innovation in signals:  # what counted as missing: absurd samples, and those of invalid values
+        samples = np.where(np.isnan(signals[innovation]), np.nan, samples)
     reference = ser_reference(
         controller.model,
-        signals[source],
+        samples,
         signals[f"{name}.u"],
         R=signals[f"{name}.R"],
         initial_mean=controller.initial_mean,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._invalid import invalid_values
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import (
@@ -64,7 +65,7 @@ def closed_loop(
     reference : Block, float or a sequence of them
         Where the plant is to go: a source, a constant, or one for each element of the controller's goal.
     sensors : Sensors, optional
-        By default one perfect sensor for each measured output.
+        By default one perfect sensor for each measured output. Their ``invalid`` values become those of the controller.
     faults : Fault or sequence of Fault
         Applied to the samples one after the other.
     input_faults : mapping of plant input to Fault or sequence of Fault, optional
@@ -105,6 +106,7 @@ def closed_loop(
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
     outputs = [node[name] for name in _names(measured, "measured")]
     sensors = _fitted(sensors, sum(map(len, outputs)))
+    controller = with_invalid(controller, sensors)
     seen = diagram.add(sensors, "sensors")
     diagram.connect(outputs, seen["u"])
     samples = _through(diagram, seen["y"], [faults] if isinstance(faults, Fault) else faults)
@@ -250,6 +252,32 @@ def _references(given: Block | float | Sequence[Block | float]) -> list[tuple[st
     several = list(given) if isinstance(given, Sequence | np.ndarray) else [given]
     blocks: list[Any] = [Constant(float(r)) if isinstance(r, Real) else r for r in several]
     return [("reference" if len(blocks) == 1 else f"reference_{i}", block) for i, block in enumerate(blocks)]
+
+
+def with_invalid(controller: Block, sensors: Sensors) -> Block:
+    """Return the controller with the values that its sensors send in place of a sample.
+
+    Raises
+    ------
+    ModelError
+        If it has no such setting, or other values.
+    """
+    table = invalid_values("Sensors", sensors.invalid, sensors.count)
+    if np.isnan(table).all():
+        return controller
+    settings: Any = controller
+    if "invalid" not in getattr(controller, "__dataclass_fields__", ()):
+        raise ModelError(
+            f"Sensors has invalid={sensors.invalid!r}, but the controller, of the kind {type(controller).__name__}, has no "
+            "setting 'invalid' to know them by; leave invalid out."
+        )
+    own = invalid_values("The controller", settings.invalid, sensors.count)
+    if not np.isnan(own).all() and not np.array_equal(own, table, equal_nan=True):
+        raise ModelError(
+            f"Sensors has invalid={sensors.invalid!r}, and the controller invalid={settings.invalid!r}; leave one of them out."
+        )
+    told: Block = replace(settings, invalid=sensors.invalid)
+    return told
 
 
 def _fitted(sensors: Sensors | None, signals: int) -> Sensors:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim import _sensor_kernels as kernels
+from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
@@ -46,6 +47,9 @@ class Sensors(Block):
         Of the noise, instead of `std`, where sensors are disturbed together.
     unit : str, optional
         Of the signal and of the readings.
+    invalid : sequence of float, or of one for each sensor
+        Values that the devices send in place of a sample, as ``[-9999, 65535]``. The samples stay as they are; `closed_loop`
+        gives the values to the controller, which takes such a sample as missing.
 
     Raises
     ------
@@ -69,6 +73,7 @@ class Sensors(Block):
     function: Callable[..., None] | None = None
     covariance: Sequence[Sequence[float]] | None = None
     unit: str | None = None
+    invalid: Invalid = ()
 
     def __post_init__(self) -> None:
         for name in ("count", "signals"):
@@ -77,6 +82,7 @@ class Sensors(Block):
                 raise ModelError(f"Sensors has {name}={number!r}; it must be a whole number, at least 1.")
         for name in ("std", "bias", "resolution"):
             self._check_each(name, negative=name == "bias")
+        invalid_values("Sensors", self.invalid, self.count)
         self._check_matrix("matrix", self.signals)
         self._check_matrix("covariance", self.count)
         if self.matrix is not None and self.function is not None:

@@ -118,7 +118,7 @@ BLOCKS = {
     "monitor": controllers.FaultMonitor(
         2, ("beta", "precision"), 0.4, controllers.LogisticMap((1.0, 2.0), (0.0, 0.5), (1.0, 2.0), -1.0)
     ),
-    "estimator": controllers.StateEstimator(MODEL, precision=controllers.GammaPrecision()),
+    "estimator": controllers.StateEstimator(MODEL, precision=controllers.GammaPrecision(), invalid=[-9999.0, 65535.0]),
 }
 """Every kind of block, learner, fault and law."""
 

@@ -20,6 +20,23 @@ def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compil
             same_bits(got[name], np.ravel(value), name)
 
 
+def test_the_same_bits_where_samples_are_absurd_or_the_belief_is_lost(
+    block, sample_time, random_inputs, compiled, same_bits
+):
+    if "y" not in {port.name for port in block.inputs}:
+        return
+    rng = np.random.default_rng(4)
+    plain, c = block.online(sample_time(block), compiled=False), compiled(block, dt=sample_time(block))
+    for k in range(100):
+        inputs = random_inputs(block, rng)
+        inputs["y"] += 1e9 * (k >= 50)
+        chosen = rng.random(inputs["y"].shape) < 0.1
+        inputs["y"][chosen] = rng.choice([1e20, -1e300, 2147483647.0, 3.4e38, -9999.0, 65535.0], chosen.sum())
+        expected, got = plain(**inputs), c(**inputs)
+        for name, value in expected.items():
+            same_bits(got[name], np.ravel(value), name)
+
+
 def test_every_kind_of_block_is_among_them(blocks):
     public = [getattr(module, name) for module in (cosim, controllers) for name in module.__all__]
     kinds = {kind for kind in public if inspect.isclass(kind) and issubclass(kind, cosim.Block)}

@@ -24,6 +24,8 @@ class Column:
         Known offset, which is taken off.
     delay : float
         Seconds by which its time stamps are late.
+    invalid : sequence of float
+        Values that the device records in place of a sample, as ``[-9999, 65535]``.
     """
 
     file: str | None = None
@@ -31,6 +33,7 @@ class Column:
     time: str | None = None
     bias: float = 0.0
     delay: float = 0.0
+    invalid: Sequence[float] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +42,7 @@ class Sensor(Column):
 
     Parameters
     ----------
-    file, column, time, bias, delay
+    file, column, time, bias, delay, invalid
         See `Column`.
     std : float
         Standard deviation of its white noise, in its unit.
@@ -66,7 +69,7 @@ class Input(Column):
 
     Parameters
     ----------
-    file, column, time, bias, delay
+    file, column, time, bias, delay, invalid
         See `Column`.
     smooth : float
         Seconds over which it is averaged.

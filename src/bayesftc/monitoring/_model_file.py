@@ -20,7 +20,7 @@ from bayesftc.scenario._files import read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of
 
-SECTIONS = ("dt", "time", "model", "sensors", "inputs", "errors", "precision", "alarm")
+SECTIONS = ("dt", "time", "invalid", "model", "sensors", "inputs", "errors", "precision", "alarm")
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class _Head:
 
     dt: float | str
     time: str = "t"
+    invalid: Sequence[float] = ()
 
 
 def load_monitor(path: str | os.PathLike[str]) -> Monitor:
@@ -60,7 +61,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     for name in ("dt", "model", "sensors"):
         if name not in content:
             raise root.error(f"lacks {name!r}; a model file needs dt = ..., [model] and [sensors.<name>].")
-    head: _Head = build(_Head, {key: content[key] for key in ("dt", "time") if key in content}, root)
+    head: _Head = build(_Head, {key: content[key] for key in ("dt", "time", "invalid") if key in content}, root)
     table = dict(as_table(content["model"], root / "model"))
     start: _Start = build(
         _Start, {key: table.pop(key) for key in ("initial_mean", "initial_std") if key in table}, root / "model"
@@ -80,6 +81,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
         own_loss=own_loss,
         alarm=build(Alarm, content.get("alarm", {}), root / "alarm"),
         time=head.time,
+        invalid=head.invalid,
         initial_mean=start.initial_mean,
         initial_std=start.initial_std,
     )

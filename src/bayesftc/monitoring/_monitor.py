@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.controllers._absurd import EXPLICABLE
 from bayesftc.controllers._checks import as_vector
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.fault_modes import Frozen
@@ -32,6 +33,9 @@ FLAT = 10.0
 """The first samples begin the belief; so that they do not count twice, it is this many times less certain than they are."""
 
 SMALL = 1e-9
+
+OPENING = 9
+"""The first sample must not be absurd beside the median of so many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +62,8 @@ class Monitor:
         The column of the time stamps, in seconds.
     initial_mean, initial_std : optional
         Belief about the plant's states before the first sample; by default from the first samples.
+    invalid : sequence of float
+        Values that devices record in place of a sample, of all sensors and inputs.
     """
 
     dt: float | str | Fraction
@@ -71,6 +77,7 @@ class Monitor:
     time: str = "t"
     initial_mean: float | Sequence[float] | None = None
     initial_std: float | Sequence[float] | None = None
+    invalid: Sequence[float] = ()
 
     @property
     def _input_errors(self) -> bool:
@@ -133,7 +140,8 @@ class Monitor:
             time = tables.column(file, given.time or self.time, f"the times of the {what} {name!r}")
             values = tables.column(file, given.column or name, f"the {what} {name!r}")
             try:
-                return Signal(time, values, bias=given.bias, delay=given.delay, **more)
+                invalid = (*self.invalid, *given.invalid)
+                return Signal(time, values, bias=given.bias, delay=given.delay, invalid=invalid, **more)
             except RecordingError as error:
                 raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
 
@@ -224,7 +232,8 @@ class Monitor:
             raise ModelError(
                 "The sensors alone do not determine all states of the model; give initial_mean and initial_std in [model]."
             )
-        first = np.array([column[np.isfinite(column)][0] for column in recording.y.T])
+        stds = np.sqrt(np.diag(model.matrix("sensor_covariance")))
+        first = np.array([_first(column, std) for column, std in zip(recording.y.T, stds, strict=True)])
         inverse = np.linalg.pinv(C[:, :plant])
         mean = inverse @ first if self.initial_mean is None else as_vector("initial_mean", self.initial_mean, plant)
         if self.initial_std is None:
@@ -233,3 +242,10 @@ class Monitor:
         else:
             covariance[:plant, :plant] = np.diag(as_vector("initial_std", self.initial_std, plant) ** 2)
         return tuple(map(float, mean)), (covariance + covariance.T) / 2
+
+
+def _first(samples: Floats, std: float) -> float:
+    """Return the first sample that is not absurd."""
+    opening = samples[np.isfinite(samples)][:OPENING]
+    near = np.abs(opening - np.median(opening)) <= np.sqrt(EXPLICABLE) * std
+    return float(opening[near][0] if near.any() else opening[0])

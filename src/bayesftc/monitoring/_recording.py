@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.controllers._checks import check_number
 from bayesftc.controllers._resolution import find_resolution
+from bayesftc.cosim._invalid import invalid_values
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.timebase import rational_step, show
@@ -43,6 +44,8 @@ class Signal:
         the samples: a file has few decimals, and samples that are equal for that reason are no freeze.
     unit : str
         Of the values, for figures and tables.
+    invalid : sequence of float
+        Values that a device records in place of a sample, as ``[-9999, 65535]``: they are left out.
 
     Raises
     ------
@@ -59,6 +62,7 @@ class Signal:
     smooth: float = 0.0
     resolution: float | None = None
     unit: str = ""
+    invalid: Sequence[float] = ()
 
     def __post_init__(self) -> None:
         time, values = (np.asarray(given, dtype=np.float64) for given in (self.time, self.values))
@@ -68,7 +72,7 @@ class Signal:
             check_number(self, name)
         check_number(self, "smooth", least=0)
         check_number(self, "resolution", optional=True, least=0)
-        kept = np.isfinite(values)
+        kept = np.isfinite(values) & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
         if not np.isfinite(time[kept]).all():
             raise RecordingError("A signal has samples without a time; take them out.")
         time, values = time[kept], values[kept]

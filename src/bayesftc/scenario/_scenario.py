@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.faults import Fault
-from bayesftc.cosim.loops import closed_loop
+from bayesftc.cosim.loops import closed_loop, with_invalid
 from bayesftc.cosim.sensors import Sensors
 from bayesftc.scenario import _sections as sections
 from bayesftc.scenario._files import find_scenario, read_toml
@@ -151,12 +151,16 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
     simulation: Simulation = build(Simulation, content["simulation"], root / "simulation")
     plant, wiring = sections.plant(content["plant"], root / "plant", file.absolute().parent)
     sensors = sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None
+    controller = sections.controller(content, root, simulation, plant, wiring, sensors)
+    if sensors is not None:
+        with (root / "sensors").named():
+            controller = with_invalid(controller, sensors)
     return Scenario(
         path=file,
         simulation=simulation,
         plant=plant,
         wiring=wiring,
-        controller=sections.controller(content, root, simulation, plant, wiring, sensors),
+        controller=controller,
         reference=sections.reference(content["reference"], root / "reference"),
         sensors=sensors,
         faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],
