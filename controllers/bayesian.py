@@ -209,7 +209,8 @@ class BayesianController(BayesianBlock):
         fold = _filter.fold_goal if joint else _filter.keep_belief
         first = sum(port.size for port in self._own_outputs)
         ways = make_ways(learner.step, None if joint else learner.infer)
-        return Definition(_make_step(*ways, learner.report, fold, seek, first), state=state, parameters=parameters)
+        kernel = _make_step(*ways, learner.report, fold, seek, first)
+        return Definition(kernel, state=state, parameters=parameters, compiled=learner.compiled)
 
     def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""

@@ -163,4 +163,4 @@ class StateEstimator(Block):
         first = sum(port.size for port in self._own_outputs)
         estimate = _make_estimate(*make_ways(learner.step, learner.infer), learner.report, first)
         state = belief_state(model, learner, self.initial_mean, self.initial_covariance)
-        return Definition(estimate, look_ahead, state=state, parameters=parameters)
+        return Definition(estimate, look_ahead, state=state, parameters=parameters, compiled=learner.compiled)

@@ -73,6 +73,8 @@ class Learner:
     infer : function or None
         If it infers the state together with the faults: the step function (``make_infer`` in ``_bank.py``) that controllers with
         a linear model then call instead of ``step`` and of Kalman's update. Others go on with ``step``.
+    compiled : bool
+        False for one that calls back into Python: its controller then runs interpreted, and cannot be exported.
     """
 
     step: Callable[..., None]
@@ -82,6 +84,7 @@ class Learner:
     ports: tuple[Port, ...] = ()
     report: Callable[..., None] = report_nothing
     infer: Callable[..., None] | None = None
+    compiled: bool = True
 
 
 @dataclass(frozen=True)
