@@ -1,4 +1,4 @@
-"""The SER baseline in its reference form: filterpy's Kalman filter, which leaves out sensors by a threshold (paper, section 5.2.1)."""
+"""The SER baseline in its reference form: filterpy's Kalman filter without the ignored sensors (paper, section 5.2.1)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def update_by_ser(
     deviation = np.abs(sample - (C @ kf.x)[:, 0])
     present = np.isfinite(sample) & np.isfinite(np.diag(noise))
     with np.errstate(invalid="ignore"):
-        ignored: Any = present & (deviation > threshold * np.sqrt(np.diag(C @ kf.P @ C.T) + np.diag(noise)))
+        ignored: np.ndarray[Any, np.dtype[np.bool_]] = present & (
+            deviation > threshold * np.sqrt(np.diag(C @ kf.P @ C.T) + np.diag(noise))
+        )
     keep = np.flatnonzero(present & ~ignored)
     if len(keep):
         kf.update(sample[keep].reshape(-1, 1), R=noise[np.ix_(keep, keep)], H=C[keep])

@@ -43,11 +43,22 @@ class KalmanCheck:
 
 
 class Estimates(NamedTuple):
-    """What filterpy's filter makes of a recording: means (steps x n), covariances (steps x n x n), ignored (steps x m)."""
+    """What filterpy's filter makes of a recording.
+
+    Attributes
+    ----------
+    x_hat, P : ndarray, steps x n and steps x n x n
+        Filtered means and covariances.
+    ignored : ndarray of bool, steps x m
+        Which present samples were left out.
+    innovation : ndarray, steps x m
+        ``y - C x_t|t-1``; NaN for a missing sample.
+    """
 
     x_hat: Floats
     P: Floats
     ignored: np.ndarray[Any, np.dtype[np.bool_]]
+    innovation: Floats
 
 
 def ser_reference(
@@ -80,7 +91,7 @@ def ser_reference(
     Returns
     -------
     Estimates
-        Filtered means and covariances, and which present samples were left out.
+        Filtered means and covariances, which present samples were left out, and the innovations.
     """
     n, m, p = model.states, model.sensors, model.controls
     y, u = np.asarray(y, float).reshape(-1, m), np.asarray(u, float).reshape(-1, p)
@@ -89,11 +100,13 @@ def ser_reference(
     kf = reference_filter(A, B, Q, initial_mean, start)
     nominal = model.matrix("sensor_covariance")
     means, covariances, ignored = np.empty((len(y), n)), np.empty((len(y), n, n)), np.zeros((len(y), m), bool)
+    innovation = np.empty((len(y), m))
     for k, sample in enumerate(y):
+        innovation[k] = np.where(np.isfinite(sample), sample - (C @ kf.x)[:, 0], np.nan)
         ignored[k] = update_by_ser(kf, sample, C, nominal if R is None else R[k], threshold)
         means[k], covariances[k] = kf.x[:, 0], kf.P
         kf.predict(u=u[k].reshape(p, 1))
-    return Estimates(means, covariances, ignored)
+    return Estimates(means, covariances, ignored, innovation)
 
 
 def check_kalman(

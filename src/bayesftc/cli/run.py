@@ -33,8 +33,8 @@ COMPARED = 20_000
 """Samples that filterpy's SER baseline is run over beside a run with ours: less than a second."""
 UNKNOWN = "Whether the belief agrees with filterpy cannot be said: a number in the comparison is not finite."
 NOT_COMPARED = (
-    "The SER baseline is compared with filterpy's where every signal is recorded at every step: take 'record' and 'decimation' out "
-    "of the scenario, or say --check-kalman."
+    "The SER baseline is compared with filterpy's where every signal is recorded at every step: take 'record' and 'decimation' "
+    "out of the scenario, or give --check-kalman."
 )
 DIFFERENCES = ("mean_difference", "covariance_difference", "mean_absolute", "covariance_absolute")
 
@@ -228,7 +228,7 @@ def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
 
 
 def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None = None) -> dict[str, Any]:
-    """Return the differences from filterpy's filter over the first samples, whether that is agreement, and the verdict in words."""
+    """Return the differences from filterpy's filter over the first samples, whether that is agreement, and a verdict."""
     from bayesftc.controllers import BayesianController
     from bayesftc.controllers.validation import check_kalman
 
