@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector, check_choice, frozen
+from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector, check_choice, check_flags, frozen
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim.block import Block, Floats
@@ -44,7 +44,7 @@ class BayesianBlock(Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
     The settings ``model, precision, goal_on, goal_covariance, control_covariance, control_mean, belief, u_min, u_max, u_rate,
-    initial_mean, initial_covariance`` are described by the controllers.
+    initial_mean, initial_covariance, posterior_outputs`` are described by the controllers.
     """
 
     model: Any
@@ -59,12 +59,14 @@ class BayesianBlock(Block, ABC):
     u_rate: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}/s"})
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix = 1.0
+    posterior_outputs: bool = field(default=False, kw_only=True)
 
     def _check_settings(self) -> None:
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
         check_choice(self, "belief", "filtered", "joint")
+        check_flags(self, "posterior_outputs")
         n, p = self.model.states, self.model.controls
         values = {
             "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, self.goals),
@@ -145,13 +147,13 @@ class BayesianBlock(Block, ABC):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, those asked for, and the learner's own."""
         return *self._own_outputs, *self._learner().ports
 
     @property
     def _own_outputs(self) -> tuple[Port, ...]:
         n, p, m = self.model.states, self.model.controls, self.model.sensors
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "u": (p,),
             "x_hat": (n,),
             "P": (n, n),
@@ -160,7 +162,15 @@ class BayesianBlock(Block, ABC):
             "precision": (m,),
             "beta": (m,),
         }
-        return (*(port(name, shape) for name, shape in shapes.items()), port("fault_probability", (m,)))
+        shapes["fault_probability"] = (m,)
+        return *(port(name, shape) for name, shape in shapes.items()), *self._posterior_ports
+
+    @property
+    def _posterior_ports(self) -> tuple[Port, ...]:
+        n, p = self.model.states, self.model.controls
+        if not self.posterior_outputs:
+            return ()
+        return port("u_covariance", (p, p)), port("u_state_covariance", (p, n)), port("free_energy")
 
     @abstractmethod
     def _learner(self) -> Learner:
