@@ -9,7 +9,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector, check_choice, check_flags, frozen
+from bayesftc.controllers._checks import (
+    Matrix,
+    as_covariance,
+    as_matrix,
+    as_numbers,
+    as_vector,
+    check_choice,
+    check_flags,
+    frozen,
+)
+from bayesftc.controllers._free_energy import log_normaliser
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim.block import Block, Floats
@@ -185,6 +195,15 @@ class BayesianBlock(Block, ABC):
     def _priors(self) -> tuple[Floats, Floats, Floats]:
         """Return what the goal prior is about (of the state), its covariance, and the control prior's precision."""
         return self.goal_matrix, np.asarray(self.goal_covariance, float), self._prior_precision()
+
+    def _densities(self) -> dict[str, Any]:
+        """Return the parameters of the free energy, if it is an output."""
+        if not self.posterior_outputs:
+            return {"goal_noise": np.zeros((1, 1)), "constant": 0.0}
+        constant = log_normaliser(self.model.matrix("process_covariance"))
+        if self.control_covariance is not None:
+            constant += log_normaliser(np.asarray(self.control_covariance))
+        return {"goal_noise": np.array(self.goal_covariance), "constant": constant}
 
     def _shared_parameters(self, step: Fraction) -> dict[str, Any]:
         """Return the parameters that the step functions of both controllers have."""

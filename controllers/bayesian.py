@@ -16,7 +16,7 @@ from bayesftc.controllers import _filter
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict
-from bayesftc.controllers._free_energy import log_normaliser, tell_nothing, tell_posterior
+from bayesftc.controllers._free_energy import tell_nothing, tell_posterior
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._steady import steady_gains
 from bayesftc.controllers.model import LinearModel
@@ -40,10 +40,10 @@ def _make_step(
     posterior: int,
     first: int,
 ) -> Callable[..., None]:
-    """Return the controller's step function for ways of learning, of coming to a belief, of reporting, carrying, using, telling it.
+    """Return the controller's step function for ways of learning, updating, reporting, carrying, seeking the goal and telling.
 
-    Among all outputs those of the posterior begin at the place `posterior`, the learner's own at the place `first`. The same functions give the same one, so that it
-    is looked through and compiled once for however many controllers.
+    Among all outputs those of the posterior begin at the place `posterior`, the learner's own at the place `first`. The same
+    functions give the same one, so that it is looked through and compiled once for however many controllers.
     """
 
     def bayesian_controller(
@@ -223,22 +223,13 @@ class BayesianController(BayesianBlock):
         parameters |= constants
         state |= seeking
         fold = _filter.fold_goal if joint else _filter.keep_belief
-        parameters |= self._densities()
+        parameters |= self._densities() | {"u_0": np.array(self.control_mean)}
         tell = tell_posterior if self.posterior_outputs else tell_nothing
         first = sum(port.size for port in self._own_outputs)
         posterior = first - sum(port.size for port in self._posterior_ports)
         ways = make_ways(learner.step, None if joint else learner.infer)
         kernel = _make_step(*ways, learner.report, fold, seek, tell, posterior, first)
         return Definition(kernel, state=state, parameters=parameters, compiled=learner.compiled)
-
-    def _densities(self) -> dict[str, Any]:
-        """Return the parameters of the free energy, if it is an output."""
-        if not self.posterior_outputs:
-            return {"u_0": np.zeros(1), "goal_noise": np.zeros((1, 1)), "constant": 0.0}
-        constant = log_normaliser(self.model.matrix("process_covariance"))
-        if self.control_covariance is not None:
-            constant += log_normaliser(np.asarray(self.control_covariance))
-        return {"u_0": np.array(self.control_mean), "goal_noise": np.array(self.goal_covariance), "constant": constant}
 
     def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""

@@ -129,8 +129,8 @@ class LQGController(BayesianController):
             raise ModelError("LQGController computes the control prior's mean from the goal; leave control_mean out.")
         if self.posterior_outputs:
             raise ModelError(
-                "LQGController has posterior_outputs=True, but the scale of its goal and control priors is arbitrary, so that the "
-                "control has no covariance and the loop no free energy; take a BayesianController, or leave it out."
+                "LQGController has posterior_outputs=True, but the scale of its goal and control priors is arbitrary: there is "
+                "neither a covariance of the control nor a free energy; take a BayesianController, or leave it out."
             )
         super().__post_init__()
 

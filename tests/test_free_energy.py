@@ -5,10 +5,12 @@ import warnings
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
+from scipy import optimize
 from scipy.stats import multivariate_normal
 
 from bayesftc import controllers
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import sin
 
 
 def positive(rng, size, least=0.1):
@@ -64,12 +66,19 @@ def compare(controller, samples, goals):
         u = slice(n, n + p)
         scale = np.sqrt(np.diag(S))
         np.testing.assert_allclose(out.u / scale[u], z[u] / scale[u], rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(out.u_covariance / np.outer(scale[u], scale[u]), S[u, u] / np.outer(scale[u], scale[u]), rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(
+            out.u_covariance / np.outer(scale[u], scale[u]),
+            S[u, u] / np.outer(scale[u], scale[u]),
+            rtol=1e-6,
+            atol=1e-8,
+        )
         ends = np.outer(scale[u], scale[:n])
         np.testing.assert_allclose(out.u_state_covariance / ends, S[u, :n] / ends, rtol=1e-6, atol=1e-8)
         assert out.free_energy == pytest.approx(free_energy(terms, z), rel=1e-7, abs=1e-7)
         if controller.belief == "joint":
-            np.testing.assert_allclose(out.P / np.outer(scale[:n], scale[:n]), S[:n, :n] / np.outer(scale[:n], scale[:n]), atol=1e-7)
+            np.testing.assert_allclose(
+                out.P / np.outer(scale[:n], scale[:n]), S[:n, :n] / np.outer(scale[:n], scale[:n]), atol=1e-7
+            )
         mean, covariance = A @ out.x_hat + B @ out.u, A @ out.P @ A.T + Q
 
 
@@ -145,7 +154,9 @@ def test_they_are_outputs_only_where_they_are_asked_for_and_change_nothing_else(
 
 def test_states_without_uncertainty_have_no_density():
     """A process that drives one of two states, a constant that is known: SciPy's densities on the support, by a proper prior."""
-    model = controllers.LinearModel([[0.9, 0.1], [0.0, 1.0]], [[1.0], [0.0]], [[1.0, 0.0], [1.0, 1.0]], [0.2, 0.0], 0.5, 0.1)
+    model = controllers.LinearModel(
+        [[0.9, 0.1], [0.0, 1.0]], [[1.0], [0.0]], [[1.0, 0.0], [1.0, 1.0]], [0.2, 0.0], 0.5, 0.1
+    )
     controller = controllers.BayesianController(
         model, goal_on=[[1.0, 0.0]], control_covariance=2.0, control_mean=0.3, initial_mean=[0.0, 1.0],
         initial_covariance=[1.0, 0.0], posterior_outputs=True,
@@ -182,3 +193,61 @@ def test_without_a_goal_a_flat_prior_leaves_the_control_undetermined():
     assert np.isnan(out.u_state_covariance).all()
     assert np.isnan(out.free_energy)
     assert np.isfinite(step(y=[0.0, 0.1], goal=[0.0]).free_energy)
+
+
+def swing(x, u, following):
+    following[0] = x[0] + 0.1 * x[1]
+    following[1] = x[1] + 0.1 * (u[0] - sin(x[0]))
+
+
+def look(x, y):
+    y[0] = sin(x[0])
+    y[1] = x[1] + 0.1 * x[0] * x[0]
+
+
+def test_of_a_linear_model_the_nonlinear_controller_has_the_same():
+    options = {
+        "goal_covariance": [[0.3, 0.1], [0.1, 0.5]], "control_covariance": 2.0, "control_mean": 0.4, "posterior_outputs": True,
+        "precision": controllers.GammaPrecision(),
+    }  # fmt: skip
+    model = controllers.LinearModel([[1.0, 0.1], [-0.1, 0.9]], [[0.0], [0.1]], np.eye(2), [0.02, 0.0], [0.3, 0.2], 0.1)
+    linear, nonlinear = (
+        cls(model, **options).online(compiled=False)
+        for cls in (controllers.BayesianController, controllers.NonlinearBayesianController)
+    )
+    for y in ([0.2, 0.3], [np.nan, -0.4], [2.0, 0.1]):
+        a, b = (step(y=y, goal=[0.5, np.nan]) for step in (linear, nonlinear))
+        for name in ("u", "u_covariance", "u_state_covariance", "free_energy"):
+            np.testing.assert_allclose(b[name], a[name], rtol=1e-7, atol=1e-12)
+
+
+def test_of_a_nonlinear_model_they_are_scipys_least_value_and_curvature():
+    """The free energy by scipy's minimiser over x_t, u_t, x_t+1, the covariances by its differences of the equations there."""
+    model = controllers.NonlinearModel(
+        swing, look, 2, 1, 2, process_covariance=[0.01, 0.02], sensor_covariance=[0.05, 0.1], dt=0.1
+    )
+    controller = controllers.NonlinearBayesianController(
+        model, goal_covariance=[0.1, 0.2], control_covariance=3.0, control_mean=0.2, initial_mean=[0.3, -0.1],
+        initial_covariance=[0.4, 0.2], posterior_outputs=True,
+    )  # fmt: skip
+    y, goal = np.array([0.8, 0.5]), np.array([0.4, 0.9])
+    plain, compiled = (controller.online(compiled=c)(y=y, goal=goal) for c in (False, True))
+    variances = np.array([0.4, 0.2, 0.01, 0.02, 0.05, 0.1, 0.1, 0.2, 3.0])
+
+    def whitened(z):
+        x, u, following, reading, ahead = z[:2], z[2:3], z[3:], np.zeros(2), np.zeros(2)
+        look(x, reading)
+        swing(x, u, ahead)
+        parts = (x - [0.3, -0.1], following - ahead, y - reading, goal - following, u - 0.2)
+        return np.concatenate(parts) / np.sqrt(variances)
+
+    found = optimize.least_squares(
+        whitened, [0.3, -0.1, 0.2, 0.4, 0.9], xtol=1e-15, ftol=1e-15, gtol=1e-15, jac="3-point"
+    )
+    least = found.cost + 0.5 * np.log(2 * np.pi * variances).sum()
+    S = np.linalg.inv(found.jac.T @ found.jac)
+    for out in (plain, compiled):
+        assert out.free_energy == pytest.approx(least, rel=1e-10)
+        assert out.u[0] == pytest.approx(found.x[2], abs=1e-6)
+        assert out.u_covariance[0, 0] == pytest.approx(S[2, 2], rel=1e-4)
+        np.testing.assert_allclose(out.u_state_covariance[0], S[2, :2], rtol=1e-4)
