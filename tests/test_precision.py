@@ -42,6 +42,7 @@ EXAMPLES = [
     GammaPrecision(window=5, estimate="mode", calibration=Calibration(0.5, -3.0, "linear")),
     PointMassPrecision(),
     PointMassPrecision(rate=0.5, lower_bound=0.01, variance_bound=0.25, parameterization="direct"),
+    PointMassPrecision(rate=0.3, lower_bound=1e-2, variance_bound=0.5, full=True),
     WishartPrecision(calibration=Calibration(2.0, -3.0)),
     WishartPrecision(
         forgetting=None, degrees_of_freedom=3.5, belief_uncertainty=True, calibration=Calibration(2.0, -3.0)
