@@ -20,7 +20,8 @@ To write a precision learner you must:
 8. if it infers something together with the state (``infer`` of the `Learner`), return from ``apart(who, instead)`` the learner
    without that, for controllers that learn apart from the state; and if it tells faults of actuators, say by the field or
    property ``actuator_modes`` which, for they become signals and a table of a run;
-9. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
+9. if it calls back into Python, say ``compiled=False``: its controller then runs interpreted;
+10. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
 """
 
 from __future__ import annotations

@@ -187,7 +187,10 @@ def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
     diagram.connect(goal["y"], block["goal"])
     with pytest.raises(KernelError, match="controller"):
         diagram.simulate(1.0, engine="compiled")
-    assert np.isfinite(diagram.simulate(1.0)["controller.u"]).all()
+    result = diagram.simulate(1.0)
+    assert np.isfinite(result["controller.u"]).all()
+    assert controllers.check_kalman(result, controller, y="sensors.y").steps == 51
+    assert controllers.check_kalman(result, controller, y="sensors.y", most=10).steps == 10
     with pytest.raises(ModelError, match=r"belief='joint' has a belief of its own.*filter='own'"):
         controllers.BayesianController(model, precision=learner, belief="joint")
     with pytest.raises(ModelError, match="filter='own'"):
