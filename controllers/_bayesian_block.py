@@ -9,7 +9,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector, check_choice, frozen
+from bayesftc.controllers._checks import (
+    Matrix,
+    as_covariance,
+    as_matrix,
+    as_numbers,
+    as_vector,
+    check_choice,
+    check_flags,
+    frozen,
+)
+from bayesftc.controllers._free_energy import log_normaliser
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim._invalid import Invalid, invalid_values
@@ -45,7 +55,7 @@ class BayesianBlock(Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
     The settings ``model, precision, goal_on, goal_covariance, control_covariance, control_mean, belief, u_min, u_max, u_rate,
-    initial_mean, initial_covariance, invalid`` are described by the controllers.
+    initial_mean, initial_covariance, invalid, posterior_outputs`` are described by the controllers.
     """
 
     model: Any
@@ -61,12 +71,14 @@ class BayesianBlock(Block, ABC):
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix = 1.0
     invalid: Invalid = field(default=(), kw_only=True)
+    posterior_outputs: bool = field(default=False, kw_only=True)
 
     def _check_settings(self) -> None:
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
         check_choice(self, "belief", "filtered", "joint")
+        check_flags(self, "posterior_outputs")
         n, p = self.model.states, self.model.controls
         values = {
             "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, self.goals),
@@ -148,13 +160,13 @@ class BayesianBlock(Block, ABC):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, those asked for, and the learner's own."""
         return *self._own_outputs, *self._learner().ports
 
     @property
     def _own_outputs(self) -> tuple[Port, ...]:
         n, p, m = self.model.states, self.model.controls, self.model.sensors
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "u": (p,),
             "x_hat": (n,),
             "P": (n, n),
@@ -163,7 +175,15 @@ class BayesianBlock(Block, ABC):
             "precision": (m,),
             "beta": (m,),
         }
-        return (*(port(name, shape) for name, shape in shapes.items()), port("fault_probability", (m,)))
+        shapes["fault_probability"] = (m,)
+        return *(port(name, shape) for name, shape in shapes.items()), *self._posterior_ports
+
+    @property
+    def _posterior_ports(self) -> tuple[Port, ...]:
+        n, p = self.model.states, self.model.controls
+        if not self.posterior_outputs:
+            return ()
+        return port("u_covariance", (p, p)), port("u_state_covariance", (p, n)), port("free_energy")
 
     @abstractmethod
     def _learner(self) -> Learner:
@@ -178,6 +198,15 @@ class BayesianBlock(Block, ABC):
     def _priors(self) -> tuple[Floats, Floats, Floats]:
         """Return what the goal prior is about (of the state), its covariance, and the control prior's precision."""
         return self.goal_matrix, np.asarray(self.goal_covariance, float), self._prior_precision()
+
+    def _densities(self) -> dict[str, Any]:
+        """Return the parameters of the free energy, if it is an output."""
+        if not self.posterior_outputs:
+            return {"goal_noise": np.zeros((1, 1)), "constant": 0.0}
+        constant = log_normaliser(self.model.matrix("process_covariance"))
+        if self.control_covariance is not None:
+            constant += log_normaliser(np.asarray(self.control_covariance))
+        return {"goal_noise": np.array(self.goal_covariance), "constant": constant}
 
     def _shared_parameters(self, step: Fraction) -> dict[str, Any]:
         """Return the parameters that the step functions of both controllers have."""

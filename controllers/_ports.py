@@ -6,6 +6,8 @@ _SIGNALS = {
     "y": "Samples of the sensors; NaN is a missing one",
     "goal": "Goal; NaN is none",
     "u": "Control",
+    "u_covariance": "Covariance of the control given samples and goal; NaN where nothing determines it",
+    "u_state_covariance": "Covariance of the control with the state, likewise",
     "x_hat": "Mean of the belief about the state",
     "P": "Covariance of the belief about the state",
     "R": "Sensor covariance in use; infinite for a sensor that is left out",
@@ -33,7 +35,7 @@ _SIGNALS = {
     "actuator_fault_kind": "Most probable mode of each actuator by its number, 0 for healthy",
     "actuator_fault_size": "Size of that mode's fault; NaN where it has none",
     "process_mode_probability": "Probability of each mode of the process, healthy first; last that one has ended",
-    "free_energy": "Free energy F where the last gradient was taken",
+    "free_energy": "Free energy F: where it is least, or where the last gradient was taken",
     "eps_x": "mu - x_pred, the error of the state prior, where the last gradient was taken",
     "eps_u": "mu_u - f*(mu, goal), the error of the control, where the last gradient was taken",
 }

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import check_number
-from bayesftc.controllers.precision import Learner, PrecisionLearner
+from bayesftc.controllers._checks import check_choice, check_number
+from bayesftc.controllers._filterpy import reference_filter, update_by_ser
+from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, both, maximum, negate, select, sqrt
 from bayesftc.cosim.timebase import whole_steps
 
@@ -85,26 +87,65 @@ def learn_serfdi(y, e, present, spread, nominal, memory, settings, work, R, used
         _decide(i, ignored, nominal, settings[1], R, used, present[i], precision, beta, fault_probability)
 
 
+def infer_by_filterpy(
+    y, e, present, nominal, A, B, C, Q, applied, mean, covariance, largest, memory, settings,
+    R, used, precision, beta, fault_probability, works, load, x_hat, P,
+):  # fmt: skip
+    """Predict, decide and update by filterpy's Kalman filter. ``memory``: whether it has begun, its mean, its covariance."""
+    n = len(A)
+    if memory[0]:
+        kf = reference_filter(A, B, Q, memory[1 : n + 1], memory[n + 1 :].reshape(n, n))
+        kf.predict(u=applied.reshape(-1, 1))
+    else:
+        kf = reference_filter(A, B, Q, mean, covariance)
+    ignored = update_by_ser(kf, y, C, nominal, settings[0])
+    x_hat[:], P[:] = kf.x[:, 0], kf.P
+    memory[0], memory[1 : n + 1], memory[n + 1 :] = 1.0, x_hat, P.ravel()
+    for i in range(len(y)):
+        _decide(i, ignored[i], nominal, settings[1], R, used, present[i], precision, beta, fault_probability)
+
+
 @dataclass(frozen=True)
 class SERFDI(PrecisionLearner):
     """State estimation residual: a sensor whose innovation exceeds the threshold is ignored at this sample.
 
-    The estimate is a Kalman filter's that leaves ignored sensors out (`bayesftc.controllers.validation.ser_reference` is the
-    same on filterpy's). The decision is ``fault_probability`` (0 or 1); beta is NaN. Started from a belief that is sure and wrong
-    it ignores every sample: give the controller an ``initial_mean``, or an ``initial_covariance`` that admits what it does not
-    know.
+    The estimate is a Kalman filter's that leaves ignored sensors out. The decision is ``fault_probability`` (0 or 1); beta is
+    NaN. Started from a belief that is sure and wrong it ignores every sample: give the controller an ``initial_mean``, or an
+    ``initial_covariance`` that admits what it does not know.
+
+    With ``filter="filterpy"`` that Kalman filter is filterpy's: it predicts, decides and updates, with the same outputs to
+    rounding (`ser_reference` is the same over recorded samples). It is for comparisons: it runs as Python, some hundred times
+    slower, in `BayesianController`, `LQGController` and `StateEstimator`; it cannot be compiled or exported; and it does not
+    limit the variance of states that no sensor sees, as ours does.
 
     Parameters
     ----------
     threshold : float
         On ``|y - C x_t|t-1|``, in standard deviations of the innovation.
+    filter : {"own", "filterpy"}
+        Whose Kalman filter computes the estimate.
     """
 
     threshold: float = 3.0
+    filter: Literal["own", "filterpy"] = "own"
 
     def __post_init__(self) -> None:
         check_number(self, "threshold", above=0, finite=False)
+        check_choice(self, "filter", "own", "filterpy")
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        return Learner(learn_serfdi, np.zeros(1), np.array([self.threshold, np.nan]))
+        settings = np.array([self.threshold, np.nan])
+        if self.filter == "own":
+            return Learner(learn_serfdi, np.zeros(1), settings)
+        n = model.states
+        return Learner(learn_serfdi, np.zeros(1 + n + n * n), settings, infer=infer_by_filterpy, compiled=False)
+
+    def apart(self, who: str, instead: str = TOGETHER) -> SERFDI:
+        """See `PrecisionLearner.apart`."""
+        if self.filter == "filterpy":
+            raise ModelError(
+                f"{who} has a belief of its own, which SERFDI(filter='filterpy') would take from filterpy's Kalman filter; "
+                f"{instead}, or take filter='own'."
+            )
+        return self

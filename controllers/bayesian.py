@@ -17,6 +17,7 @@ from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
 from bayesftc.controllers._filter import decide, innovate, limit, predict, restore
+from bayesftc.controllers._free_energy import tell_nothing, tell_posterior
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._steady import steady_gains
 from bayesftc.controllers.model import LinearModel
@@ -37,12 +38,14 @@ def _make_step(
     alarm: Callable[..., None],
     fold: Callable[..., None],
     seek: Callable[..., None],
+    tell: Callable[..., None],
+    posterior: int,
     first: int,
 ) -> Callable[..., None]:
-    """Return the controller's step function for ways of learning, of coming to a belief, of reporting, carrying and using it.
+    """Return the controller's step function for ways of learning, updating, reporting, carrying, seeking the goal and telling.
 
-    The learner's own outputs begin at the place `first` among all outputs. The same functions give the same one, so that it
-    is looked through and compiled once for however many controllers.
+    Among all outputs those of the posterior begin at the place `posterior`, the learner's own at the place `first`. The same
+    functions give the same one, so that it is looked through and compiled once for however many controllers.
     """
 
     def bayesian_controller(
@@ -52,6 +55,7 @@ def _make_step(
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
         heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
+        u_0, goal_noise, constant,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(
@@ -84,6 +88,10 @@ def _make_step(
         )
         plan(works, load, GB, sought, GBw)
         decide(sought, x_hat, P, A, G, GQ, GBw, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
+        tell(
+            posterior, outputs, e, used, R, spread, covariance, wanted, pull, u, GBw, GAP, SG, W, Lambda, prior_precision, u_0,
+            goal_noise, constant, chol, whitened, J, sought, effective,
+        )  # fmt: skip
         limit(u, applied, u_min, u_max, u_change)
         for i in range(pull.shape[0]):
             pull[i] = pull[i] - goal_shift[i]
@@ -117,6 +125,12 @@ class BayesianController(BayesianBlock):
     ``fault_probability`` (m; NaN while a sensor delivers no sample: that is known, not inferred), and those of the precision
     learner (moments of the precision).
 
+    With ``posterior_outputs`` there are three more, of the joint posterior p(x_t, u_t | y_1..t, goal), before limits:
+    ``u_covariance`` (p x p), ``u_state_covariance`` (p x n, NaN like the former where nothing determines the control), and
+    ``free_energy``: -L of eq. 8 where it is least over x_t, u_t and x_t+1, with the sensor covariance ``R``, as a density:
+    ``F = -ln p(x_t, u_t, x_t+1, y_t, goal)`` (nats). Samples, goals and flat priors that are none have no part in it, nor
+    have states without uncertainty.
+
     Parameters
     ----------
     model : LinearModel
@@ -143,6 +157,8 @@ class BayesianController(BayesianBlock):
         Belief before the first sample; by default 0 and the identity.
     invalid : sequence of number, or of one for each sensor
         Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
+    posterior_outputs : bool
+        Whether the covariance of the control and the free energy are outputs as well. They cost some time at each sample.
 
     Raises
     ------
@@ -219,10 +235,13 @@ class BayesianController(BayesianBlock):
         parameters |= constants
         state |= seeking
         fold = _filter.fold_goal if joint else _filter.keep_belief
+        parameters |= self._densities() | {"u_0": np.array(self.control_mean)}
+        tell = tell_posterior if self.posterior_outputs else tell_nothing
         first = sum(port.size for port in self._own_outputs)
+        posterior = first - sum(port.size for port in self._posterior_ports)
         ways = make_ways(learner.step, None if joint else learner.infer)
-        kernel = _make_step(*ways, learner.report, alarm_of(learner, first), fold, seek, first)
-        return Definition(kernel, state=state, parameters=parameters)
+        kernel = _make_step(*ways, learner.report, alarm_of(learner, first), fold, seek, tell, posterior, first)
+        return Definition(kernel, state=state, parameters=parameters, compiled=learner.compiled)
 
     def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""

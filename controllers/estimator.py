@@ -182,4 +182,4 @@ class StateEstimator(Block):
         ways = make_ways(learner.step, learner.infer)
         estimate = _make_estimate(*ways, learner.report, alarm_of(learner, first), first)
         state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
-        return Definition(estimate, look_ahead, state=state, parameters=parameters)
+        return Definition(estimate, look_ahead, state=state, parameters=parameters, compiled=learner.compiled)

@@ -96,6 +96,8 @@ class LQGController(BayesianController):
         Not used: the control prior's mean is u_ss.
     belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid
         See `BayesianController`.
+    posterior_outputs : False
+        Only the ratio of the two priors means something here, so there is no covariance of the control and no free energy.
 
     Raises
     ------
@@ -125,6 +127,11 @@ class LQGController(BayesianController):
             raise ModelError("LQGController needs a control_covariance, the inverse of what controls cost.")
         if np.any(self.control_mean):
             raise ModelError("LQGController computes the control prior's mean from the goal; leave control_mean out.")
+        if self.posterior_outputs:
+            raise ModelError(
+                "LQGController has posterior_outputs=True, but the scale of its goal and control priors is arbitrary: there is "
+                "neither a covariance of the control nor a free energy; take a BayesianController, or leave it out."
+            )
         super().__post_init__()
 
     def _check_reach(self, effect: Floats) -> None:

@@ -14,6 +14,7 @@ from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix, check_choice, check_number, frozen
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit, restore
+from bayesftc.controllers._free_energy import tell_linearised, tell_no_minimum
 from bayesftc.controllers._joint import (
     DISTANT,
     SLOPES,
@@ -112,9 +113,12 @@ def take_joint(found, point, spread_out, x_hat, P):
 @cache
 def _make_step(
     learn: Kernel, report: Kernel, alarm: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
-    first: int,
+    tell: Kernel, posterior: int, first: int,
 ) -> Callable[..., None]:  # fmt: skip
-    """Return the controller's step function; the learner's own outputs begin at the place `first` among all outputs."""
+    """Return the controller's step function.
+
+    Among all outputs those of the posterior begin at the place `posterior`, the learner's own at the place `first`.
+    """
 
     def nonlinear_bayesian_controller(
         y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work,
@@ -123,6 +127,7 @@ def _make_step(
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
         z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
         heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
+        goal_noise, constant, E,
     ):  # fmt: skip
         n, p = x_hat.shape[0], u.shape[0]
         T = squares[0]
@@ -168,6 +173,7 @@ def _make_step(
         found = determined(T, cost[0], wanted, p)
         for i in range(p):
             u[i] = select(found, z[i], NAN)
+        tell(found, posterior, outputs, T, root, X, cost, R, goal_noise, kept, constant, noise, E)
         carry(found, point, spread_out, x_hat, P)
         limit(u, applied, u_min, u_max, u_change)
         predict(
@@ -188,7 +194,8 @@ class NonlinearBayesianController(BayesianBlock):
     the model linearised at the minimum (Laplace's approximation). For a linear model all this is `BayesianController`.
 
     Inputs and outputs are those of `BayesianController`: ``y``, ``goal``; ``u, x_hat, P, R, innovation, precision, beta,
-    fault_probability``, and those of the precision learner. ``innovation`` is ``y - g(x_t|t-1)``.
+    fault_probability``, and those of the precision learner. ``innovation`` is ``y - g(x_t|t-1)``. With ``posterior_outputs`` also
+    ``u_covariance, u_state_covariance, free_energy``, of the model linearised at the minimum, and the least value of -L itself.
 
     Parameters
     ----------
@@ -219,6 +226,8 @@ class NonlinearBayesianController(BayesianBlock):
         it; with the default strongly nonlinear problems converge, too (docs/controllers.md has the shares).
     invalid : sequence of number, or of one for each sensor
         Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
+    posterior_outputs : bool
+        Whether the covariance of the control and the free energy are outputs as well.
 
     Raises
     ------
@@ -267,8 +276,8 @@ class NonlinearBayesianController(BayesianBlock):
         n, p, m, g = model.states, model.controls, model.sensors, self.goals
         of_f, of_g = model.derivatives
         look_ahead, iterations = make_look_ahead(model.f, of_f), int(self.iterations)
-        move = make_move(look_ahead) if self.prediction == "model" else stay
         first = sum(port.size for port in self._own_outputs)
+        move = make_move(look_ahead) if self.prediction == "model" else stay
         kernel = _make_step(
             learner.step,
             learner.report,
@@ -278,11 +287,13 @@ class NonlinearBayesianController(BayesianBlock):
             make_minimiser(model.g, of_g, look_ahead, iterations),
             take_joint if self.belief == "joint" else keep_filtered,
             make_predict(model.g, of_g, move),
+            tell_linearised if self.posterior_outputs else tell_no_minimum,
+            first - sum(port.size for port in self._posterior_ports),
             first,
         )
-        prior = self._prior_precision()
+        prior, told = self._prior_precision(), self.posterior_outputs
         screens, screen_parameters = screening(self, self._start())
-        parameters = self._shared_parameters(step) | screen_parameters | {
+        parameters = self._shared_parameters(step) | screen_parameters | self._densities() | {
             "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
         }  # fmt: skip
@@ -291,7 +302,7 @@ class NonlinearBayesianController(BayesianBlock):
             "reading": (m,), "C": (m, n), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m),
             "root": (n, n), "kept": (equations,), "wanted": (g,), "noise": (equations, equations), "point": (n,), "control": (p,),
             "following": (n,), "F": (n, n), "B": (n, p), "FP": (n, n), "residual": (equations,), "cost": (1,), "cost2": (1,),
-            "X": (n, n), "spread_out": (n, n), "prior": (p, p),
+            "X": (n, n), "spread_out": (n, n), "prior": (p, p), "E": (p, p + n) if told else (1, 1),
             "z": (unknowns,), "slopes": (SLOPES, equations, unknowns), "squares": (SQUARES, unknowns, unknowns),
             "vectors": (VECTORS, unknowns),
         }  # fmt: skip

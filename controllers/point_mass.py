@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import check_choice, check_number
+from bayesftc.controllers._checks import check_choice, check_flags, check_number
+from bayesftc.controllers._matrix_precision import prior_memory
+from bayesftc.controllers._point_mass_matrix import LEAST, MOST, RATE, WIDEST, WORK, learn_matrix, report_matrix
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import ERROR_CAP, NAN, Learner, PrecisionLearner
 from bayesftc.cosim.errors import ModelError
@@ -17,9 +19,6 @@ from bayesftc.cosim.ops import exp, log, maximum, minimum, select
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-
-# Settings of the learner.
-_RATE, _LEAST, _MOST = range(3)
 
 
 def descend_log(w, squared, rate):
@@ -43,9 +42,9 @@ def _learner(step_down: Callable[..., float]) -> Callable[..., None]:
             w = memory[i]
             squared = minimum(e[i] * e[i] / nominal[i, i], ERROR_CAP)
             best = 1.0 / squared  # where this sample's free energy is least; infinite for an error of 0
-            stepped = step_down(w, squared, settings[_RATE])
+            stepped = step_down(w, squared, settings[RATE])
             stepped = select(w > best, maximum(stepped, best), minimum(stepped, best))
-            stepped = minimum(maximum(stepped, settings[_LEAST]), settings[_MOST])
+            stepped = minimum(maximum(stepped, settings[LEAST]), settings[MOST])
             w = select(present[i] > 0.5, stepped, w)
             memory[i] = w
             for j in range(m):
@@ -80,8 +79,14 @@ class PointMassPrecision(PrecisionLearner):
     No step goes past this sample's own minimum ``w = 1 / e^2``: an explicit step that is too long would throw the precision
     to and fro. A squared error is capped at 1e12, so one absurd sample takes the precision to its lower bound and no further.
 
-    It adds the outputs ``precision_mean``, ``precision_mode`` (the same) and ``precision_variance`` (0) to its controller;
-    ``beta`` is NaN, for a point has no rate.
+    With ``full=True`` the precision matrix of all sensors together is learned, as the paper writes it, correlations included:
+    ``F = (e' Pi e - ln |Pi|) / 2``, by steps of the matrix's logarithm, which keep it positive definite (the module
+    `_point_mass_matrix` derives them). The bounds then hold for each eigenvalue of the precision relative to the nominal one. A
+    missing sensor keeps its covariance given the others. Innovations share the error of the prediction, which is taken for
+    correlated noise: where the noise of the sensors is independent, the diagonal is the better choice.
+
+    It adds the outputs ``precision_mean``, ``precision_mode`` (the same) and ``precision_variance`` (0) to its controller: m
+    numbers each, or m x m where the matrix is full. ``beta`` is NaN, for a point has no rate.
 
     Parameters
     ----------
@@ -94,18 +99,32 @@ class PointMassPrecision(PrecisionLearner):
     parameterization : {"exponential", "direct"}
         Whether the step is taken by zeta = ln w (steps relative to w), or by w itself, which leaves a low precision by leaps,
         as its gradient is 1 / w there.
+    full : bool
+        Whether the full precision matrix is learned, by its logarithm ("exponential") only.
     """
 
     rate: float = 0.1
     lower_bound: float = 1e-3
     variance_bound: float = 1.0
     parameterization: Literal["exponential", "direct"] = "exponential"
+    full: bool = False
 
     def __post_init__(self) -> None:
         check_number(self, "rate", above=0)
         check_number(self, "variance_bound", above=0)
         check_number(self, "lower_bound", above=0)
         check_choice(self, "parameterization", "exponential", "direct")
+        check_flags(self, "full")
+        if self.full and self.parameterization == "direct":
+            raise ModelError(
+                "PointMassPrecision has full=True and parameterization='direct', but a step of a matrix itself can leave the "
+                "positive definite ones; take 'exponential', or the diagonal."
+            )
+        if self.full and self.lower_bound * self.variance_bound < WIDEST:
+            raise ModelError(
+                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; for a full "
+                f"matrix their product must be at least {WIDEST:g}, or it may not be inverted."
+            )
         if self.lower_bound > 1 / self.variance_bound:
             raise ModelError(
                 f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; the "
@@ -116,9 +135,14 @@ class PointMassPrecision(PrecisionLearner):
         """See `PrecisionLearner.learner`."""
         m, most = model.sensors, 1.0 / self.variance_bound
         start = float(np.clip(1.0, self.lower_bound, most))
-        step = _learner(descend_log if self.parameterization == "exponential" else descend)
-        ports = tuple(port(f"precision_{name}", (m,)) for name in ("mean", "mode", "variance"))
         settings = np.array([self.rate, self.lower_bound, most])
+        names = [f"precision_{name}" for name in ("mean", "mode", "variance")]
+        if self.full:
+            memory = prior_memory(1.0, model.matrix("sensor_covariance") / start)
+            ports = tuple(port(name, (m, m)) for name in names)
+            return Learner(learn_matrix, memory, settings, WORK, ports, report_matrix)
+        step = _learner(descend_log if self.parameterization == "exponential" else descend)
+        ports = tuple(port(name, (m,)) for name in names)
         return Learner(step, np.full(m, start), settings, ports=ports, report=report_point_mass)
 
     @property

@@ -20,7 +20,8 @@ To write a precision learner you must:
 8. if it infers something together with the state (``infer`` of the `Learner`), return from ``apart(who, instead)`` the learner
    without that, for controllers that learn apart from the state; and if it tells faults of actuators, say by the field or
    property ``actuator_modes`` which, for they become signals and a table of a run;
-9. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
+9. if it calls back into Python, say ``compiled=False``: its controller then runs interpreted;
+10. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ class Learner:
     infer : function or None
         If it infers the state together with the faults: the step function (``make_infer`` in ``_bank.py``) that controllers with
         a linear model then call instead of ``step`` and of Kalman's update. Others go on with ``step``.
+    compiled : bool
+        False for one that calls back into Python: its controller then runs interpreted, and cannot be exported.
     """
 
     step: Callable[..., None]
@@ -82,6 +85,7 @@ class Learner:
     ports: tuple[Port, ...] = ()
     report: Callable[..., None] = report_nothing
     infer: Callable[..., None] | None = None
+    compiled: bool = True
 
 
 @dataclass(frozen=True)

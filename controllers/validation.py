@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bayesftc.controllers._checks import as_covariance
+from bayesftc.controllers._filterpy import reference_filter, update_by_ser
+from bayesftc.controllers.baselines import SERFDI
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError
@@ -41,11 +43,22 @@ class KalmanCheck:
 
 
 class Estimates(NamedTuple):
-    """What filterpy's filter makes of a recording: means (steps x n), covariances (steps x n x n), ignored (steps x m)."""
+    """What filterpy's filter makes of a recording.
+
+    Attributes
+    ----------
+    x_hat, P : ndarray, steps x n and steps x n x n
+        Filtered means and covariances.
+    ignored : ndarray of bool, steps x m
+        Which present samples were left out.
+    innovation : ndarray, steps x m
+        ``y - C x_t|t-1``; NaN for a missing sample.
+    """
 
     x_hat: Floats
     P: Floats
     ignored: np.ndarray[Any, np.dtype[np.bool_]]
+    innovation: Floats
 
 
 def ser_reference(
@@ -78,40 +91,37 @@ def ser_reference(
     Returns
     -------
     Estimates
-        Filtered means and covariances, and which present samples were left out.
+        Filtered means and covariances, which present samples were left out, and the innovations.
     """
-    from filterpy.kalman import KalmanFilter
-
     n, m, p = model.states, model.sensors, model.controls
     y, u = np.asarray(y, float).reshape(-1, m), np.asarray(u, float).reshape(-1, p)
-    kf = KalmanFilter(dim_x=n, dim_z=m, dim_u=p)
-    kf.F, kf.B, kf.Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
-    kf.x = np.broadcast_to(np.asarray(initial_mean, float), n).reshape(n, 1).copy()
-    kf.P = np.array(as_covariance("The initial_covariance", initial_covariance, n, singular=True))
-    C, nominal = model.matrix("C"), model.matrix("sensor_covariance")
+    start = as_covariance("The initial_covariance", initial_covariance, n, singular=True)
+    A, B, C, Q = (model.matrix(name) for name in ("A", "B", "C", "process_covariance"))
+    kf = reference_filter(A, B, Q, initial_mean, start)
+    nominal = model.matrix("sensor_covariance")
     means, covariances, ignored = np.empty((len(y), n)), np.empty((len(y), n, n)), np.zeros((len(y), m), bool)
+    innovation = np.empty((len(y), m))
     for k, sample in enumerate(y):
-        noise = nominal if R is None else R[k]
-        spread = C @ kf.P @ C.T
-        deviation = np.abs(sample - (C @ kf.x)[:, 0])
-        present = np.isfinite(sample) & np.isfinite(np.diag(noise))
-        with np.errstate(invalid="ignore"):
-            ignored[k] = present & (deviation > threshold * np.sqrt(np.diag(spread) + np.diag(noise)))
-        keep = np.flatnonzero(present & ~ignored[k])
-        if len(keep):
-            kf.update(sample[keep].reshape(-1, 1), R=noise[np.ix_(keep, keep)], H=C[keep])
+        innovation[k] = np.where(np.isfinite(sample), sample - (C @ kf.x)[:, 0], np.nan)
+        ignored[k] = update_by_ser(kf, sample, C, nominal if R is None else R[k], threshold)
         means[k], covariances[k] = kf.x[:, 0], kf.P
         kf.predict(u=u[k].reshape(p, 1))
-    return Estimates(means, covariances, ignored)
+    return Estimates(means, covariances, ignored, innovation)
 
 
 def check_kalman(
-    signals: Mapping[str, Any], controller: BayesianController, *, y: str | None = None, name: str = "controller"
+    signals: Mapping[str, Any],
+    controller: BayesianController,
+    *,
+    y: str | None = None,
+    name: str = "controller",
+    most: int | None = None,
 ) -> KalmanCheck:
     """Compare a controller's recorded belief with filterpy's Kalman filter, step by step.
 
     filterpy gets the same samples, the controls that were applied, and at each step the sensor covariance that the controller
     used (``R``), so the comparison also holds where precision is learned: it is then a check of everything but the learning.
+    Under `SERFDI` it gets the threshold instead, and decides for itself which sensors to ignore.
 
     Parameters
     ----------
@@ -124,6 +134,8 @@ def check_kalman(
         Name of the signal that was connected to the controller's ``y``; by default its recorded input.
     name : str
         The controller's name in the diagram.
+    most : int, optional
+        Number of samples that are compared, from the first one on; by default all.
 
     Returns
     -------
@@ -138,18 +150,21 @@ def check_kalman(
             )
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The Kalman check needs every step; run with decimation=1.")
+    learner = controller.precision
+    threshold = learner.threshold if isinstance(learner, SERFDI) else None
     samples, innovation = np.asarray(signals[source]), f"{name}.innovation"
     if innovation in signals:  # what counted as missing: absurd samples, and those of invalid values
         samples = np.where(np.isnan(signals[innovation]), np.nan, samples)
     reference = ser_reference(
         controller.model,
-        samples,
-        signals[f"{name}.u"],
-        R=signals[f"{name}.R"],
+        samples[:most],
+        signals[f"{name}.u"][:most],
+        threshold=float("inf") if threshold is None else threshold,
+        R=signals[f"{name}.R"][:most] if threshold is None else None,
         initial_mean=controller.initial_mean,
         initial_covariance=controller.initial_covariance,
     )
-    return compare(signals[f"{name}.x_hat"], signals[f"{name}.P"], reference)
+    return compare(signals[f"{name}.x_hat"][:most], signals[f"{name}.P"][:most], reference)
 
 
 def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:

@@ -277,6 +277,21 @@ def test_check_kalman_records_what_it_needs(bayesftc_, tmp_path, record):
     assert json.loads(done.output)["kalman"]["agrees"] is True
 
 
+def test_the_ser_baseline_is_compared_with_filterpys_of_itself(bayesftc_, tmp_path):
+    """filterpy decides for itself which samples to ignore; without all signals the run says what is missing."""
+    text = CAR[:LEARNER] + '[controller.precision]\nkind = "SERFDI"\n'
+    for more in ("", 'filter = "filterpy"\n'):
+        (tmp_path / "car.toml").write_text(text + more)
+        done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "8", "--json")
+        check = json.loads(done.output)["kalman"]
+        assert check["agrees"] is True
+        assert (check["mean_difference"] == 0.0) is bool(more)
+        assert check["steps"] == 401
+    (tmp_path / "car.toml").write_text(text.replace("seed = 1", 'record = ["plant.v"]'))
+    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "1")
+    assert "filterpy's where every signal is recorded" in " ".join(done.output.split())
+
+
 def test_no_probability_is_explained(bayesftc_, tmp_path):
     """Each learner that gives no probability has dashes and its own sentence, and the AUC of beta where there is one."""
     for kind, auc in (("FixedPrecision", None), ("GammaPrecision", "beta")):

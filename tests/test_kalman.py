@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
-from bayesftc import controllers
+from bayesftc import controllers, cosim
 from bayesftc.controllers.validation import compare, ser_reference
+from bayesftc.cosim.errors import KernelError, ModelError
 
 STEPS = 250
 
@@ -147,3 +148,52 @@ def test_belief_with_learned_precision_is_filterpys_given_the_same_covariances()
     check = compare(x_hat, P, ser_reference(model, y, u, R=R))
     assert max(check.mean_difference, check.covariance_difference) < 1e-9
     assert R[-1, 0, 0] > 5 * R[50, 0, 0]  # and precision was indeed learned
+
+
+def test_the_ser_baseline_on_filterpy_has_the_outputs_of_ours():
+    """Of two states and three sensors, with correlated noise, missing samples and a fault; and so has the estimator."""
+    noise = [[0.5, 0.1, 0.0], [0.1, 0.4, 0.0], [0.0, 0.0, 0.3]]
+    C = [[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    model = controllers.LinearModel([[0.9, 0.1], [-0.2, 0.8]], [[1.0], [0.1]], C, 0.1, noise, 0.1)
+    rng = np.random.default_rng(8)
+    y = rng.normal(size=(400, 3)) + [6.0, 0.0, 0.0] * (np.arange(400) // 50 % 2)[:, np.newaxis]
+    y[rng.random(y.shape) < 0.05] = np.nan
+    options = {"goal_covariance": 0.1, "control_covariance": 1.0, "initial_mean": [0.5, 0.0]}
+    both = [
+        controllers.BayesianController(model, precision=controllers.SERFDI(2.5, filter), **options).online()
+        for filter in ("own", "filterpy")
+    ]
+    watching = controllers.StateEstimator(model, controllers.SERFDI(2.5, "filterpy"), initial_mean=[0.5, 0.0]).online()
+    for row in y:
+        ours, theirs = (step(y=row, goal=[1.0, 0.0]) for step in both)
+        watched = watching(y=row, u=theirs.u)
+        for name in ours:
+            np.testing.assert_allclose(theirs[name], ours[name], rtol=1e-9, atol=1e-12)
+            if name in watched:
+                np.testing.assert_array_equal(watched[name], theirs[name])
+
+
+def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)
+    learner = controllers.SERFDI(filter="filterpy")
+    controller = controllers.BayesianController(model, precision=learner)
+    with pytest.raises(ModelError, match="calls back into Python, which the exported C has not"):
+        cosim.export_fmu(controller, tmp_path / "ser.fmu")
+    diagram = cosim.Diagram(dt=0.02)
+    block, goal = diagram.add(controller), diagram.add(cosim.Constant(0.0))
+    samples = diagram.add(cosim.Sensors(count=2, std=1.0))
+    diagram.connect(goal["y"], samples["u"])
+    diagram.connect(samples["y"], block["y"])
+    diagram.connect(goal["y"], block["goal"])
+    with pytest.raises(KernelError, match="controller"):
+        diagram.simulate(1.0, engine="compiled")
+    result = diagram.simulate(1.0)
+    assert np.isfinite(result["controller.u"]).all()
+    assert controllers.check_kalman(result, controller, y="sensors.y").steps == 51
+    assert controllers.check_kalman(result, controller, y="sensors.y", most=10).steps == 10
+    with pytest.raises(ModelError, match=r"belief='joint' has a belief of its own.*filter='own'"):
+        controllers.BayesianController(model, precision=learner, belief="joint")
+    with pytest.raises(ModelError, match="filter='own'"):
+        controllers.ExplicitDetection(learner).learner(model)
+    with pytest.raises(ModelError, match="filter='scipy'; it must be 'own' or 'filterpy'"):
+        controllers.SERFDI(filter="scipy")

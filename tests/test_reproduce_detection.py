@@ -151,6 +151,22 @@ def test_a_baseline_that_cannot_be_reached():
         reproduce.detection(settings=hard, jobs=2)
 
 
+def test_filterpy_has_the_baselines_innovations_and_its_auc(report):
+    """Over the samples of the first stream; its AUC again from a run of this test's own, by scikit-learn."""
+    (of_first,) = report["filterpy"]
+    first = report["streams"][0]
+    assert of_first["seed"] == first["seed"]
+    assert of_first["ours"] == first["auc"]["SER"]
+    assert of_first["filterpy"] == pytest.approx(of_first["ours"], abs=1e-9)
+    assert 0.0 < of_first["largest_difference"] < 1e-9
+    loop = Streams(SMALL, Car()).loop(_detection.Faults(**report["settings"]["faults"]), controllers.SERFDI(3.0))
+    result = loop.simulate(12_000 * 0.02, seed=first["seed"])
+    faulty = np.column_stack([result["fault_0.active"], result["fault_1.active"]]) > 0.5
+    test = slice(9_600, None)
+    expected = roc_auc_score(faulty[test].ravel(), np.abs(result["controller.innovation"])[test].ravel())
+    assert of_first["filterpy"] == pytest.approx(expected, abs=1e-9)
+
+
 def test_fault_free_streams_have_no_fault_and_set_the_thresholds(report):
     streams = Streams(SMALL, Car())
     learner = controllers.GammaPrecision(**report["settings"]["beta"])
@@ -244,6 +260,7 @@ def test_tables_fit_a_terminal_and_count_who_wins(report, printed):
         "0.873",
         "0.907",
         "drift 20",
+        "SER by filterpy's Kalman filter over the same samples",
     ):
         assert words in text
     low, high = report["difference"]["ci"]

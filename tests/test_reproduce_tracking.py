@@ -59,6 +59,20 @@ def test_report_has_what_the_file_promises(report):
     assert report["speed"]["steps"] == 4 * 9 * 30 * 1000
 
 
+def test_filterpy_in_the_loop_tracks_as_the_compiled_baseline_does(report):
+    theirs = report["filterpy"]
+    assert theirs["runs"] == Tracking().filterpy_runs == 3
+    assert theirs["scenarios"].keys() == report["scenarios"].keys()
+    settings = Tracking(runs=3)
+    for cell in theirs["scenarios"].values():
+        assert cell["filterpy"] == pytest.approx(cell["ours"], rel=1e-9)
+        assert cell["largest_difference"] < 1e-9
+    bench = _tracking_bench.Bench(settings, Car(), Ensemble(3))
+    scenario = _tracking_bench.Scenario("drift", "sine", settings.drift)
+    errors = bench.measure("x", [scenario], {"SER FT": controllers.SERFDI()}).errors()[scenario]["SER FT"]
+    assert theirs["scenarios"]["drift/sine"]["filterpy"] == pytest.approx(errors.mean(), rel=1e-9)
+
+
 def test_settings_in_the_report_are_those_of_the_objects_with_a_reason_for_each(report):
     settings = report["settings"]
     for name, value in vars(Tracking()).items():

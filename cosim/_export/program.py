@@ -138,7 +138,7 @@ def _refuse_python(schedule: Schedule) -> None:
             raise ModelError(
                 f"The block {node.name!r} ({type(node.block).__name__}) calls back into Python, which the exported C has not; "
                 "write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False; of "
-                "classifiers take one that is linear in its features."
+                "classifiers take one that is linear in its features, of filters filter='own'."
             )
 
 

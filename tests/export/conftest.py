@@ -78,7 +78,8 @@ BLOCKS = {
     **{kind.__name__: kind(sensor=1, **SIZES.get(kind.__name__, {}), **WINDOW) for kind in cosim.FAULTS[:-1]},
     "RandomFaults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
     **{learner.__name__: brain(learner()) for learner in controllers.LEARNERS},
-    "joint belief": brain(controllers.GammaPrecision(), belief="joint"),
+    "joint belief": brain(controllers.GammaPrecision(), belief="joint", posterior_outputs=True),
+    "precision matrix": brain(controllers.PointMassPrecision(full=True)),
     "switching alone": brain(controllers.SwitchingPrecision(joint=False)),
     "lqg": controllers.LQGController(
         MODEL,
@@ -99,6 +100,7 @@ BLOCKS = {
         precision=controllers.GammaPrecision(),
         control_covariance=1.0,
         iterations=10,
+        posterior_outputs=True,
     ),
     "active inference": controllers.UnbiasedActiveInference(
         [

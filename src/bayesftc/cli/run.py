@@ -29,7 +29,13 @@ if TYPE_CHECKING:
 
 AGREEMENT = 1e-9
 """Largest relative difference from filterpy that is rounding."""
+COMPARED = 20_000
+"""Samples that filterpy's SER baseline is run over beside a run with ours: less than a second."""
 UNKNOWN = "Whether the belief agrees with filterpy cannot be said: a number in the comparison is not finite."
+NOT_COMPARED = (
+    "The SER baseline is compared with filterpy's where every signal is recorded at every step: take 'record' and 'decimation' "
+    "out of the scenario, or give --check-kalman."
+)
 DIFFERENCES = ("mean_difference", "covariance_difference", "mean_absolute", "covariance_absolute")
 
 
@@ -70,6 +76,11 @@ def run_scenario(
     numbers, signals = _report(path, scenario, loop, result)
     if check_kalman:
         numbers["kalman"] = _kalman(scenario, loop, result)
+    elif _is_ser(scenario):
+        if scenario.simulation.record is None and result.decimation == 1:
+            numbers["kalman"] = _kalman(scenario, loop, result, most=COMPARED)
+        else:
+            numbers["notes"].append(NOT_COMPARED)
     if out is not None:
         output.write_files(out, result, numbers, signals)
     if json:
@@ -192,6 +203,14 @@ def _refuse_kalman(scenario: Scenario) -> None:
         )
 
 
+def _is_ser(scenario: Scenario) -> bool:
+    """Return whether the controller is the SER baseline, of which filterpy's filter is the reference form."""
+    from bayesftc.controllers import SERFDI, BayesianController
+
+    controller = scenario.controller
+    return isinstance(controller, BayesianController) and isinstance(controller.precision, SERFDI)
+
+
 def _source_of_samples(loop: Diagram) -> str | None:
     """Return the name of the signal that is connected to the controller's ``y``."""
     brain = loop["controller"]
@@ -208,8 +227,8 @@ def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
     return [*([record] if isinstance(record, str) else record), *needed, _source_of_samples(loop) or "controller.y"]
 
 
-def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]:
-    """Return the differences from filterpy's filter, whether that is agreement, and the verdict in words."""
+def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None = None) -> dict[str, Any]:
+    """Return the differences from filterpy's filter over the first samples, whether that is agreement, and a verdict."""
     from bayesftc.controllers import BayesianController
     from bayesftc.controllers.validation import check_kalman
 
@@ -217,7 +236,7 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any]
     name = _source_of_samples(loop)
     try:
         with np.errstate(all="ignore"):  # a filter that diverges is told by the verdict
-            check = asdict(check_kalman(result, scenario.controller, y=name))
+            check = asdict(check_kalman(result, scenario.controller, y=name, most=most))
     except BayesFTCError as error:
         raise type(error)(f"--check-kalman: {error}") from None
     except np.linalg.LinAlgError:  # a belief that diverges has filterpy invert what cannot be inverted

@@ -16,13 +16,15 @@ from bayesftc.cosim._campaign.seeds import hashed_seeds
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import auc as area
 from bayesftc.cosim.statistics import interval, roc_curve, roc_rates
-from bayesftc.reproduce import _residuals, paper
+from bayesftc.reproduce import _filterpy, _residuals, paper
 from bayesftc.reproduce._calibration import Calibration, calibration
 from bayesftc.reproduce._detectors import Detectors
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._residuals import Residual
 from bayesftc.reproduce._streams import Faults, Stream, Streams
 from bayesftc.reproduce.settings import Car, Detection
+
+Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
 GROUP = 5
 """Streams that one task simulates: a tenth of a second or two, after which it can be stopped."""
@@ -86,6 +88,7 @@ def run(
         "auc": {name: float(values.mean()) for name, values in auc.items()},
         "auc_ci": {name: interval(values) for name, values in auc.items()},
         "difference": {"mean": float(difference.mean()), "ci": interval(difference)},
+        "filterpy": _filterpy.detect(bench, faults, own[: settings.filterpy_streams]),
         "streams": [
             {"seed": own[i], "faults": judged[i]["faults"][0], "auc": {name: float(auc[name][i]) for name in residuals}}
             for i in range(settings.streams)
@@ -192,26 +195,32 @@ class Bench:
     ) -> dict[str, tuple[Any, ...]]:
         streams = {learner: next(self._streams(loop, [seed])) for learner, loop in loops.items()}
         faulty = next(iter(streams.values())).faulty
-        training, test = self.parts()
         whole = self._whole
-        few = slice(training.start, training.stop, self.settings.training_stride)
         found: dict[str, tuple[Any, ...]] = {"faults": (int((np.diff(faulty.astype(int), axis=0) > 0).sum()),)}
         for name, residual in residuals.items():
-            x = residual.features([streams[learner] for learner in residual.learners])
-            fit = controllers.FaultClassifier().fit(_rows(x[few]), faulty[few].ravel())
-            probability, truth = fit.predict_proba(_rows(x[test]))[:, 1], faulty[test].ravel()
+            truth, probability = self._classified(residual, [streams[learner] for learner in residual.learners])
             own = residual.probability
-            believed = (
-                (probability, truth)
-                if own is None
-                else (own(streams[residual.learners[0]].result)[whole], faulty[whole])
-            )
+            p, known = probability, truth
+            if own is not None:
+                p, known = own(streams[residual.learners[0]].result)[whole], faulty[whole]
             found[name] = (
                 area(truth, probability),
                 roc_curve(truth, probability),
-                Calibration.of(*believed, self.settings.bins),
+                Calibration.of(p, known, self.settings.bins),
             )
         return found
+
+    def area(self, residual: Residual, streams: Sequence[Stream]) -> float:
+        """Return the AUC of a residual on the test part of a stream, from its learners' runs."""
+        return area(*self._classified(residual, streams))
+
+    def _classified(self, residual: Residual, streams: Sequence[Stream]) -> tuple[Bools, Floats]:
+        """Return for the test part whether there is a fault, and its probability by a classifier of the training part."""
+        training, test = self.parts()
+        few = slice(training.start, training.stop, self.settings.training_stride)
+        x, faulty = residual.features(streams), streams[0].faulty
+        fit = controllers.FaultClassifier().fit(_rows(x[few]), faulty[few].ravel())
+        return faulty[test].ravel(), fit.predict_proba(_rows(x[test]))[:, 1]
 
     @property
     def _whole(self) -> slice:

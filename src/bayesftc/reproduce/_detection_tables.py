@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.reproduce import _filterpy
 from bayesftc.reproduce._detectors_tables import show_alarms, show_calibration
 from bayesftc.reproduce._tables import table
 
@@ -60,6 +61,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         },
         corner="stream",
     )
+    yield from _filterpy.show_detection(report["filterpy"])
     yield from show_calibration(report)
     if report["alarms"] is not None:
         yield from show_alarms(report)

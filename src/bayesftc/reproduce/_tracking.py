@@ -8,7 +8,7 @@ from typing import Any
 
 from bayesftc import controllers
 from bayesftc.cosim.statistics import merit_counts, outcomes, total_merit
-from bayesftc.reproduce import paper
+from bayesftc.reproduce import _filterpy, paper
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._oracle import over_oracle
 from bayesftc.reproduce._residuals import SWITCHING
@@ -92,6 +92,7 @@ def run(
         "scenarios": {s.kind: {name: summary(e) for name, e in everything[s].items()} for s in headline},
         "merit": of_papers,
         "total_merit": total_merit(of_papers),
+        "filterpy": _filterpy.track(bench, cells),
         "oracle": {s.kind: summary(oracle[s][ORACLE]) for s in headline},
         "paper": {"merit": paper.MERIT, "total_merit": paper.TOTAL_MERIT},
         "merit_of_all": of_all,

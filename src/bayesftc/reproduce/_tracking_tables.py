@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.reproduce import _oracle_tables
+from bayesftc.reproduce import _filterpy, _oracle_tables
 from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._tables import sentence_list, table
 
@@ -28,6 +28,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     cells = {kind: {**scenarios[kind], "oracle": oracle[kind]} for kind in scenarios}
     title = f"Root-mean-square tracking error (m/s), mean over {settings['runs']} runs"
     yield _errors(f"{title}; the oracle knows which sensor is faulty", cells, [*papers, "oracle"])
+    yield from _filterpy.show_tracking(report["filterpy"])
     for first in range(0, len(extra), COLUMNS):
         yield _errors(f"{title}: techniques that are not in the paper's table", cells, extra[first : first + COLUMNS])
     if extra:

@@ -233,6 +233,9 @@ class Tracking(Repeated):
     )
     prior_shape: float = chosen(2.0, "not published: the prior counts as four samples")
     ser_threshold: float = chosen(3.0, "not published, standard deviations of the innovation: the usual three sigma")
+    filterpy_runs: int = chosen(
+        3, "of each scenario with filterpy's Kalman filter in the loop of SER FT: it runs as Python, 0.2 s a run"
+    )
     effdi_threshold: float = chosen(
         EFFDI_QUANTILE_999,
         "not published, standard deviations of a sample: the 99.9 % quantile of the statistic without fault",
@@ -267,6 +270,7 @@ class Tracking(Repeated):
         super().__post_init__()
         check_number(self, "significance", above=0, below=1)
         check_size("oracle_factor", self.oracle_factor, 1, "times the runs")
+        check_size("filterpy_runs", self.filterpy_runs, 2, "of each scenario")
 
 
 @dataclass(frozen=True)
@@ -302,6 +306,7 @@ class Detection(Repeated):
     ser_threshold: float = chosen(
         Tracking.ser_threshold, "not published, standard deviations of the innovation: as in tracking"
     )
+    filterpy_streams: int = chosen(1, "whose samples filterpy's Kalman filter gets as well: some seconds for each")
     training_share: float = chosen(0.8, f"{PAPER} text: a split by time, 80 % for training, 20 % for the test")
     skipped: int = chosen(200, "steps at the start that are left out, while the belief settles")
     gap: int = chosen(
@@ -344,6 +349,7 @@ class Detection(Repeated):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_size("steps", self.steps, 5_000, "to see enough faults")
+        check_size("filterpy_streams", self.filterpy_streams, 1, "of those that are judged")
         check_number(self, "training_share", above=0, below=1)
 
 
