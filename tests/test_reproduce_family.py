@@ -12,8 +12,8 @@ from bayesftc import controllers, cosim, reproduce
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.reproduce import _family, _family_figures, _family_tables
 from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._family_cases import CASES, PLANTS, Case
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
+from bayesftc.reproduce.family_cases import CASES, PLANTS, Case
 from bayesftc.reproduce.settings import Family, Tracking
 
 BY_NAME = {case.name: case for case in CASES}

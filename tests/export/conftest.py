@@ -77,6 +77,12 @@ BLOCKS = {
     "feedthrough": cosim.StateSpace(control.ss([[-1.0]], [[1.0, 0.5]], [[1.0], [2.0]], [[0, 0], [0, 3.0]])),
     **{kind.__name__: kind(sensor=1, **SIZES.get(kind.__name__, {}), **WINDOW) for kind in cosim.FAULTS[:-1]},
     "RandomFaults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
+    "faults that remember": cosim.RandomFaults(
+        kinds=(cosim.Lag(time_constant=0.5), cosim.Freeze(), cosim.Delay(delay=0.3)),
+        channels=2,
+        mean_time_to_fault=3.0,
+        mean_time_to_recovery=2.0,
+    ),
     **{learner.__name__: brain(learner()) for learner in controllers.LEARNERS},
     "joint belief": brain(controllers.GammaPrecision(), belief="joint", posterior_outputs=True),
     "precision matrix": brain(controllers.PointMassPrecision(full=True)),

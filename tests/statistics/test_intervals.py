@@ -43,6 +43,27 @@ def test_ratio_of_root_mean_squares():
     assert found["ratio_ci"][0] < found["ratio"] < found["ratio_ci"][1]
 
 
+def test_bootstrap_of_a_ratio_is_scipys():
+    """Of errors of which a few are large the interval is not symmetric: scipy's percentiles of paired draws, up to chance."""
+    rng = np.random.default_rng(6)
+    theirs = rng.uniform(1.0, 2.0, 60)
+    ours = theirs * np.where(np.arange(60) < 3, 30.0, rng.uniform(0.9, 1.1, 60))
+    found = rms_ratio(ours, theirs, resamples=20_000, seed=1)
+    plain = rms_ratio(ours, theirs)
+    wanted = scipy.stats.bootstrap(
+        (ours**2, theirs**2),
+        lambda a, b, axis: np.sqrt(a.mean(axis) / b.mean(axis)),
+        paired=True,
+        method="percentile",
+        n_resamples=20_000,
+        random_state=np.random.default_rng(2),
+    )
+    assert found["ratio_ci"] == pytest.approx(list(wanted.confidence_interval), rel=0.03)
+    assert {k: v for k, v in found.items() if k != "ratio_ci"} == {k: v for k, v in plain.items() if k != "ratio_ci"}
+    assert found["ratio_ci"] == rms_ratio(ours, theirs, resamples=20_000, seed=1)["ratio_ci"]
+    assert plain["ratio_ci"][0] < found["ratio_ci"][0]
+
+
 @pytest.mark.parametrize("method", ["BCa", "percentile", "basic"])
 def test_bootstrap_is_scipys_and_the_same_for_a_seed(method):
     values = np.random.default_rng(5).exponential(size=40)

@@ -1,6 +1,6 @@
 """Beyond the paper: every learner in a family of faults, of which most are in no learner's list.
 
-A user's faults are not those that a learner expects. So every learner runs every case of `_family_cases`, all on the same noise,
+A user's faults are not those that a learner expects. So every learner runs every case of `family_cases`, all on the same noise,
 and its error is compared with that of an oracle: fixed precision that is told which samples are faulty and leaves them out.
 """
 
@@ -25,15 +25,17 @@ from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.signals import ALARM
 from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.reproduce._ensemble import Ensemble, Progress
-from bayesftc.reproduce._family_cases import CASES, PLANTS, Case
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
 from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._tracking_bench import CHUNK, ORACLE
+from bayesftc.reproduce.family_cases import CASES, PLANTS, Case
 from bayesftc.reproduce.settings import Family
 
 PER_SENSOR = f"{SWITCHING}, per sensor"
 LOST = 1e9
 """Times the oracle's error: a run with more has lost its plant, as one that could not go on."""
+RESAMPLES = 2_000
+"""Of the bootstrap: an interval's ends are then known to a few percent of its width."""
 Learners = Mapping[str, controllers.PrecisionLearner]
 
 
@@ -235,7 +237,7 @@ def _entry(runs: Runs, oracle: Runs, bar: float) -> dict[str, Any]:
     """Return what the report has of a cell; of runs that have lost their plant there is no ratio."""
     lost = int((~(runs.rmse < LOST * oracle.rmse)).sum())
     nothing = {"ratio": NAN, "ratio_ci": [NAN, NAN], "n": len(runs.rmse)}
-    entry = nothing if lost else rms_ratio(runs.rmse, oracle.rmse)
+    entry = nothing if lost else rms_ratio(runs.rmse, oracle.rmse, resamples=RESAMPLES)
     alarms = runs.alarms
     return {
         **entry,

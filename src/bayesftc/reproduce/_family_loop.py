@@ -13,7 +13,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.design import USUAL_STEP
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce._car import model as model_of_car
-from bayesftc.reproduce._family_cases import PLANTS, Case, Plant
+from bayesftc.reproduce.family_cases import PLANTS, Case, Plant
 from bayesftc.reproduce.settings import Car
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.reproduce._tables import table
+from bayesftc.reproduce._tables import interval_widths, table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -21,6 +21,9 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     title = f"root-mean-square error over that of the oracle, {settings['runs']} runs a case ({MARK}: above {settings['bar']:g})"
     rows = {case: [_ratio(of[name], settings["bar"]) for name in learners] for case, of in cells.items()}
     yield table(title, learners, rows, corner="case")
+    kept = [(case, name, cell) for case, of in cells.items() for name, cell in of.items() if not cell["lost"]]
+    if kept:
+        yield interval_widths(kept)
     tell = [n for n in learners if any(of[n]["false_share"] is not None for of in cells.values())]
     if tell:
         rows = {case: [_percent(of[name]["false_share"]) for name in tell] for case, of in cells.items()}

@@ -514,7 +514,7 @@ class Beliefs(Repeated):
 
 @dataclass(frozen=True)
 class Family(Repeated):
-    """Beyond the paper: every learner in every case of ``_family_cases``, which is in no learner's list of faults or is."""
+    """Beyond the paper: every learner in every case of `bayesftc.reproduce.family_cases`."""
 
     runs: int = chosen(
         100,
