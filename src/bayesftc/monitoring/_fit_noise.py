@@ -1,0 +1,172 @@
+"""How far redundant sensors disagree: each one's noise, errors that last, and errors that two of them share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import nnls
+
+from bayesftc.cosim.block import Floats
+from bayesftc.monitoring._moments import differences, mean, median, windowed
+
+ALIKE = 0.6
+"""Two sensors share errors if they differ by less than this share (a variance) of what each differs from the others."""
+
+COUNTS = 0.5
+"""Errors that last are told from white noise where their variance is at least this share of its own."""
+
+WHITE = 0.2
+"""Least share of white noise in a sensor's variance: by it offsets and noise are measured."""
+
+LONG = 32
+"""Time constants up to this many steps are those of coloured noise; longer ones those of a bias that wanders."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What one sensor, or a group of sensors together, has of errors.
+
+    Attributes
+    ----------
+    white : float
+        Variance from sample to sample.
+    lasting : tuple of tuple
+        Variance and time constant in steps of errors that last: none, coloured noise, a wandering bias.
+    """
+
+    white: float
+    lasting: tuple[tuple[float, float], ...]
+
+
+def disagreement(y: Floats, lag: int, active: np.ndarray) -> Floats:
+    """Return the variance of the difference of each pair of sensors over a lag, in each window that is mostly active.
+
+    Where these are few, all windows count. Shape: windows x pairs.
+    """
+    apart = np.column_stack([y[:, i] - y[:, j] for i, j in combinations(range(y.shape[1]), 2)])
+    x = windowed(differences(apart, lag, 1), lag)
+    return mean(x**2, 1)[_kept(x, active)]
+
+
+def _kept(x: Floats, active: np.ndarray) -> np.ndarray:
+    count, length, _ = x.shape
+    kept = active[: count * length].reshape(count, length).mean(1) > 0.5
+    return kept if kept.sum() >= max(4, 0.05 * count) else np.full(count, True)
+
+
+def alone(y: Floats, lag: int, active: np.ndarray) -> Floats:
+    """Return the variance of each sensor's differences less what they have in common with the quietest other one.
+
+    Shape: windows x sensors.
+    """
+    x = windowed(differences(y, lag, 1), lag)
+    own = mean(x**2, 1)
+    quiet = np.argsort(median(own, 0))
+    partner = [int(quiet[1] if quiet[0] == i else quiet[0]) for i in range(y.shape[1])]
+    return np.asarray(own - mean(x * x[:, :, partner], 1))[_kept(x, active)]
+
+
+def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
+    """Return the pairs of sensors that are nearer to each other than to all others; three sensors do not tell.
+
+    Parameters
+    ----------
+    apart : ndarray, pairs
+        Variance of the difference of each pair.
+    sensors : int
+        How many there are.
+    """
+    if sensors < 4 or not np.isfinite(apart).all():
+        return []
+    table = np.full((sensors, sensors), np.nan)
+    for (i, j), variance in zip(combinations(range(sensors), 2), apart, strict=True):
+        table[i, j] = table[j, i] = variance
+    found = []
+    for i, j in combinations(range(sensors), 2):
+        others = [k for k in range(sensors) if k not in (i, j)]
+        if table[i, j] < ALIKE * min(float(np.median(table[k, others])) for k in (i, j)):
+            found.append((i, j))
+    return [pair for pair in found if sum(bool(set(pair) & set(other)) for other in found) == 1]
+
+
+def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Floats:
+    """Return the variances of each sensor and each group that add up to those of the pairs; NaN where no pair tells.
+
+    It is done in each window, of which the median counts: so a fault of one sensor is seen in this one only. The equations are
+    those of the three-cornered hat (Gray and Allan, 1974), solved by least squares of relative errors. Where the quantity moves
+    little, a sensor's own differences tell more: what scatters less from window to window counts.
+
+    Parameters
+    ----------
+    apart : ndarray, windows x pairs
+        From `disagreement`.
+    alone : ndarray, windows x sensors
+        From `alone`.
+    shared : list of tuple of int
+        From `groups`.
+    """
+    sensors = alone.shape[1]
+    typical = median(apart, 0)
+    known = np.isfinite(typical) & (typical > 0)
+    pairs = list(combinations(range(sensors), 2))
+    rows = [
+        [float(i in p) for i in range(sensors)] + [float((g[0] in p) != (g[1] in p)) for g in shared] for p in pairs
+    ]
+    matrix = np.array(rows)[known]
+    if not known.any():
+        return np.where(np.isfinite(typical).any(), 0.0, np.full(sensors + len(shared), np.nan))
+    weight = 1.0 / typical[known]
+    solve = np.linalg.pinv(matrix * weight[:, None])  # shares out evenly what no pair tells apart
+    of_windows = (apart[:, known] * weight) @ solve.T
+    parts = np.where(matrix.any(axis=0), median(of_windows, 0), np.nan)
+    if not shared:
+        other = median(alone, 0)
+        better = scatter(alone, other) < scatter(of_windows, parts)
+        parts = np.where(better | (sensors == 2), other, parts)
+    return np.asarray(np.maximum(parts, 0.0))
+
+
+def scatter(of_windows: Floats, typical: Floats) -> Floats:
+    """Return the median distance of the windows' values from the typical one."""
+    return median(np.abs(of_windows - typical), 0)
+
+
+def decompose(lags: Floats, variances: Floats, *, white: bool) -> Noise:
+    """Return the white noise and lasting errors whose differences have these variances over these lags, in steps.
+
+    Parameters
+    ----------
+    lags, variances : ndarray
+        Of the differences.
+    white : bool
+        Whether there is white noise at all; without, what is white has the shortest time constant.
+    """
+    known = np.isfinite(variances)
+    lags, variances = lags[known], variances[known]
+    if not len(lags) or not variances.max() > 0:
+        return Noise(0.0, ())
+    constants = [0.3] * (not white) + [
+        float(lags[0] * 2**power) for power in range(int(np.log2(lags[-1] / lags[0])) + 1)
+    ]
+    columns = [1.0 - np.exp(-lags / constant) for constant in constants]
+    matrix = 2.0 * np.column_stack([np.ones(len(lags))] * white + columns)
+    weight = 1.0 / np.maximum(variances, 1e-3 * variances.max())
+    parts, _ = nnls(matrix * weight[:, None], variances * weight)
+    level, of_constants = (float(parts[0]), parts[1:]) if white else (0.0, parts)
+    times = np.asarray(constants)
+    lasting = []
+    for chosen in (times <= LONG * lags[0], times > LONG * lags[0]):
+        variance = float(of_constants[chosen].sum())
+        if variance > 0:
+            lasting.append((variance, float(np.exp(of_constants[chosen] @ np.log(times[chosen]) / variance))))
+    if not white:
+        return Noise(0.0, tuple(lasting))
+    kept = [part for part in lasting if part[0] > COUNTS * level]
+    level += sum(part[0] for part in lasting if part not in kept)
+    total = level + sum(part[0] for part in kept)
+    if level < WHITE * total:
+        factor = (1 - WHITE) * total / (total - level)
+        level, kept = WHITE * total, [(factor * variance, constant) for variance, constant in kept]
+    return Noise(level, tuple(kept))
