@@ -66,6 +66,9 @@ class FittedModel:
         Mean and standard deviation of the quantity.
     rate : float
         Standard deviation of its rate.
+    stretch_told : bool
+        Whether the noise is that of the stretch; a stretch in which nothing moves does not show it, so that it is then that of
+        the whole recording.
     """
 
     plant: RandomWalk | ConstantRate
@@ -75,9 +78,10 @@ class FittedModel:
     level: float
     spread: float
     rate: float
+    stretch_told: bool = True
 
 
-def fit_model(recording: Recording) -> FittedModel:
+def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
     """Fit a model to a recording of sensors that measure the same quantity; faults may be in a part of it.
 
     What the sensors have in common is the quantity's motion, what they differ by is noise. Both are moments of differences over
@@ -88,14 +92,49 @@ def fit_model(recording: Recording) -> FittedModel:
     ----------
     recording : Recording
         Of two sensors or more, at least 200 samples of each.
+    stretch : slice
+        Steps from which the sensors' noise is taken; by default all. Motion is taken from the whole recording: a calm stretch
+        does not show it, and no fault of a single sensor looks like it.
 
     Raises
     ------
     RecordingError
         If there are fewer sensors or samples, or a sensor does not follow the others.
     """
-    y, m, dt = recording.y, recording.y.shape[1], float(recording.dt)
-    if m < 2:
+    _check(recording, recording.y[stretch])
+    dt, bias = float(recording.dt), _biases(recording.y[stretch])
+    whole = recording.y - bias
+    y = whole[stretch]
+    _refuse_strangers(whole, recording.sensors)
+    widths = [_width(whole[:, i], resolution) for i, resolution in enumerate(recording.resolution)]
+    floor = float(np.median(widths)) ** 2 / 12
+    apart, active, noise = _noise(y, floor)
+    plant, motion, rate = _plant(whole, noise, dt)
+    if motion.seen and not active.any():
+        y = whole
+        apart, active, noise = _noise(y, floor)
+        plant, motion, rate = _plant(whole, noise, dt)
+    own, shared = _errors(y, apart, active)
+    sensors, errors = {}, []
+    for i, name in enumerate(recording.sensors):
+        std = max(own[i].white, widths[i] ** 2 / 12) ** 0.5
+        sensors[name] = FittedSensor(
+            std, float(bias[i]), recording.resolution[i], *_shares(y[:, i], active, recording.resolution[i])
+        )
+        errors += [SensorErrors(variance**0.5, constant * dt, [name]) for variance, constant in own[i].lasting]
+    for pair, of_pair in shared.items():
+        names = [recording.sensors[i] for i in pair]
+        errors += [SensorErrors(v**0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
+    level = median(whole, 1)
+    return FittedModel(
+        plant, sensors, tuple(errors), motion.share if motion.seen else 0.0, float(np.nanmedian(level)),
+        float(np.nanstd(level)), rate, len(y) == len(recording.y[stretch]),
+    )  # fmt: skip
+
+
+def _check(recording: Recording, y: Floats) -> None:
+    """Refuse a recording of too few sensors or samples."""
+    if len(recording.sensors) < 2:
         raise RecordingError(
             f"A fit needs two or more sensors of the same quantity, but there is only {recording.sensors[0]!r}; one alone does "
             "not tell its noise from the quantity's motion. Write a model file."
@@ -106,31 +145,18 @@ def fit_model(recording: Recording) -> FittedModel:
                 f"The sensor {name!r} has {count} samples in the stretch; a fit needs {FEWEST}. Take a longer stretch, or leave "
                 "the sensor out."
             )
-    bias = _biases(y)
-    y = y - bias
-    _refuse_strangers(y, recording.sensors)
-    floor = float(np.median([_repeats_width(y[:, i], r) for i, r in enumerate(recording.resolution)])) ** 2 / 12
-    lags = _lags(y)
-    everywhere = np.full(len(y), True)
+
+
+def _noise(y: Floats, floor: float) -> tuple[dict[int, Floats], np.ndarray, dict[int, float]]:
+    """Return for each lag how far the sensors differ in each window, where they move, and a typical sensor's noise.
+
+    First noise is taken from all windows; by it those are found that move, where noise shows as it is.
+    """
+    lags, everywhere = _lags(y), np.full(len(y), True)
     rough = {lag: max(_half(disagreement(y, lag, everywhere)), floor) for lag in lags}
-    active = _motion(y, lags, rough, 1)[1].active
-    apart = [disagreement(y, lag, active) for lag in lags]
-    noise = {lag: max(_half(of_lag), floor) for lag, of_lag in zip(lags, apart, strict=True)}
-    plant, motion, rate = _plant(y, lags, noise, dt)
-    own, shared = _errors(y, lags, apart, active)
-    sensors, errors = {}, []
-    for i, name in enumerate(recording.sensors):
-        resolution = recording.resolution[i]
-        std = float(np.sqrt(max(own[i].white, resolution**2 / 12, 1e-12 * float(np.nanvar(y[:, i])), 1e-300)))
-        sensors[name] = FittedSensor(std, float(bias[i]), resolution, *_shares(y[:, i], motion.active, resolution))
-        errors += [SensorErrors(variance**0.5, constant * dt, [name]) for variance, constant in own[i].lasting]
-    for pair, of_pair in shared.items():
-        names = [recording.sensors[i] for i in pair]
-        errors += [SensorErrors(v**0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
-    level = median(y, 1)
-    return FittedModel(
-        plant, sensors, tuple(errors), motion.share, float(np.nanmedian(level)), float(np.nanstd(level)), rate
-    )
+    active = np.any([common(y, lag, 1, of_lag).active for lag, of_lag in rough.items()], axis=0)
+    apart = {lag: disagreement(y, lag, active) for lag in lags}
+    return apart, active, {lag: max(_half(of_lag), floor) for lag, of_lag in apart.items()}
 
 
 def _half(apart: Floats) -> float:
@@ -173,15 +199,16 @@ def _refuse_strangers(y: Floats, names: Sequence[str]) -> None:
             )
 
 
-def _repeats_width(samples: Floats, resolution: float) -> float:
-    return max(resolution, 1e-9 * float(np.nanmax(np.abs(samples))))
+def _width(samples: Floats, resolution: float) -> float:
+    """Return by how much two samples of a sensor differ at least, that of a very fine one too."""
+    return max(resolution, 1e-9 * float(np.nanmax(np.abs(samples))), 1e-150)
 
 
-def _motion(y: Floats, lags: Sequence[int], noise: dict[int, float], order: int) -> tuple[int, Motion]:
+def _motion(y: Floats, noise: dict[int, float], order: int) -> tuple[int, Motion]:
     """Return the shortest lag over which the quantity moves by more than the noise, or the best one, and the motion over it."""
     best: tuple[float, int, Motion] | None = None
-    for lag in lags:
-        level = noise[lag] * (1 if order == 1 else 3)
+    for lag, of_lag in noise.items():
+        level = of_lag * (1 if order == 1 else 3)
         found = common(y, lag, order, level)
         if found.seen and found.variance >= level:
             return lag, found
@@ -192,34 +219,32 @@ def _motion(y: Floats, lags: Sequence[int], noise: dict[int, float], order: int)
     return best[1], best[2]
 
 
-def _plant(
-    y: Floats, lags: Sequence[int], noise: dict[int, float], dt: float
-) -> tuple[RandomWalk | ConstantRate, Motion, float]:
+def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | ConstantRate, Motion, float]:
     """Return how the quantity moves, the motion by which it is judged, and the standard deviation of its rate."""
-    lag, motion = _motion(y, lags, noise, 1)
+    lag, motion = _motion(y, noise, 1)
     rate = motion.variance**0.5 / (lag * dt)
     walk = RandomWalk((motion.variance / (lag * dt)) ** 0.5)
-    if not motion.seen:
+    if not motion.seen or 2 * lag not in noise:
         return walk, motion, rate
-    later = common(y, 2 * lag, 1, noise.get(2 * lag, noise[lag]))
+    later = common(y, 2 * lag, 1, noise[2 * lag])
     if np.log2(max(later.variance, 1e-300) / motion.variance) < SMOOTH:
         return walk, motion, rate
-    lag, bend = _motion(y, lags, noise, 2)
+    lag, bend = _motion(y, noise, 2)
     if not bend.seen:
         return walk, motion, rate
     return ConstantRate((1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
 
 
 def _errors(
-    y: Floats, lags: Sequence[int], apart: Sequence[Floats], active: np.ndarray
+    y: Floats, apart: dict[int, Floats], active: np.ndarray
 ) -> tuple[list[Noise], dict[tuple[int, int], Noise]]:
     """Return the errors of each sensor, and those that pairs of sensors share."""
     m = y.shape[1]
-    shared = groups(median(np.array([median(of_lag, 0) for of_lag in apart[: max(4, len(apart) // 2)]]), 0), m)
-    parts = np.array(
-        [share_out(of_lag, alone(y, lag, active), shared) for lag, of_lag in zip(lags, apart, strict=True)]
+    shared = groups(
+        median(np.array([median(of_lag, 0) for of_lag in list(apart.values())[: max(4, len(apart) // 2)]]), 0), m
     )
-    times = np.array(lags, dtype=np.float64)
+    parts = np.array([share_out(of_lag, alone(y, lag, active), shared) for lag, of_lag in apart.items()])
+    times = np.array(list(apart), dtype=np.float64)
     own = [decompose(times, parts[:, i], white=True) for i in range(m)]
     return own, {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
 

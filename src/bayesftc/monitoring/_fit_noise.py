@@ -20,6 +20,9 @@ COUNTS = 0.5
 WHITE = 0.2
 """Least share of white noise in a sensor's variance: by it offsets and noise are measured."""
 
+LESSER = 0.1
+"""Of two sensors each has at least this share of the variance of their difference: no more can be told."""
+
 LONG = 32
 """Time constants up to this many steps are those of coloured noise; longer ones those of a bias that wanders."""
 
@@ -47,13 +50,13 @@ def disagreement(y: Floats, lag: int, active: np.ndarray) -> Floats:
     """
     apart = np.column_stack([y[:, i] - y[:, j] for i, j in combinations(range(y.shape[1]), 2)])
     x = windowed(differences(apart, lag, 1), lag)
-    return mean(x**2, 1)[_kept(x, active)]
+    return np.asarray(mean(x**2, 1)[_kept(x, active)])
 
 
 def _kept(x: Floats, active: np.ndarray) -> np.ndarray:
     count, length, _ = x.shape
     kept = active[: count * length].reshape(count, length).mean(1) > 0.5
-    return kept if kept.sum() >= max(4, 0.05 * count) else np.full(count, True)
+    return np.asarray(kept if kept.sum() >= max(4, 0.05 * count) else np.full(count, True))
 
 
 def alone(y: Floats, lag: int, active: np.ndarray) -> Floats:
@@ -124,7 +127,9 @@ def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Fl
     if not shared:
         other = median(alone, 0)
         better = scatter(alone, other) < scatter(of_windows, parts)
-        parts = np.where(better | (sensors == 2), other, parts)
+        parts = (
+            np.where(better, other, parts) if sensors > 2 else np.clip(other, LESSER * typical, (1 - LESSER) * typical)
+        )
     return np.asarray(np.maximum(parts, 0.0))
 
 
