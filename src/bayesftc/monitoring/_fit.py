@@ -11,7 +11,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._columns import SensorErrors
 from bayesftc.monitoring._fit_motion import SMOOTH, Motion, common
-from bayesftc.monitoring._fit_noise import Noise, alone, decompose, disagreement, groups, share_out
+from bayesftc.monitoring._fit_noise import TELLS, Noise, alone, decompose, disagreement, groups, share_out
 from bayesftc.monitoring._models import ConstantRate, RandomWalk
 from bayesftc.monitoring._moments import median
 from bayesftc.monitoring._recording import Recording
@@ -246,7 +246,10 @@ def _errors(
     parts = np.array([share_out(of_lag, alone(y, lag, active), shared) for lag, of_lag in apart.items()])
     times = np.array(list(apart), dtype=np.float64)
     own = [decompose(times, parts[:, i], white=True) for i in range(m)]
-    return own, {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
+    together = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
+    return own, {
+        pair: noise for pair, noise in together.items() if noise.variance > TELLS * min(own[i].variance for i in pair)
+    }
 
 
 def _shares(samples: Floats, active: np.ndarray, resolution: float) -> tuple[float, float]:

@@ -11,8 +11,11 @@ from scipy.optimize import nnls
 from bayesftc.cosim.block import Floats
 from bayesftc.monitoring._moments import differences, mean, median, windowed
 
-ALIKE = 0.6
+ALIKE = 0.75
 """Two sensors share errors if they differ by less than this share (a variance) of what each differs from the others."""
+
+TELLS = 0.3
+"""What they share counts where its variance is at least this share of that of their own errors."""
 
 COUNTS = 0.5
 """Errors that last are told from white noise where their variance is at least this share of its own."""
@@ -42,6 +45,11 @@ class Noise:
     white: float
     lasting: tuple[tuple[float, float], ...]
 
+    @property
+    def variance(self) -> float:
+        """Of all of them."""
+        return self.white + sum(variance for variance, _ in self.lasting)
+
 
 def disagreement(y: Floats, lag: int, active: np.ndarray) -> Floats:
     """Return the variance of the difference of each pair of sensors over a lag, in each window that is mostly active.
@@ -68,7 +76,8 @@ def alone(y: Floats, lag: int, active: np.ndarray) -> Floats:
     own = mean(x**2, 1)
     quiet = np.argsort(median(own, 0))
     partner = [int(quiet[1] if quiet[0] == i else quiet[0]) for i in range(y.shape[1])]
-    return np.asarray(own - mean(x * x[:, :, partner], 1))[_kept(x, active)]
+    beside = own - mean(x * x[:, :, partner], 1)
+    return np.asarray(beside[_kept(x, active)])
 
 
 def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
