@@ -10,14 +10,21 @@ import numpy as np
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._columns import SensorErrors
-from bayesftc.monitoring._fit_motion import SMOOTH, Motion, common
+from bayesftc.monitoring._fit_bias import biases, wander
+from bayesftc.monitoring._fit_motion import Motion, common
 from bayesftc.monitoring._fit_noise import TELLS, Noise, alone, decompose, disagreement, groups, share_out
 from bayesftc.monitoring._models import ConstantRate, RandomWalk
 from bayesftc.monitoring._moments import median
 from bayesftc.monitoring._recording import Recording
 
+WANDERS = 0.1
+"""A wandering bias counts where its variance is at least this share of that of the sensor's noise."""
+
 FEWEST = 200
 """Samples of each sensor that a fit needs."""
+
+SMOOTH = 0.7
+"""Second differences of a random walk have twice the variance of its first ones; below this share it has a rate instead."""
 
 PARTS = 64
 """Lags reach up to this part of the recording."""
@@ -94,7 +101,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         Of two sensors or more, at least 200 samples of each.
     stretch : slice
         Steps from which the sensors' noise is taken; by default all. Motion is taken from the whole recording: a calm stretch
-        does not show it, and no fault of a single sensor looks like it.
+        does not show it, and no fault of a single sensor looks like it. So are wandering biases, up to the size of the noise.
 
     Raises
     ------
@@ -102,7 +109,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         If there are fewer sensors or samples, or a sensor does not follow the others.
     """
     _check(recording, recording.y[stretch])
-    dt, bias = float(recording.dt), _biases(recording.y[stretch])
+    dt, bias = float(recording.dt), biases(recording.y[stretch])
     whole = recording.y - bias
     y = whole[stretch]
     _refuse_strangers(whole, recording.sensors)
@@ -115,13 +122,15 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         apart, active, noise = _noise(y, floor)
         plant, motion, rate = _plant(whole, noise, dt)
     own, shared = _errors(y, apart, active)
+    slow, times = _wandering(y, whole, own)
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
         std = max(own[i].white, widths[i] ** 2 / 12) ** 0.5
         sensors[name] = FittedSensor(
             std, float(bias[i]), recording.resolution[i], *_shares(y[:, i], active, recording.resolution[i])
         )
-        errors += [SensorErrors(variance**0.5, constant * dt, [name]) for variance, constant in own[i].lasting]
+        lasting = [*own[i].lasting, *([(slow[i], times[i])] if slow[i] > WANDERS * own[i].variance else [])]
+        errors += [SensorErrors(variance**0.5, constant * dt, [name]) for variance, constant in lasting]
     for pair, of_pair in shared.items():
         names = [recording.sensors[i] for i in pair]
         errors += [SensorErrors(v**0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
@@ -173,14 +182,6 @@ def _lags(y: Floats) -> list[int]:
     return sorted({n * 2**k for n in intervals for k in range(32) if n * 2**k <= max(longest, 2 * n)})
 
 
-def _biases(y: Floats) -> Floats:
-    """Return the constant difference of each sensor from the typical one; their median is 0."""
-    middle = median(y, 1)
-    together = np.isfinite(y).sum(axis=1) > 1
-    bias = median((y - middle[:, None])[together], 0)
-    return np.asarray(bias - np.median(bias))
-
-
 def _refuse_strangers(y: Floats, names: Sequence[str]) -> None:
     """Refuse a sensor that differs from the others by as much as they all move: it measures something else."""
     middle = median(y, 1)
@@ -221,16 +222,14 @@ def _motion(y: Floats, noise: dict[int, float], order: int) -> tuple[int, Motion
 
 def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | ConstantRate, Motion, float]:
     """Return how the quantity moves, the motion by which it is judged, and the standard deviation of its rate."""
+    noise = {lag: noise.get(lag, noise[max(noise)]) for lag in sorted({*noise, *_lags(y)})}
     lag, motion = _motion(y, noise, 1)
     rate = motion.variance**0.5 / (lag * dt)
     walk = RandomWalk((motion.variance / (lag * dt)) ** 0.5)
-    if not motion.seen or 2 * lag not in noise:
-        return walk, motion, rate
-    later = common(y, 2 * lag, 1, noise[2 * lag])
-    if np.log2(max(later.variance, 1e-300) / motion.variance) < SMOOTH:
+    if not motion.seen:
         return walk, motion, rate
     lag, bend = _motion(y, noise, 2)
-    if not bend.seen:
+    if bend.variance >= SMOOTH * common(y, lag, 1, noise[lag]).variance:
         return walk, motion, rate
     return ConstantRate((1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
 
@@ -250,6 +249,18 @@ def _errors(
     return own, {
         pair: noise for pair, noise in together.items() if noise.variance > TELLS * min(own[i].variance for i in pair)
     }
+
+
+def _wandering(y: Floats, whole: Floats, own: Sequence[Noise]) -> tuple[list[float], list[float]]:
+    """Return the variance and time constant (steps) of each sensor's wandering bias; at least those of a typical sensor.
+
+    A sensor that alone is believed to have none would be blamed for what the others do.
+    """
+    (inside, _), (everywhere, times) = wander(y), wander(whole)
+    found = np.maximum(inside, np.minimum(everywhere, [noise.variance for noise in own]))
+    typical = float(np.median(found))
+    usual = float(np.median(times[found >= typical]))
+    return np.maximum(found, typical).tolist(), np.where(found < typical, usual, times).tolist()
 
 
 def _shares(samples: Floats, active: np.ndarray, resolution: float) -> tuple[float, float]:

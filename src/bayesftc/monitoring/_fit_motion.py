@@ -24,10 +24,6 @@ QUANTILE, NORMAL = 0.9, 1.2816
 """What is asked of the model: the motion of this quantile of the moving windows; and the same quantile of a normal variable, by
 which it is corrected for the scatter of windows that all move alike."""
 
-SMOOTH = 1.5
-"""Motion whose variance grows with at least this power of the lag is that of a quantity with a rate: 1 is a random walk, 2 a
-constant rate."""
-
 
 @dataclass(frozen=True)
 class Motion:

@@ -27,7 +27,7 @@ LESSER = 0.1
 """Of two sensors each has at least this share of the variance of their difference: no more can be told."""
 
 LONG = 32
-"""Time constants up to this many steps are those of coloured noise; longer ones those of a bias that wanders."""
+"""Time constants up to this many of the shortest lag are those of coloured noise; what lasts longer is a bias that wanders."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Noise:
     white : float
         Variance from sample to sample.
     lasting : tuple of tuple
-        Variance and time constant in steps of errors that last: none, coloured noise, a wandering bias.
+        Variance and time constant in steps of coloured noise, if there is any.
     """
 
     white: float
@@ -159,6 +159,7 @@ def decompose(lags: Floats, variances: Floats, *, white: bool) -> Noise:
     """
     known = np.isfinite(variances)
     lags, variances = lags[known], variances[known]
+    lags, variances = (of[lags <= LONG * lags[:1]] for of in (lags, variances))
     if not len(lags) or not variances.max() > 0:
         return Noise(0.0, ())
     constants = [0.3] * (not white) + [
@@ -171,10 +172,9 @@ def decompose(lags: Floats, variances: Floats, *, white: bool) -> Noise:
     level, of_constants = (float(parts[0]), parts[1:]) if white else (0.0, parts)
     times = np.asarray(constants)
     lasting = []
-    for chosen in (times <= LONG * lags[0], times > LONG * lags[0]):
-        variance = float(of_constants[chosen].sum())
-        if variance > 0:
-            lasting.append((variance, float(np.exp(of_constants[chosen] @ np.log(times[chosen]) / variance))))
+    variance = float(of_constants.sum())
+    if variance > 0:
+        lasting.append((variance, float(np.exp(of_constants @ np.log(times) / variance))))
     if not white:
         return Noise(0.0, tuple(lasting))
     kept = [part for part in lasting if part[0] > COUNTS * level]

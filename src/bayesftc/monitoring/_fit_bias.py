@@ -1,0 +1,51 @@
+"""Slow differences between redundant sensors: constant biases, and biases that wander."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesftc.cosim.block import Floats
+from bayesftc.monitoring._moments import MAD, median
+
+BLOCKS, LEAST = 32, 16
+"""Parts of the recording whose typical differences are compared, and how many steps each has at least."""
+
+CERTAIN = 3.0
+"""A bias wanders if its variance from part to part is this many times what noise makes of it."""
+
+
+def biases(y: Floats) -> Floats:
+    """Return the constant difference of each sensor from the typical one; their median is 0."""
+    bias = median(_apart(y), 0)
+    return np.asarray(bias - np.median(bias))
+
+
+def _apart(y: Floats) -> Floats:
+    """Return the differences from the middle of all sensors at each step with two of them or more."""
+    middle = median(y, 1)
+    return np.asarray(np.where((np.isfinite(y).sum(axis=1) > 1)[:, None], y - middle[:, None], np.nan))
+
+
+def wander(y: Floats) -> tuple[Floats, Floats]:
+    """Return the variance of each sensor's wandering bias, 0 if there is none, and its time constant in steps.
+
+    The differences from the middle of all sensors have a median in each of many parts of the recording. Its scatter is robust:
+    that of a sensor which fails in fewer than half of them is little larger.
+
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples without the constant biases.
+    """
+    length = max(len(y) // BLOCKS, LEAST)
+    count = len(y) // length
+    apart = _apart(y)[: count * length].reshape(count, length, -1)
+    levels = median(apart, 1)
+    samples = np.maximum(np.isfinite(apart).sum(axis=1), 1)
+    noise = (MAD * median(np.abs(apart - levels[:, None, :]), 1)) ** 2 * (np.pi / 2) / samples
+    of_noise = median(noise, 0)
+    total = (MAD * median(np.abs(levels - median(levels, 0)), 0)) ** 2
+    steps = (MAD * median(np.abs(np.diff(levels, axis=0)), 0)) ** 2
+    variance = np.where(total > CERTAIN * of_noise, total - of_noise, 0.0)
+    lasting = np.clip(1.0 - (steps / 2 - of_noise) / np.maximum(variance, 1e-300), 0.3, 0.95)
+    return np.nan_to_num(variance), length / -np.log(lasting)
