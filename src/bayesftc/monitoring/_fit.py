@@ -20,6 +20,12 @@ from bayesftc.monitoring._recording import Recording
 WANDERS = 0.1
 """A wandering bias counts where its variance is at least this share of that of the sensor's noise."""
 
+SETTLED = 4
+"""Lags, in the shortest one, from which on the noise of the sensors has about its full size."""
+
+USUAL, RARE = 0.75, 0.9
+"""Quantiles by which it is judged in the stretch, and in the whole recording, where it counts up to the size of the noise."""
+
 FEWEST = 200
 """Samples of each sensor that a fit needs."""
 
@@ -244,7 +250,11 @@ def _errors(
     )
     parts = np.array([share_out(of_lag, alone(y, lag, active), shared) for lag, of_lag in apart.items()])
     times = np.array(list(apart), dtype=np.float64)
-    own = [decompose(times, parts[:, i], white=True) for i in range(m)]
+    sizes = np.array(
+        [float(np.nanmedian(column[times >= SETTLED * times[np.isfinite(column)][0]])) for column in parts.T]
+    )
+    shape = decompose(times, median(parts[:, :m] / np.maximum(sizes[:m], 1e-300), 1), white=True)
+    own = [shape.times(size) for size in sizes[:m]]
     together = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
     return own, {
         pair: noise for pair, noise in together.items() if noise.variance > TELLS * min(own[i].variance for i in pair)
@@ -256,11 +266,10 @@ def _wandering(y: Floats, whole: Floats, own: Sequence[Noise]) -> tuple[list[flo
 
     A sensor that alone is believed to have none would be blamed for what the others do.
     """
-    (inside, _), (everywhere, times) = wander(y), wander(whole)
+    (inside, _), (everywhere, times) = wander(y, USUAL), wander(whole, RARE)
     found = np.maximum(inside, np.minimum(everywhere, [noise.variance for noise in own]))
     typical = float(np.median(found))
-    usual = float(np.median(times[found >= typical]))
-    return np.maximum(found, typical).tolist(), np.where(found < typical, usual, times).tolist()
+    return np.maximum(found, typical).tolist(), [float(np.median(times[found >= typical]))] * len(own)
 
 
 def _shares(samples: Floats, active: np.ndarray, resolution: float) -> tuple[float, float]:

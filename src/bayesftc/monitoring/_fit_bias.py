@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import ndtri
 
 from bayesftc.cosim.block import Floats
 from bayesftc.monitoring._moments import MAD, median
@@ -10,7 +11,7 @@ from bayesftc.monitoring._moments import MAD, median
 BLOCKS, LEAST = 32, 16
 """Parts of the recording whose typical differences are compared, and how many steps each has at least."""
 
-CERTAIN = 3.0
+CERTAIN = 4.0
 """A bias wanders if its variance from part to part is this many times what noise makes of it."""
 
 
@@ -26,16 +27,17 @@ def _apart(y: Floats) -> Floats:
     return np.asarray(np.where((np.isfinite(y).sum(axis=1) > 1)[:, None], y - middle[:, None], np.nan))
 
 
-def wander(y: Floats) -> tuple[Floats, Floats]:
+def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     """Return the variance of each sensor's wandering bias, 0 if there is none, and its time constant in steps.
 
-    The differences from the middle of all sensors have a median in each of many parts of the recording. Its scatter is robust:
-    that of a sensor which fails in fewer than half of them is little larger.
+    The differences from the middle of all sensors have a median in each of many parts of the recording, whose scatter counts.
 
     Parameters
     ----------
     y : ndarray, steps x sensors
         Samples without the constant biases.
+    quantile : float
+        By how far the medians scatter at this quantile: the larger, the more a rare fault or a rare wandering counts.
     """
     length = max(len(y) // BLOCKS, LEAST)
     count = len(y) // length
@@ -44,7 +46,8 @@ def wander(y: Floats) -> tuple[Floats, Floats]:
     samples = np.maximum(np.isfinite(apart).sum(axis=1), 1)
     noise = (MAD * median(np.abs(apart - levels[:, None, :]), 1)) ** 2 * (np.pi / 2) / samples
     of_noise = median(noise, 0)
-    total = (MAD * median(np.abs(levels - median(levels, 0)), 0)) ** 2
+    far = np.nanquantile(np.abs(levels - median(levels, 0)), quantile, axis=0)
+    total = np.asarray(far / ndtri((1 + quantile) / 2)) ** 2
     steps = (MAD * median(np.abs(np.diff(levels, axis=0)), 0)) ** 2
     variance = np.where(total > CERTAIN * of_noise, total - of_noise, 0.0)
     lasting = np.clip(1.0 - (steps / 2 - of_noise) / np.maximum(variance, 1e-300), 0.3, 0.95)

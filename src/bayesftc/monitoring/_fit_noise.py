@@ -45,6 +45,10 @@ class Noise:
     white: float
     lasting: tuple[tuple[float, float], ...]
 
+    def times(self, factor: float) -> Noise:
+        """Return noise whose variance is larger by a factor."""
+        return Noise(factor * self.white, tuple((factor * variance, constant) for variance, constant in self.lasting))
+
     @property
     def variance(self) -> float:
         """Of all of them."""
