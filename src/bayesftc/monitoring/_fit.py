@@ -11,6 +11,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._columns import SensorErrors
 from bayesftc.monitoring._fit_bias import biases, wander
+from bayesftc.monitoring._fit_checks import FEWEST, check_recording
 from bayesftc.monitoring._fit_motion import Motion, common
 from bayesftc.monitoring._fit_noise import TELLS, Noise, alone, decompose, disagreement, groups, share_out
 from bayesftc.monitoring._models import ConstantRate, RandomWalk
@@ -25,9 +26,6 @@ SETTLED = 4
 
 USUAL, RARE = 0.75, 0.9
 """Quantiles by which it is judged in the stretch, and in the whole recording, where it counts up to the size of the noise."""
-
-FEWEST = 200
-"""Samples of each sensor that a fit needs."""
 
 SMOOTH = 0.7
 """Second differences of a random walk have twice the variance of its first ones; below this share it has a rate instead."""
@@ -114,11 +112,10 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     RecordingError
         If there are fewer sensors or samples, or a sensor does not follow the others.
     """
-    _check(recording, recording.y[stretch])
+    check_recording(recording, recording.y[stretch])
     dt, bias = float(recording.dt), biases(recording.y[stretch])
     whole = recording.y - bias
     y = whole[stretch]
-    _refuse_strangers(whole, recording.sensors)
     widths = [_width(whole[:, i], resolution) for i, resolution in enumerate(recording.resolution)]
     floor = float(np.median(widths)) ** 2 / 12
     apart, active, noise = _noise(y, floor)
@@ -131,35 +128,20 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     slow, times = _wandering(y, whole, own)
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
-        std = max(own[i].white, widths[i] ** 2 / 12) ** 0.5
+        std = float(max(own[i].white, widths[i] ** 2 / 12)) ** 0.5
         sensors[name] = FittedSensor(
             std, float(bias[i]), recording.resolution[i], *_shares(y[:, i], active, recording.resolution[i])
         )
         lasting = [*own[i].lasting, *([(slow[i], times[i])] if slow[i] > WANDERS * own[i].variance else [])]
-        errors += [SensorErrors(variance**0.5, constant * dt, [name]) for variance, constant in lasting]
+        errors += [SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting]
     for pair, of_pair in shared.items():
         names = [recording.sensors[i] for i in pair]
-        errors += [SensorErrors(v**0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
+        errors += [SensorErrors(float(v) ** 0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
     level = median(whole, 1)
     return FittedModel(
-        plant, sensors, tuple(errors), motion.share if motion.seen else 0.0, float(np.nanmedian(level)),
+        plant, sensors, tuple(errors), float(active.mean()), float(np.nanmedian(level)),
         float(np.nanstd(level)), rate, len(y) == len(recording.y[stretch]),
     )  # fmt: skip
-
-
-def _check(recording: Recording, y: Floats) -> None:
-    """Refuse a recording of too few sensors or samples."""
-    if len(recording.sensors) < 2:
-        raise RecordingError(
-            f"A fit needs two or more sensors of the same quantity, but there is only {recording.sensors[0]!r}; one alone does "
-            "not tell its noise from the quantity's motion. Write a model file."
-        )
-    for name, count in zip(recording.sensors, np.isfinite(y).sum(axis=0), strict=True):
-        if count < FEWEST:
-            raise RecordingError(
-                f"The sensor {name!r} has {count} samples in the stretch; a fit needs {FEWEST}. Take a longer stretch, or leave "
-                "the sensor out."
-            )
 
 
 def _noise(y: Floats, floor: float) -> tuple[dict[int, Floats], np.ndarray, dict[int, float]]:
@@ -188,27 +170,9 @@ def _lags(y: Floats) -> list[int]:
     return sorted({n * 2**k for n in intervals for k in range(32) if n * 2**k <= max(longest, 2 * n)})
 
 
-def _refuse_strangers(y: Floats, names: Sequence[str]) -> None:
-    """Refuse a sensor that differs from the others by as much as they all move: it measures something else."""
-    middle = median(y, 1)
-    for i, name in enumerate(names):
-        others = median(np.delete(y, i, axis=1), 1)
-        known = np.isfinite(others) & np.isfinite(y[:, i])
-        apart, moved = (
-            np.median(np.abs((y[:, i] - others)[known])),
-            np.nanquantile(np.abs(middle - np.nanmedian(middle)), 0.9),
-        )
-        noise = np.sqrt(np.nanmedian(np.diff(y[known, i]) ** 2))
-        if apart > moved and apart > 10 * noise:
-            raise RecordingError(
-                f"The column {name!r} does not follow the others: it differs from them by {apart:.3g}, and they move by "
-                f"{moved:.3g}. Leave it out: name the sensors that measure the same quantity."
-            )
-
-
 def _width(samples: Floats, resolution: float) -> float:
     """Return by how much two samples of a sensor differ at least, that of a very fine one too."""
-    return max(resolution, 1e-9 * float(np.nanmax(np.abs(samples))), 1e-150)
+    return max(resolution, 1e-9 * float(np.nanmedian(np.abs(samples))), 1e-150)
 
 
 def _motion(y: Floats, noise: dict[int, float], order: int) -> tuple[int, Motion]:
@@ -217,12 +181,14 @@ def _motion(y: Floats, noise: dict[int, float], order: int) -> tuple[int, Motion
     for lag, of_lag in noise.items():
         level = of_lag * (1 if order == 1 else 3)
         found = common(y, lag, order, level)
+        if not found.variance:
+            continue
         if found.seen and found.variance >= level:
             return lag, found
         if best is None or not best[2].seen or (found.seen and found.variance / level > best[0]):
             best = found.variance / level, lag, found  # the longest lag where none is seen
     if best is None:
-        raise RecordingError("The stretch is too short for a fit; take a longer one.")
+        raise RecordingError("The sensors have too few samples at the same steps for a fit; take a longer stretch.")
     return best[1], best[2]
 
 
@@ -231,13 +197,13 @@ def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | 
     noise = {lag: noise.get(lag, noise[max(noise)]) for lag in sorted({*noise, *_lags(y)})}
     lag, motion = _motion(y, noise, 1)
     rate = motion.variance**0.5 / (lag * dt)
-    walk = RandomWalk((motion.variance / (lag * dt)) ** 0.5)
+    walk = RandomWalk(float(motion.variance / (lag * dt)) ** 0.5)
     if not motion.seen:
         return walk, motion, rate
     lag, bend = _motion(y, noise, 2)
     if bend.variance >= SMOOTH * common(y, lag, 1, noise[lag]).variance:
         return walk, motion, rate
-    return ConstantRate((1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
+    return ConstantRate(float(1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
 
 
 def _errors(
@@ -259,6 +225,12 @@ def _errors(
     return own, {
         pair: noise for pair, noise in together.items() if noise.variance > TELLS * min(own[i].variance for i in pair)
     }
+
+
+def _size(lags: Floats, variances: Floats) -> float:
+    """Return the variance of differences over lags beyond which it hardly grows."""
+    lags, variances = lags[np.isfinite(variances)], variances[np.isfinite(variances)]
+    return float(np.median(variances[lags >= min(SETTLED * lags[0], lags[-1])])) if len(lags) else 0.0
 
 
 def _wandering(y: Floats, whole: Floats, own: Sequence[Noise]) -> tuple[list[float], list[float]]:

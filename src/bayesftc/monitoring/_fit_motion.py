@@ -66,6 +66,8 @@ def common(y: Floats, lag: int, order: int, noise: float) -> Motion:
     count, length, _ = x.shape
     own = mean(x**2, 1)
     moments, errors = (median(np.stack(of, axis=1), 1) for of in zip(*_pairs(x, own, noise), strict=True))
+    if not np.isfinite(moments).any():
+        return Motion(0.0, 0.0, np.zeros(len(y), dtype=bool), seen=False)
     moves = moments > np.maximum(SEEN * errors, 1e-300)
     active = np.zeros(len(y), dtype=bool)
     active[: count * length] = np.repeat(moves, length)
