@@ -216,9 +216,7 @@ def _errors(
     )
     parts = np.array([share_out(of_lag, alone(y, lag, active), shared) for lag, of_lag in apart.items()])
     times = np.array(list(apart), dtype=np.float64)
-    sizes = np.array(
-        [float(np.nanmedian(column[times >= SETTLED * times[np.isfinite(column)][0]])) for column in parts.T]
-    )
+    sizes = np.array([_size(times, column) for column in parts.T])
     shape = decompose(times, median(parts[:, :m] / np.maximum(sizes[:m], 1e-300), 1), white=True)
     own = [shape.times(size) for size in sizes[:m]]
     together = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}

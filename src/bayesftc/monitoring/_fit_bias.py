@@ -45,13 +45,14 @@ def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     samples = np.maximum(np.isfinite(apart).sum(axis=1), 1)
     noise = (MAD * median(np.abs(apart - levels[:, None, :]), 1)) ** 2 * (np.pi / 2) / samples
     of_noise = median(noise, 0)
-    far = np.nanquantile(np.abs(levels - median(levels, 0)), quantile, axis=0)
+    there = np.isfinite(levels).any(axis=0)
+    far = np.zeros(len(pairs))
+    far[there] = np.nanquantile(np.abs(levels - median(levels, 0))[:, there], quantile, axis=0)
     total = np.asarray(far / ndtri((1 + quantile) / 2)) ** 2
     steps = (MAD * median(np.abs(np.diff(levels, axis=0)), 0)) ** 2
     variance = np.nan_to_num(np.where(total > CERTAIN * of_noise, total - of_noise, 0.0))
-    lasting = length / -np.log(
-        np.clip(1.0 - (steps / 2 - of_noise) / np.where(variance > 0, variance, np.inf), 0.3, 0.95)
-    )
+    alike = 1.0 - (steps / 2 - of_noise) / np.where(variance > 0, variance, np.inf)  # from part to part
+    lasting = length / -np.log(np.clip(np.where(variance > 0, alike, 0.0), 0.3, 0.95))
     of = [[k for k, pair in enumerate(pairs) if i in pair] for i in range(sensors)]
     lower = [float(np.quantile(variance[k], 0.5, method="lower")) / 2 for k in of]
-    return np.array(lower), np.array([np.nanmedian(lasting[k]) for k in of])
+    return np.array(lower), np.array([np.median(lasting[k]) for k in of])
