@@ -79,7 +79,7 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
         "file": str(model),
         "model": type(fitted.plant).__name__,
         "std": fitted.plant.std,
-        "moving": fitted.moving,
+        "moves": fitted.moves,
         "sensors": {name: asdict(sensor) for name, sensor in fitted.sensors.items()},
         "errors": [asdict(errors) for errors in fitted.errors],
     }
@@ -97,10 +97,6 @@ def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
 
     say("Fitted model", "bold")
     say(_motion(fitted))
-    if not fitted.stretch_told:
-        say(
-            "In the stretch it stands still, where noise does not show; the sensors' noise is that of the whole recording."
-        )
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
     for name, sensor in fitted.sensors.items():
         own = [float(np.max(e.std)) ** 2 for e in fitted.errors if e.sensors and name in e.sensors]
@@ -118,7 +114,7 @@ def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
 
 def _motion(fitted: FittedModel) -> str:
     std = f"{fitted.plant.std:.3g}"
-    if not fitted.moving:
+    if not fitted.moves:
         return f"No motion is seen above the noise; the level may wander by {std} in a second (RandomWalk)."
     what = "level wanders" if type(fitted.plant) is RandomWalk else "rate of the level wanders"
-    return f"The {what} by {std} in a second ({type(fitted.plant).__name__}); it moves for {fitted.moving:.0%} of the time."
+    return f"The {what} by {std} in a second ({type(fitted.plant).__name__})."

@@ -11,9 +11,9 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._columns import SensorErrors
 from bayesftc.monitoring._fit_bias import biases, wander
-from bayesftc.monitoring._fit_checks import FEWEST, check_recording
+from bayesftc.monitoring._fit_checks import check_recording
 from bayesftc.monitoring._fit_motion import Motion, common
-from bayesftc.monitoring._fit_noise import TELLS, Noise, alone, decompose, disagreement, groups, share_out
+from bayesftc.monitoring._fit_noise import TELLS, Noise, awake, decompose, disagreement, groups, share_out
 from bayesftc.monitoring._models import ConstantRate, RandomWalk
 from bayesftc.monitoring._moments import median
 from bayesftc.monitoring._recording import Recording
@@ -26,6 +26,9 @@ SETTLED = 4
 
 USUAL, RARE = 0.75, 0.9
 """Quantiles by which it is judged in the stretch, and in the whole recording, where it counts up to the size of the noise."""
+
+LOUDER = 2.0
+"""The sensors' noise in the whole recording counts up to this many times that in the stretch: a calm one may be too quiet."""
 
 SMOOTH = 0.7
 """Second differences of a random walk have twice the variance of its first ones; below this share it has a rate instead."""
@@ -71,25 +74,21 @@ class FittedModel:
         By name.
     errors : tuple of SensorErrors
         Errors that last.
-    moving : float
-        Share of the time in which it moves visibly.
+    moves : bool
+        Whether it moves by more than noise would hide.
     level, spread : float
         Mean and standard deviation of the quantity.
     rate : float
         Standard deviation of its rate.
-    stretch_told : bool
-        Whether the noise is that of the stretch; a stretch in which nothing moves does not show it, so that it is then that of
-        the whole recording.
     """
 
     plant: RandomWalk | ConstantRate
     sensors: dict[str, FittedSensor]
     errors: tuple[SensorErrors, ...]
-    moving: float
+    moves: bool
     level: float
     spread: float
     rate: float
-    stretch_told: bool = True
 
 
 def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
@@ -98,14 +97,16 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     What the sensors have in common is the quantity's motion, what they differ by is noise. Both are moments of differences over
     several lags, in many short windows. Of noise the median over the windows counts, so that a fault in fewer than half of them
     does no harm. Of motion an upper quantile of those windows counts in which anything moves, so that a calm part does none.
+    Where a sensor does not change at all it says nothing: it is frozen, or the car is parked.
 
     Parameters
     ----------
     recording : Recording
         Of two sensors or more, at least 200 samples of each.
     stretch : slice
-        Steps from which the sensors' noise is taken; by default all. Motion is taken from the whole recording: a calm stretch
-        does not show it, and no fault of a single sensor looks like it. So are wandering biases, up to the size of the noise.
+        Steps in which the sensors are healthy; by default all. Biases are taken from it. Motion is taken from the whole
+        recording: a calm stretch does not show it, and no fault of a single sensor looks like it. So are the noise, up to twice
+        that of the stretch, and wandering biases, up to the size of the noise.
 
     Raises
     ------
@@ -114,23 +115,27 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     """
     check_recording(recording, recording.y[stretch])
     dt, bias = float(recording.dt), biases(recording.y[stretch])
-    whole = recording.y - bias
-    y = whole[stretch]
-    widths = [_width(whole[:, i], resolution) for i, resolution in enumerate(recording.resolution)]
+    whole = awake(recording.y - bias)
+    y = awake(recording.y[stretch] - bias)
+    widths = [_width(recording.y[:, i], resolution) for i, resolution in enumerate(recording.resolution)]
     floor = float(np.median(widths)) ** 2 / 12
-    apart, active, noise = _noise(y, floor)
+    apart = {lag: disagreement(whole, lag) for lag in _lags(whole)}
+    noise = {lag: max(_half(pairs), floor) for lag, (pairs, _) in apart.items()}
     plant, motion, rate = _plant(whole, noise, dt)
-    if motion.seen and not active.any():
-        y = whole
-        apart, active, noise = _noise(y, floor)
-        plant, motion, rate = _plant(whole, noise, dt)
-    own, shared = _errors(y, apart, active)
+    own, shared = _errors(apart)
+    if len(y) < len(whole):
+        of_stretch, _ = _errors({lag: disagreement(y, lag) for lag in _lags(y)})
+        own = [everywhere.within(here.variance, LOUDER**2) for everywhere, here in zip(own, of_stretch, strict=True)]
     slow, times = _wandering(y, whole, own)
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
         std = float(max(own[i].white, widths[i] ** 2 / 12)) ** 0.5
         sensors[name] = FittedSensor(
-            std, float(bias[i]), recording.resolution[i], *_shares(y[:, i], active, recording.resolution[i])
+            std,
+            float(bias[i]),
+            recording.resolution[i],
+            _repeats(y[:, i], widths[i]),
+            _typical(np.isnan(recording.y[stretch, i])),
         )
         lasting = [*own[i].lasting, *([(slow[i], times[i])] if slow[i] > WANDERS * own[i].variance else [])]
         errors += [SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting]
@@ -139,21 +144,8 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         errors += [SensorErrors(float(v) ** 0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
     level = median(whole, 1)
     return FittedModel(
-        plant, sensors, tuple(errors), float(active.mean()), float(np.nanmedian(level)),
-        float(np.nanstd(level)), rate, len(y) == len(recording.y[stretch]),
+        plant, sensors, tuple(errors), motion.seen, float(np.nanmedian(level)), float(np.nanstd(level)), rate,
     )  # fmt: skip
-
-
-def _noise(y: Floats, floor: float) -> tuple[dict[int, Floats], np.ndarray, dict[int, float]]:
-    """Return for each lag how far the sensors differ in each window, where they move, and a typical sensor's noise.
-
-    First noise is taken from all windows; by it those are found that move, where noise shows as it is.
-    """
-    lags, everywhere = _lags(y), np.full(len(y), True)
-    rough = {lag: max(_half(disagreement(y, lag, everywhere)), floor) for lag in lags}
-    active = np.any([common(y, lag, 1, of_lag).active for lag, of_lag in rough.items()], axis=0)
-    apart = {lag: disagreement(y, lag, active) for lag in lags}
-    return apart, active, {lag: max(_half(of_lag), floor) for lag, of_lag in apart.items()}
 
 
 def _half(apart: Floats) -> float:
@@ -194,7 +186,6 @@ def _motion(y: Floats, noise: dict[int, float], order: int) -> tuple[int, Motion
 
 def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | ConstantRate, Motion, float]:
     """Return how the quantity moves, the motion by which it is judged, and the standard deviation of its rate."""
-    noise = {lag: noise.get(lag, noise[max(noise)]) for lag in sorted({*noise, *_lags(y)})}
     lag, motion = _motion(y, noise, 1)
     rate = motion.variance**0.5 / (lag * dt)
     walk = RandomWalk(float(motion.variance / (lag * dt)) ** 0.5)
@@ -206,15 +197,16 @@ def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | 
     return ConstantRate(float(1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
 
 
-def _errors(
-    y: Floats, apart: dict[int, Floats], active: np.ndarray
-) -> tuple[list[Noise], dict[tuple[int, int], Noise]]:
-    """Return the errors of each sensor, and those that pairs of sensors share."""
-    m = y.shape[1]
-    shared = groups(
-        median(np.array([median(of_lag, 0) for of_lag in list(apart.values())[: max(4, len(apart) // 2)]]), 0), m
-    )
-    parts = np.array([share_out(of_lag, alone(y, lag, active), shared) for lag, of_lag in apart.items()])
+def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[tuple[int, int], Noise]]:
+    """Return the errors of each sensor, and those that pairs of sensors share.
+
+    How noise lasts is taken to be the same for all sensors, which are of one kind more often than not: single ones would be
+    blamed for what their own numbers happen to miss.
+    """
+    pairs = [pairs for pairs, _ in apart.values()]
+    m = next(iter(apart.values()))[1].shape[1]
+    shared = groups(median(np.array([median(of_lag, 0) for of_lag in pairs[: max(4, len(pairs) // 2)]]), 0), m)
+    parts = np.array([share_out(*of_lag, shared) for of_lag in apart.values()])
     times = np.array(list(apart), dtype=np.float64)
     sizes = np.array([_size(times, column) for column in parts.T])
     shape = decompose(times, median(parts[:, :m] / np.maximum(sizes[:m], 1e-300), 1), white=True)
@@ -242,15 +234,14 @@ def _wandering(y: Floats, whole: Floats, own: Sequence[Noise]) -> tuple[list[flo
     return np.maximum(found, typical).tolist(), [float(np.median(times[found >= typical]))] * len(own)
 
 
-def _shares(samples: Floats, active: np.ndarray, resolution: float) -> tuple[float, float]:
-    """Return the shares of repeated and of missing samples: typical ones, so that a frozen or silent part does no harm."""
-    there = np.isfinite(samples)
-    values = samples[there]
-    same = (np.abs(np.diff(values)) <= max(0.25 * resolution, 1e-12 * float(np.abs(values).max()))).astype(np.float64)
-    moving = active[there][1:]
-    same = same[moving] if moving.sum() >= FEWEST else same
-    shares = [
-        float(median(x[: len(x) // n * n].reshape(-1, n).mean(1)[:, None], 0)[0])
-        for x, n in ((same, max(len(same) // 50, 20)), ((~there).astype(np.float64), max(len(there) // 50, 20)))
-    ]
-    return shares[0], shares[1]
+def _repeats(samples: Floats, width: float) -> float:
+    """Return the share of samples that equal the one before; of a typical part, so that a frozen one does no harm."""
+    values = samples[np.isfinite(samples)]
+    return _typical(np.abs(np.diff(values)) < 0.25 * width)
+
+
+def _typical(happens: np.ndarray) -> float:
+    """Return how often something happens in a typical part of the steps."""
+    length = max(len(happens) // PARTS, 20)
+    parts = happens[: max(len(happens) // length, 1) * length].reshape(-1, min(length, len(happens)))
+    return float(np.median(parts.mean(axis=1)))

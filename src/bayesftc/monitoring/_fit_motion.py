@@ -33,17 +33,11 @@ class Motion:
     ----------
     variance : float
         Of the difference, in the livelier windows.
-    share : float
-        Of the windows in which it moves.
-    active : ndarray of bool, steps
-        Where it moves.
     seen : bool
         Whether it is told from noise; else `variance` is what may hide in it.
     """
 
     variance: float
-    share: float
-    active: np.ndarray
     seen: bool = True
 
 
@@ -63,24 +57,22 @@ def common(y: Floats, lag: int, order: int, noise: float) -> Motion:
         Variance that noise gives to such a difference of one sensor.
     """
     x = windowed(differences(y, lag, order), lag)
-    count, length, _ = x.shape
+    length = x.shape[1]
     own = mean(x**2, 1)
     moments, errors = (median(np.stack(of, axis=1), 1) for of in zip(*_pairs(x, own, noise), strict=True))
     if not np.isfinite(moments).any():
-        return Motion(0.0, 0.0, np.zeros(len(y), dtype=bool), seen=False)
+        return Motion(0.0, seen=False)
     moves = moments > np.maximum(SEEN * errors, 1e-300)
-    active = np.zeros(len(y), dtype=bool)
-    active[: count * length] = np.repeat(moves, length)
-    active[count * length :] = bool(moves[-1])
+    count = int(np.isfinite(moments).sum())
     if moves.sum() < max(2, FEW * count):
         together = float(np.nanmedian(moments))
         error = float(np.nanmedian(errors)) * np.sqrt(np.pi / 2 / count)
         seen = together > SEEN * error
-        return Motion(together if seen else max(together, 0.0) + HIDDEN * error, float(moves.mean()), active, seen)
+        return Motion(together if seen else max(together, 0.0) + HIDDEN * error, seen)
     typical = float(np.median(moments[moves]))
     scatter = np.sqrt((1.0 + (1.0 + noise / typical) ** 2) * lag / (1.5 * length))
     upper = float(np.quantile(moments[moves], QUANTILE)) / (1.0 + NORMAL * scatter)
-    return Motion(max(upper, typical), float(moves.mean()), active)
+    return Motion(max(upper, typical))
 
 
 def _pairs(x: Floats, own: Floats, noise: float) -> Iterator[tuple[Floats, Floats]]:

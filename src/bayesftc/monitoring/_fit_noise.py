@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from bayesftc.cosim.block import Floats
+from bayesftc.monitoring._fit_checks import FEWEST
 from bayesftc.monitoring._moments import differences, mean, median, windowed
 
 ALIKE = 0.75
@@ -30,6 +31,10 @@ LONG = 32
 """Time constants up to this many of the shortest lag are those of coloured noise; what lasts longer is a bias that wanders."""
 
 
+QUIET = 64
+"""Steps of a window in which a sensor must change to count."""
+
+
 @dataclass(frozen=True)
 class Noise:
     """What one sensor, or a group of sensors together, has of errors.
@@ -49,39 +54,61 @@ class Noise:
         """Return noise whose variance is larger by a factor."""
         return Noise(factor * self.white, tuple((factor * variance, constant) for variance, constant in self.lasting))
 
+    def within(self, least: float, factor: float) -> Noise:
+        """Return noise of the same kind whose variance is at least `least`, and at most `factor` times this."""
+        variance = self.variance
+        return self.times(float(np.clip(variance, least, factor * least)) / variance) if variance > 0 else self
+
     @property
     def variance(self) -> float:
         """Of all of them."""
         return self.white + sum(variance for variance, _ in self.lasting)
 
 
-def disagreement(y: Floats, lag: int, active: np.ndarray) -> Floats:
-    """Return the variance of the difference of each pair of sensors over a lag, in each window that is mostly active.
+def awake(y: Floats) -> Floats:
+    """Return samples without those of windows in which their sensor does not change, as that of a parked car or a frozen one.
 
-    Where these are few, all windows count. Shape: windows x pairs.
+    What is quiet for such a reason says nothing of the noise. Where too few samples would be left all stay.
     """
-    apart = np.column_stack([y[:, i] - y[:, j] for i, j in combinations(range(y.shape[1]), 2)])
-    x = windowed(differences(apart, lag, 1), lag)
-    return np.asarray(mean(x**2, 1)[_kept(x, active)])
+    count = len(y) // QUIET
+    kept = y.copy()
+    for i, column in enumerate(y.T):
+        there = np.flatnonzero(np.isfinite(column))
+        changes = np.zeros(len(y), dtype=bool)
+        changes[there[1:]] = np.diff(column[there]) != 0
+        parts = changes[: count * QUIET].reshape(count, QUIET).any(axis=1)
+        asleep = np.append(
+            np.repeat(~parts, QUIET), np.full(len(y) - count * QUIET, not changes[count * QUIET :].any())
+        )
+        if np.isfinite(column[~asleep]).sum() >= FEWEST:
+            kept[asleep, i] = np.nan
+    return kept
 
 
-def _kept(x: Floats, active: np.ndarray) -> np.ndarray:
-    count, length, _ = x.shape
-    kept = active[: count * length].reshape(count, length).mean(1) > 0.5
-    return np.asarray(kept if kept.sum() >= max(4, 0.05 * count) else np.full(count, True))
+def disagreement(y: Floats, lag: int) -> tuple[Floats, Floats]:
+    """Return the variance of the difference of each pair of sensors over a lag, in each window, and each sensor's own.
 
+    Of a sensor it is the variance of its differences less what they have in common with the quietest other one.
 
-def alone(y: Floats, lag: int, active: np.ndarray) -> Floats:
-    """Return the variance of each sensor's differences less what they have in common with the quietest other one.
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples.
+    lag : int
+        In steps.
 
-    Shape: windows x sensors.
+    Returns
+    -------
+    apart : ndarray, windows x pairs
+    alone : ndarray, windows x sensors
     """
+    pairs = list(combinations(range(y.shape[1]), 2))
+    apart = windowed(differences(np.column_stack([y[:, i] - y[:, j] for i, j in pairs]), lag, 1), lag)
     x = windowed(differences(y, lag, 1), lag)
     own = mean(x**2, 1)
     quiet = np.argsort(median(own, 0))
     partner = [int(quiet[1] if quiet[0] == i else quiet[0]) for i in range(y.shape[1])]
-    beside = own - mean(x * x[:, :, partner], 1)
-    return np.asarray(beside[_kept(x, active)])
+    return mean(apart**2, 1), np.asarray(own - mean(x * x[:, :, partner], 1))
 
 
 def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
