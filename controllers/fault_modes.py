@@ -270,13 +270,13 @@ class Burst(Noisier):
     Parameters
     ----------
     time_to_fault, time_to_recovery
-        Mean time in seconds between two bursts, and how long one lasts.
+        Mean time in seconds between two bursts, and how long one lasts; by default at least three samples.
     scale, shape, forgetting
         See `Noisier`.
     """
 
-    time_to_fault: float = DefaultTime(5.0)
-    time_to_recovery: float = DefaultTime(0.3)
+    time_to_fault: float = DefaultTime(5.0, usual_step=0.1)
+    time_to_recovery: float = DefaultTime(0.3, usual_step=0.1)
     forgetting: float = 0.9
 
     is_fault: ClassVar[bool] = False

@@ -118,7 +118,8 @@ class SwitchingPrecision(PrecisionLearner):
     def paced(self, step: float) -> SwitchingPrecision:
         """Return the same learner with the mean times that hold for samples `step` seconds apart; `learner` takes these.
 
-        Times that were given stay as they are. Default times are for samples of up to 20 ms; beyond, they grow with the step.
+        Times that were given stay as they are. Default times are for samples of up to 20 ms; beyond, they grow with the step
+        (those of `Burst` beyond 0.1 s).
 
         Parameters
         ----------

@@ -22,7 +22,13 @@ COLLIDE = 0.1
 
 @dataclass(frozen=True)
 class Place:
-    """Where a signal stands: its file, its column and that of its times."""
+    """Where a signal stands.
+
+    Parameters
+    ----------
+    file, column, time : str
+        Its file, its column and that of its times.
+    """
 
     file: str
     column: str
@@ -108,6 +114,13 @@ def _short(value: float) -> Fraction:
 def stretch_of(recording: Recording, start: float | None, stop: float | None) -> slice:
     """Return the steps from one time to another.
 
+    Parameters
+    ----------
+    recording : Recording
+        Whose steps.
+    start, stop : float or None
+        The times in seconds; None: its own.
+
     Raises
     ------
     RecordingError
@@ -125,7 +138,18 @@ def stretch_of(recording: Recording, start: float | None, stop: float | None) ->
 
 
 def recorded(signals: Mapping[str, Signal]) -> Recording:
-    """Return signals brought to steps of about their own interval; see `align`."""
+    """Return signals brought to steps of about their own interval; see `align`.
+
+    Parameters
+    ----------
+    signals : mapping of str to Signal
+        All of them sensors.
+
+    Raises
+    ------
+    RecordingError
+        As of `align`, or if a signal has a single sample.
+    """
     for name, signal in signals.items():
         if len(np.asarray(signal.time)) < 2:
             raise RecordingError(f"The sensor {name!r} has a single sample; leave it out.")

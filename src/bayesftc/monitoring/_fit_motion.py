@@ -67,7 +67,7 @@ def common(y: Floats, lag: int, order: int, noise: float) -> Motion:
     if moves.sum() < max(2, FEW * count):
         together = float(np.nanmedian(moments))
         error = float(np.nanmedian(errors)) * np.sqrt(np.pi / 2 / count)
-        seen = together > SEEN * error
+        seen = bool(together > SEEN * error)
         return Motion(together if seen else max(together, 0.0) + HIDDEN * error, seen)
     typical = float(np.median(moments[moves]))
     scatter = np.sqrt((1.0 + (1.0 + noise / typical) ** 2) * lag / (1.5 * length))
