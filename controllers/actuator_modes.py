@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._default_time import DefaultTime
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,12 @@ class ActuatorMode:
         costs nothing while all is well.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
+
+    Both defaults grow with the sample time as those of `FaultMode` do.
     """
 
-    time_to_fault: float = 3000.0
-    time_to_recovery: float = 20.0
+    time_to_fault: float = DefaultTime(3000.0)
+    time_to_recovery: float = DefaultTime(20.0)
 
     absolute: ClassVar[float] = 0.0
     relative: ClassVar[float] = 0.0

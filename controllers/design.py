@@ -19,9 +19,6 @@ from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 
-USUAL_STEP = 0.02
-"""Sample time in seconds for which the default times of `SwitchingPrecision` are made; slower plants fail more slowly."""
-
 
 def design(
     plant: Any,
@@ -76,7 +73,7 @@ def design(
     goal_covariance, control_covariance : number, vector or matrix, optional
         Inverses of the costs, instead of the squares of the acceptable ones.
     precision : PrecisionLearner, optional
-        How far each sensor is trusted; by default `SwitchingPrecision`, slowed where samples are further apart than 20 ms.
+        How far each sensor is trusted; by default `SwitchingPrecision`.
     belief, u_min, u_max, u_rate
         See `BayesianController`.
 
@@ -147,9 +144,7 @@ def design(
         )
     return LQGController(
         model,
-        precision=SwitchingPrecision().slowed(max(1.0, float(model.step) / USUAL_STEP))
-        if precision is None
-        else precision,
+        precision=SwitchingPrecision() if precision is None else precision,
         goal_on=H,
         goal_covariance=goal_covariance,
         control_covariance=control_covariance,

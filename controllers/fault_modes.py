@@ -35,6 +35,7 @@ import numpy as np
 from bayesftc.controllers import _mode_kernels as kernels
 from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
 from bayesftc.controllers._checks import as_number, as_vector, check_number
+from bayesftc.controllers._default_time import DefaultTime
 from bayesftc.controllers._mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST, log_density
 
 if TYPE_CHECKING:
@@ -59,10 +60,12 @@ class FaultMode:
         so long that with a fifth of it healthy sensors still pay nothing.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
+
+    Both defaults are for samples up to 20 ms apart; `SwitchingPrecision.paced` lengthens them where samples are further apart.
     """
 
-    time_to_fault: float = 300.0
-    time_to_recovery: float = 20.0
+    time_to_fault: float = DefaultTime(300.0)
+    time_to_recovery: float = DefaultTime(20.0)
 
     evidence: ClassVar[Callable[..., float]]
     arrival: ClassVar[float | None] = None
@@ -335,13 +338,13 @@ class Burst(Noisier):
     Parameters
     ----------
     time_to_fault, time_to_recovery
-        Mean time in seconds between two bursts, and how long one lasts.
+        Mean time in seconds between two bursts, and how long one lasts; by default at least three samples.
     scale, shape, forgetting
         See `Noisier`.
     """
 
-    time_to_fault: float = 5.0
-    time_to_recovery: float = 0.3
+    time_to_fault: float = DefaultTime(5.0, usual_step=0.1)
+    time_to_recovery: float = DefaultTime(0.3, usual_step=0.1)
     forgetting: float = 0.9
 
     is_fault: ClassVar[bool] = False

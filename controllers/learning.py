@@ -127,7 +127,7 @@ def learn_modes(
     runs = [_checked(number, run, model) for number, run in enumerate(given)]
     if not runs:
         raise ModelError("learn_modes has no recording to learn from; give at least one RecordedRun.")
-    start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes])
+    start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes]).paced(float(model.step))
     now, settled, step = start, False, float(model.step)
     likelihood: list[float] = []
     while len(likelihood) < iterations and not settled:

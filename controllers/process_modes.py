@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._default_time import DefaultTime
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class NoisierProcess:
         the larger it is, the sooner a plant that is later than its model makes the loop unstable.
     """
 
-    time_to_fault: float = 30000.0
+    time_to_fault: float = DefaultTime(30000.0)
     time_to_recovery: float = 0.0
     scale: float = 50.0
     fading: float = 1.0
@@ -49,8 +50,8 @@ class NoisierProcess:
 
 PROCESS_MODES: tuple[NoisierProcess, ...] = (
     NoisierProcess(),
-    NoisierProcess(time_to_fault=3000.0, time_to_recovery=10.0, scale=1.0, fading=1.3),
-    NoisierProcess(time_to_fault=3000.0, time_to_recovery=10.0, scale=1.0, fading=2.0),
+    NoisierProcess(time_to_fault=DefaultTime(3000.0), time_to_recovery=DefaultTime(10.0), scale=1.0, fading=1.3),
+    NoisierProcess(time_to_fault=DefaultTime(3000.0), time_to_recovery=DefaultTime(10.0), scale=1.0, fading=2.0),
 )
 """What the plant does by default: kicks; and longer times in which the model says less than it should, with a scale that makes up
 for a mass or a drag that is not as believed, and beyond which a plant that answers late was followed too closely."""

@@ -13,6 +13,7 @@ from bayesftc.controllers._actuator_settings import actuator_settings, chance
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags, check_number
+from bayesftc.controllers._default_time import DefaultTime
 from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, as_process_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._ports import port
@@ -116,7 +117,7 @@ class SwitchingPrecision(PrecisionLearner):
         Parameters
         ----------
         factor : float
-            Positive. The default times are for samples of some 20 ms.
+            Positive.
 
         Examples
         --------
@@ -125,20 +126,48 @@ class SwitchingPrecision(PrecisionLearner):
         2000.0
         """
         factor = as_number("SwitchingPrecision.slowed() has factor", factor, above=0)
+        return self._timed(lambda value: factor * value)
 
-        def slow(modes: Sequence[Any]) -> tuple[Any, ...]:
-            times = ("time_to_fault", "time_to_recovery")
-            return tuple(replace(mode, **{name: factor * getattr(mode, name) for name in times}) for mode in modes)
+    def paced(self, step: float) -> SwitchingPrecision:
+        """Return the same learner with the mean times that hold for samples `step` seconds apart; `learner` takes these.
+
+        Times that were given stay as they are. Default times are for samples of up to 20 ms; beyond, they grow with the step
+        (those of `Burst` beyond 0.1 s).
+
+        Parameters
+        ----------
+        step : float
+            Sample time in seconds, positive.
+
+        Examples
+        --------
+        >>> from bayesftc.controllers import Frozen, Offset, SwitchingPrecision
+        >>> modes = SwitchingPrecision([Frozen(), Offset(time_to_fault=3600.0)]).paced(2.0).modes
+        >>> [(mode.time_to_fault, mode.time_to_recovery) for mode in modes]
+        [(30000.0, 2000.0), (3600.0, 2000.0)]
+        """
+        step = as_number("SwitchingPrecision.paced() has step", step, above=0)
+        return self._timed(lambda value: value.at_step(step) if isinstance(value, DefaultTime) else value)
+
+    def _timed(self, time: Callable[[float], float]) -> SwitchingPrecision:
+        """Return the same learner with other mean times, each a function of what it was."""
+
+        def other(modes: Sequence[Any]) -> tuple[Any, ...]:
+            names = ("time_to_fault", "time_to_recovery")
+            return tuple(replace(mode, **{name: time(getattr(mode, name)) for name in names}) for mode in modes)
 
         return replace(
             self,
-            modes=slow(self.modes),
-            actuator_modes=slow(self.actuator_modes),
-            process_modes=slow(self.process_modes),
+            modes=other(self.modes),
+            actuator_modes=other(self.actuator_modes),
+            process_modes=other(self.process_modes),
         )
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
+        return self.paced(float(model.step))._learner(model)
+
+    def _learner(self, model: LinearModel) -> Learner:
         m, step = model.sensors, float(model.step)
         begins = [chance(mode, "time_to_fault", step) for mode in self.modes]
         ends = [chance(mode, "time_to_recovery", step) for mode in self.modes]

@@ -150,3 +150,94 @@ def test_mistakes_end_with_a_sentence_and_no_files(break_it, code, words, files,
     assert done.exit_code == code
     assert words in done.output
     assert not (tmp_path / "out").is_dir()
+
+
+@pytest.fixture
+def drive(files, tmp_path):
+    """The same recording, with nothing said of it."""
+    table = pd.read_csv(files[0])
+    table["note"] = "text"
+    table.to_csv(tmp_path / "tank.csv", index=False)
+    return str(tmp_path / "tank.csv")
+
+
+def test_a_model_is_fitted_and_written(drive, tmp_path):
+    out = tmp_path / "results"
+    done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--to", "29", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    for words in ("Fitted model", "RandomWalk", "noise", f"Written to {out / 'model.toml'}", "Offset"):
+        assert words in done.output
+    report = json.loads((out / "faults.json").read_text(encoding="utf-8"))
+    (fault,) = report["faults"]
+    assert (fault["sensor"], fault["kind"]) == ("b", "Offset")
+    assert fault["onset"] == pytest.approx(30.0, abs=0.2)
+    fitted = report["fitted"]
+    assert fitted["model"] == "RandomWalk"
+    assert 1 / 2 < fitted["std"] / (0.02 / 0.1**0.5) < 2
+    for sensor in fitted["sensors"].values():
+        assert sensor["std"] == pytest.approx(0.1, rel=0.25)
+    again = RUNNER.invoke(app, ["monitor", drive, "--model", str(out / "model.toml"), "--json"])
+    assert again.exit_code == 0, again.output
+    assert json.loads(again.output)["faults"] == report["faults"]
+
+
+def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):
+    before = (tmp_path / "model.toml").read_text(encoding="utf-8")
+    done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", files[2]])
+    assert done.exit_code == 12
+    assert "is there already" in done.output
+    assert (tmp_path / "model.toml").read_text(encoding="utf-8") == before
+
+
+def test_columns_with_any_names_are_fitted(drive, tmp_path):
+    table = pd.read_csv(drive).rename(columns={"t": "Time (s)", "a": "oil, left", "b": 'the "big" one', "c": "c"})
+    table["index"] = range(len(table))
+    table.to_csv(drive, index=False)
+    model = tmp_path / "new.toml"
+    done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", str(model), "--to", "29"])
+    assert done.exit_code == 16
+    assert "'index' does not follow the others" in done.output
+    assert not model.exists()
+    names = [f"--sensor={name}" for name in ("oil, left", 'the "big" one', "c")]
+    done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", str(model), "--to", "29", *names, "--json"])
+    assert done.exit_code == 0, done.output
+    assert [fault["sensor"] for fault in json.loads(done.output)["faults"]] == ['the "big" one']
+
+
+def test_several_files_are_fitted_together(drive, tmp_path):
+    table = pd.read_csv(drive)
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    table[["t", "a"]].to_csv(folder / "one.csv", index=False)
+    table[["t", "b"]].rename(columns={"t": "time", "b": "a"}).to_csv(folder / "two.csv", index=False)
+    done = RUNNER.invoke(
+        app, ["monitor", str(folder), "--fit", "--model", str(tmp_path / "m.toml"), "--to", "29", "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    assert set(json.loads(done.output)["sensors"]) == {"a", "two_a"}
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        ([], 2, "--fit to find the model"),
+        (["--from", "3"], 2, "--fit to find the model"),
+        (["--fit", "--from", "100"], 16, "nothing in the stretch"),
+        (["--fit", "--from", "3", "--to", "2"], 16, "nothing in the stretch"),
+        (["--fit", "--from", "3", "--to", "5"], 16, "samples in the stretch; a fit needs 200"),
+        (["--fit", "--sensor", "d"], 16, "no column 'd' with numbers"),
+        (["--fit", "--sensor", "a"], 16, "two or more sensors"),
+    ],
+)
+def test_a_fit_that_cannot_be_is_refused(drive, tmp_path, options, code, words):
+    model = ["--model", str(tmp_path / "fresh.toml")] if "--fit" in options else []
+    done = RUNNER.invoke(app, ["monitor", drive, *options, *model])
+    assert done.exit_code == code, done.output
+    assert words in " ".join(done.output.replace("│", " ").split())
+    assert not (tmp_path / "fresh.toml").exists()
+
+
+def test_the_stretch_needs_a_fit(files):
+    done = RUNNER.invoke(app, ["monitor", *files, "--to", "3"])
+    assert done.exit_code == 2
+    assert "need --fit" in " ".join(done.output.replace("│", " ").split())

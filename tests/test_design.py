@@ -337,7 +337,7 @@ def test_inputs_that_are_given_are_kept():
 def test_faults_of_a_slow_plant_last_as_many_samples():
     tank = control.tf([1], [3600.0, 1.0], inputs=["inflow"], outputs=["level"])  # an hour
     slow = controllers.design(tank, measured="level", actuated="inflow", dt=60.0, noise={"inflow": 0.1}, sensors=2)
-    assert slow.precision == controllers.SwitchingPrecision().slowed(3000.0)
+    assert slow.precision.paced(60.0) == controllers.SwitchingPrecision().slowed(3000.0)
     fast = controllers.design(tank, measured="level", actuated="inflow", dt=0.01, noise={"inflow": 0.1}, sensors=2)
     assert fast.precision == controllers.SwitchingPrecision()
     loop = cosim.closed_loop(

@@ -522,3 +522,17 @@ def test_a_table_with_a_byte_order_mark_spaces_quotes_and_empty_lines_is_read(tm
     recording = monitor.read([tmp_path / "data.csv"])
     np.testing.assert_array_equal(recording.y, [[1.0, 2.0, 3.0], [1.0, np.nan, 3.0]])
     assert recording.inputs == ("accel",)
+
+
+def test_samples_half_a_minute_apart_are_watched_with_what_nobody_gave():
+    rng = np.random.default_rng(0)
+    t = 30.0 * np.arange(2000)
+    y = 20.0 + 0.1 * rng.standard_normal((2000, 3))
+    y[1500:, 1] += 2.0
+    recording = align({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)}, {}, 30)
+    model = LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-4, 0.01, 30)
+    found = monitor_recording(recording, model, initial_mean=20.0)
+    assert [(e.sensor, e.kind) for e in found.events] == [("s1", "Offset")]
+    assert found.events[0].onset == pytest.approx(45000.0, abs=60.0)
+    with pytest.raises(ModelError, match=r"Offset has time_to_recovery=20.0, .* 30 s"):
+        monitor_recording(recording, model, SwitchingPrecision([Offset(time_to_recovery=20.0)]), initial_mean=20.0)

@@ -1,7 +1,9 @@
 """Switching between fault modes: densities and probabilities against scipy, filterpy and enumeration; faults in a loop."""
 
+import copy
+import pickle
 import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
 
@@ -451,3 +453,37 @@ def test_insurance_costs_nothing_on_healthy_sensors():
 def test_bad_settings(make, words):
     with pytest.raises(ModelError, match=words):
         make()
+
+
+@pytest.mark.parametrize("step", [0.001, 0.02, 0.1, 30.0, 86400.0])
+def test_default_times_grow_with_the_step_and_given_ones_stay(step):
+    longer = max(1.0, step / 0.02)
+    every = [mode() for mode in controllers.FAULT_MODES if mode is not controllers.Burst]
+    actuators = [mode() for mode in controllers.ACTUATOR_MODES]
+    default = SwitchingPrecision(every, actuator_modes=actuators)
+    paced = default.paced(step)
+    assert paced == default.slowed(longer) == paced.paced(step)  # what is a number now stays
+    given = SwitchingPrecision([Offset(time_to_fault=300.0), Frozen(time_to_recovery=7.0)]).paced(step).modes
+    assert [(mode.time_to_fault, mode.time_to_recovery) for mode in given] == [
+        (300.0, 20.0 * longer),
+        (300.0 * longer, 7.0),
+    ]
+    (burst,) = SwitchingPrecision([controllers.Burst()]).paced(step).modes
+    assert burst.time_to_recovery == pytest.approx(max(0.3, 3 * step))  # a bump lasts as long however it is sampled
+    model = replace(MODEL, dt=step)
+    np.testing.assert_array_equal(default.learner(model).settings, default.slowed(longer).learner(model).settings)
+
+
+def test_default_times_survive_a_copy_of_their_mode():
+    for mode in (
+        pickle.loads(pickle.dumps(controllers.Burst())),
+        copy.deepcopy(controllers.Burst()),
+        replace(Offset()),
+    ):
+        assert mode.time_to_fault.at_step(30.0) > 100 * mode.time_to_fault
+
+
+def test_a_time_that_was_given_is_refused_where_samples_are_further_apart():
+    model = replace(MODEL, dt=30.0)
+    with pytest.raises(ModelError, match=r"Offset has time_to_recovery=20.0, .* 30 s"):
+        SwitchingPrecision([Offset(time_to_recovery=20.0)]).learner(model)

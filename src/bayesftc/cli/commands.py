@@ -251,8 +251,24 @@ def calibrate(
 def monitor(
     recording: Annotated[list[Path], typer.Argument(help="CSV files with recorded samples, or a folder of them.")],
     model: Annotated[
-        Path, typer.Option("--model", metavar="TOML", help="Which column is what, and what is known of the sensors.")
-    ],
+        Path | None,
+        typer.Option(
+            "--model",
+            metavar="TOML",
+            help="Which column is what, and what is known of the sensors; with --fit it is written, by default model.toml.",
+        ),
+    ] = None,
+    fit: Annotated[
+        bool,
+        typer.Option(
+            "--fit", help="Find the model in the recording first, of which all columns are sensors of one quantity."
+        ),
+    ] = False,
+    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Fit from this time on.")] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Fit up to this time.")] = None,
+    sensors: Annotated[
+        list[str] | None, typer.Option("--sensor", help="Fit this column only; give it again for each further one.")
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write probabilities.csv, faults.json and figure.png there."),
@@ -262,10 +278,15 @@ def monitor(
     debug: Debug = False,
 ) -> None:
     """Look for faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large."""
+    if model is None and not fit:
+        raise typer.BadParameter("name the model file by --model, or take --fit to find the model in the recording.")
+    if not fit and (sensors or start is not None or stop is not None):
+        raise typer.BadParameter("--from, --to and --sensor say what to fit: they need --fit.")
     with guarded(debug):
         from bayesftc.cli.monitor import monitor_files
 
-        monitor_files(recording, model, out, json=json, quiet=quiet)
+        told = (start, stop, tuple(sensors or ())) if fit else None
+        monitor_files(recording, model, out, told, json=json, quiet=quiet)
 
 
 @app.command(help=EXPERIMENTS)

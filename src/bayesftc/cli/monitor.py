@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
 from bayesftc.monitoring import ActuatorEvent, FaultEvent, Monitored, load_monitor
 
 if TYPE_CHECKING:
@@ -20,26 +21,42 @@ if TYPE_CHECKING:
 PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
 
 
-def monitor_files(recording: Sequence[Path], model: Path, out: Path | None, *, json: bool, quiet: bool) -> None:
+def monitor_files(
+    recording: Sequence[Path],
+    model: Path | None,
+    out: Path | None,
+    fit: tuple[float | None, float | None, tuple[str, ...]] | None = None,
+    *,
+    json: bool,
+    quiet: bool,
+) -> None:
     """Look for faults in a recording, print what was found and write the files.
 
     Parameters
     ----------
     recording : sequence of pathlib.Path
         CSV files or folders.
-    model : pathlib.Path
-        The model file.
+    model : pathlib.Path or None
+        The model file; with `fit` it is written, by default as ``model.toml`` in `out` or here.
     out : pathlib.Path or None
         Folder for ``probabilities.csv``, ``faults.json`` and ``figure.png``: all of them, or none.
+    fit : tuple, optional
+        From when and until when (s, or None) a model is fitted, and to which columns (by default all): as of `Fit`.
     json, quiet : bool
         How it is printed: as JSON, or not at all.
     """
+    model = model or (out or Path()) / MODEL
+    fitted = None
+    if fit is not None:
+        fitted, fitted_to = fit_files(recording, Fit(*fit), model)
+        if not (json or quiet):
+            print_fit(fitted, fitted_to, model)
     monitor = load_monitor(model)
     samples = monitor.read(recording)
     if out is not None:
         output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE))
     found = monitor.run(samples)
-    numbers = summary(found)
+    numbers = summary(found) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
     if out is not None:
         _write(out, found, numbers)
     if json:

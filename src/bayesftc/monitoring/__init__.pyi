@@ -2,6 +2,14 @@
 
 from ._alarms import ActuatorEvent as ActuatorEvent, Alarm as Alarm, FaultEvent as FaultEvent
 from ._columns import Column as Column, Input as Input, Sensor as Sensor, SensorErrors as SensorErrors
+from ._fit import FittedModel as FittedModel, FittedSensor as FittedSensor, fit_model as fit_model
+from ._fit_columns import (
+    Place as Place,
+    recorded as recorded,
+    redundant_signals as redundant_signals,
+    stretch_of as stretch_of,
+)
+from ._fit_text import as_model_file as as_model_file
 from ._likelihood import log_likelihood as log_likelihood
 from ._model_file import load_monitor as load_monitor
 from ._models import (

@@ -42,14 +42,26 @@ class Tables:
                 raise RecordingError(f"The recording {fspath(path)} cannot be read: there is no such file or folder.")
         self._read: dict[Path, tuple[list[str], pd.DataFrame]] = {}
 
+    def files(self) -> list[Path]:
+        """Return all CSV files, those of folders among them."""
+        files = [f for given in self._files for f in (sorted(given.glob("*.csv")) if given.is_dir() else [given])]
+        if not files:
+            raise RecordingError(f"There is no CSV file in {self._files[0]}; check the path.")
+        return list(dict.fromkeys(files))
+
+    def numeric(self, file: Path) -> list[str]:
+        """Return the names of the columns that have a number in them."""
+        import pandas as pd
+
+        header, table = self._table(file)
+        return [name for i, name in enumerate(header) if pd.to_numeric(table[i], errors="coerce").notna().any()]
+
     def find(self, name: str | None, wanted_by: str) -> Path:
         """Return the file that is called `name`, or the only one where no name is given."""
         if name is None:
-            files = [f for given in self._files for f in (sorted(given.glob("*.csv")) if given.is_dir() else [given])]
-            if len(set(files)) == 1:
+            files = self.files()
+            if len(files) == 1:
                 return files[0]
-            if not files:
-                raise RecordingError(f"There is no CSV file in {self._files[0]}; check the path.")
             raise RecordingError(
                 f"{wanted_by} does not say in which file it is; with more than one give it file = 'name.csv'."
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from bayesftc.controllers._default_time import DefaultTime
 from bayesftc.controllers.fault_modes import Burst, Drifting, DroppedOut, Frozen, Noisier, Offset
 from bayesftc.controllers.switching import SwitchingPrecision
 
@@ -22,7 +23,7 @@ def default_precision(loss: Sequence[float], resolution: Sequence[float]) -> Swi
     resolution : sequence of float
         Of each sensor, in its unit.
     """
-    rare = {"time_to_fault": 3600.0}
+    rare = {"time_to_fault": DefaultTime(3600.0)}
     modes = (
         Frozen(**rare, dither=0.001, resolution=tuple(resolution)),
         Offset(**rare, jump=30.0, walk=0.02),

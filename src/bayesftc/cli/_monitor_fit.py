@@ -1,0 +1,120 @@
+"""``bayesftc monitor --fit``: from a recording to a model file, and what was found in words."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cli import output
+from bayesftc.cosim.errors import ResultFileError
+from bayesftc.monitoring import (
+    FittedModel,
+    RandomWalk,
+    Recording,
+    as_model_file,
+    fit_model,
+    recorded,
+    redundant_signals,
+    stretch_of,
+)
+
+MODEL = "model.toml"
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit is told: the stretch of time and the columns, by default everything.
+
+    Attributes
+    ----------
+    start, stop : float or None
+        The stretch, in seconds of the recording.
+    sensors : tuple of str
+        The columns.
+    """
+
+    start: float | None = None
+    stop: float | None = None
+    sensors: tuple[str, ...] = ()
+
+
+def fit_files(recording: Sequence[Path], told: Fit, model: Path) -> tuple[FittedModel, Recording]:
+    """Fit a model to a recording, write it, and return it with the recording.
+
+    Parameters
+    ----------
+    recording : sequence of pathlib.Path
+        CSV files or folders.
+    told : Fit
+        The stretch and the columns.
+    model : pathlib.Path
+        The file that is written; one that is there stays as it is.
+
+    Raises
+    ------
+    ResultFileError
+        If the file is there already, or cannot be written.
+    RecordingError
+        As of `redundant_signals` and `fit_model`.
+    """
+    if os.path.lexists(model):
+        raise ResultFileError(f"{model} is there already; name another file by --model, or leave --fit out to use it.")
+    output.check_folder(model.parent, (model.name,))
+    places, signals = redundant_signals(recording, told.sensors)
+    samples = recorded(signals)
+    fitted = fit_model(samples, stretch_of(samples, told.start, told.stop))
+    with output.staged(model.parent) as stage:
+        (stage / model.name).write_text(as_model_file(fitted, samples, places), encoding="utf-8")
+    return fitted, samples
+
+
+def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
+    """Return what was fitted as plain data."""
+    return {
+        "file": str(model),
+        "model": type(fitted.plant).__name__,
+        "std": fitted.plant.std,
+        "moves": fitted.moves,
+        "sensors": {name: asdict(sensor) for name, sensor in fitted.sensors.items()},
+        "errors": [asdict(errors) for errors in fitted.errors],
+    }
+
+
+def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
+    """Print what was fitted."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False)
+
+    def say(sentence: str, style: str = "") -> None:
+        console.print(Text(sentence, style=style), soft_wrap=True)
+
+    say("Fitted model", "bold")
+    say(_motion(fitted))
+    table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
+    for name, sensor in fitted.sensors.items():
+        own = [float(np.max(e.std)) ** 2 for e in fitted.errors if e.sensors and name in e.sensors]
+        table.add_row(
+            name, f"{sensor.std:.3g}", f"{sum(own) ** 0.5:.3g}" if own else output.DASH, f"{sensor.bias:.3g}",
+            f"{sensor.resolution:.3g}" if sensor.resolution else "fine", f"{sensor.repeats:.0%}", f"{sensor.missing:.0%}",
+        )  # fmt: skip
+    console.print(table)
+    for errors in fitted.errors:
+        if errors.common:
+            say(f"{' and '.join(errors.sensors or ())} share errors of std {float(np.max(errors.std)):.3g}.")
+    say("Noise: its standard deviation from sample to sample. Bias: the difference from the typical sensor.")
+    say(f"Written to {model}\n")
+
+
+def _motion(fitted: FittedModel) -> str:
+    std = f"{fitted.plant.std:.3g}"
+    if not fitted.moves:
+        return f"No motion is seen above the noise; the level may wander by {std} in a second (RandomWalk)."
+    what = "level wanders" if type(fitted.plant) is RandomWalk else "rate of the level wanders"
+    return f"The {what} by {std} in a second ({type(fitted.plant).__name__})."

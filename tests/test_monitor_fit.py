@@ -1,0 +1,328 @@
+"""A monitor's model from nothing but a recording: known parameters come back, faults and calm parts do no harm."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from bayesftc.cosim.errors import RecordingError
+from bayesftc.examples.redundant_speed_sensors import study
+from bayesftc.monitoring import (
+    ConstantRate,
+    Place,
+    RandomWalk,
+    Signal,
+    align,
+    as_model_file,
+    fit_model,
+    load_monitor,
+    recorded,
+    redundant_signals,
+    stretch_of,
+)
+from bayesftc.monitoring._fit_bias import wander
+from bayesftc.monitoring._fit_columns import sample_time
+from bayesftc.monitoring._fit_noise import decompose, groups, share_out
+from bayesftc.monitoring._moments import median
+
+NEEDS_RECORDING = "the recorded drive is not here: BAYESFTC_DATA names no folder with comma2k19 in it"
+FAULTS = ("none", "freeze", "injection", "drift", "noise")
+
+
+def level(steps, std, dt, rng, still=0.0):
+    """Return a random walk that stands still at first, for a share of the steps."""
+    moves = std * np.sqrt(dt) * rng.standard_normal(steps)
+    moves[: int(still * steps)] = 0.0
+    return np.cumsum(moves)
+
+
+def fault(samples, kind, std, rng, share=0.2):
+    """Put a fault into a fifth of a sensor's samples."""
+    first = int(rng.uniform(0.1, 0.7) * len(samples))
+    span = slice(first, first + int(share * len(samples)))
+    count = span.stop - span.start
+    if kind == "freeze":
+        samples[span] = samples[first]
+    elif kind == "injection":
+        samples[span] += 20 * std
+    elif kind == "drift":
+        samples[span] += 0.05 * std * np.arange(count)
+    elif kind == "noise":
+        samples[span] += 5 * std * rng.standard_normal(count)
+
+
+def recording(y, dt):
+    t = dt * np.arange(len(y))
+    return recorded({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)})
+
+
+def total(fitted, name):
+    """Return the standard deviation of a sensor's own noise: white and lasting, without what wanders for minutes."""
+    lasting = [e.std for e in fitted.errors if e.sensors == [name] and e.time_constant < 100 * 0.01]
+    return float(np.sqrt(fitted.sensors[name].std ** 2 + np.sum(np.square(lasting))))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    ratio=st.sampled_from([0.03, 0.1, 1.0, 10.0]),
+    dt=st.sampled_from([0.001, 0.01, 0.1, 30.0]),
+    sensors=st.integers(2, 5),
+    kind=st.sampled_from(FAULTS),
+    unit=st.sampled_from([1e-6, 1.0, 1e5]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_known_parameters_come_back(ratio, dt, sensors, kind, unit, seed):
+    rng = np.random.default_rng(seed)
+    std = unit
+    walk = std * np.sqrt(ratio / dt)
+    y = level(8000, walk, dt, rng)[:, None] + std * rng.standard_normal((8000, sensors))
+    fault(y[:, 0], kind, std, rng)
+    fitted = fit_model(recording(y, dt))
+    assert isinstance(fitted.plant, RandomWalk)
+    assert 1 / 1.3 < fitted.plant.std / walk < 1.3
+    healthy = [fitted.sensors[f"s{i}"].std / std for i in range(1, sensors)]
+    if sensors > 2 or ratio <= 1:  # of two sensors the walk hides whose noise is whose
+        assert 1 / 1.3 < min(healthy) <= max(healthy) < 1.3, healthy
+
+
+def test_unequal_noise_is_told_apart():
+    rng = np.random.default_rng(0)
+    stds = np.array([1.0, 0.5, 2.0, 1.0])
+    y = level(10000, 3.0, 0.01, rng)[:, None] + stds * rng.standard_normal((10000, 4))
+    fitted = fit_model(recording(y, 0.01))
+    np.testing.assert_allclose([s.std for s in fitted.sensors.values()], stds, rtol=0.15)
+    assert fitted.errors == ()
+
+
+@pytest.mark.parametrize("still", [0.1, 0.5, 0.9])
+def test_a_calm_part_does_not_count(still):
+    rng = np.random.default_rng(1)
+    y = level(20000, 1.0, 0.01, rng, still)[:, None] + 0.1 * rng.standard_normal((20000, 3))
+    rec = recording(y, 0.01)
+    for stretch in (slice(None), slice(0, 500)):  # the first is a whole recording, the second five calm seconds
+        fitted = fit_model(rec, stretch)
+        assert 1 / 1.3 < fitted.plant.std < 1.3
+        np.testing.assert_allclose([s.std for s in fitted.sensors.values()], 0.1, rtol=0.2)
+
+
+def test_sensors_that_are_silent_while_nothing_moves_do_not_hide_their_noise():
+    rng = np.random.default_rng(2)
+    y = level(20000, 1.0, 0.01, rng, 0.7)[:, None] + 0.1 * rng.standard_normal((20000, 3))
+    y[:14000] = 0.0  # a parked car
+    fitted = fit_model(recording(y, 0.01), slice(0, 15000))
+    np.testing.assert_allclose([s.std for s in fitted.sensors.values()], 0.1, rtol=0.2)
+    with pytest.raises(RecordingError, match="No sensor changes"):
+        fit_model(recording(y, 0.01), slice(0, 5000))
+
+
+def test_motion_that_is_hidden_in_the_noise_is_not_ruled_out():
+    rng = np.random.default_rng(3)
+    y = np.full((5000, 1), 7.0) + rng.standard_normal((5000, 3))
+    fitted = fit_model(recording(y, 0.01))
+    assert not fitted.moves
+    assert 0 < fitted.plant.std * np.sqrt(0.01) < 0.05  # far below the noise
+
+
+@pytest.mark.parametrize("rate", [0.3, 3.0])
+def test_smooth_motion_has_a_rate(rate):
+    rng = np.random.default_rng(4)
+    speed = np.cumsum(rate * np.sqrt(0.01) * rng.standard_normal(20000))
+    y = np.cumsum(0.01 * speed)[:, None] + 0.05 * rng.standard_normal((20000, 3))
+    fitted = fit_model(recording(y, 0.01))
+    assert isinstance(fitted.plant, ConstantRate)
+    assert 1 / 1.5 < fitted.plant.std / rate < 1.5
+    np.testing.assert_allclose([s.std for s in fitted.sensors.values()], 0.05, rtol=0.1)
+
+
+def test_biases_resolution_repeats_and_gaps_are_found():
+    rng = np.random.default_rng(5)
+    y = level(6000, 1.0, 0.01, rng)[:, None] + 0.1 * rng.standard_normal((6000, 3)) + [0.0, 0.5, -1.0]
+    y = np.round(y / 0.02) * 0.02
+    again = np.flatnonzero(rng.random(6000) < 0.3)[1:]
+    for k in again:
+        y[k, 1] = y[k - 1, 1]
+    y[rng.random(6000) < 0.1, 2] = np.nan
+    y[3000:4000, 0] = y[2999, 0]  # a frozen part is no healthy repeat
+    fitted = fit_model(recording(y, 0.01))
+    one, two, three = fitted.sensors.values()
+    np.testing.assert_allclose([one.bias, two.bias, three.bias], [0.0, 0.5, -1.0], atol=0.02)
+    np.testing.assert_allclose([s.resolution for s in (one, two, three)], 0.02, rtol=1e-6)
+    assert one.repeats < 0.12
+    assert 0.25 < two.repeats < 0.45
+    assert (one.missing, two.missing) == (0.0, 0.0)
+    assert three.missing == pytest.approx(0.1, abs=0.03)
+
+
+def test_lasting_and_shared_errors_are_found():
+    rng = np.random.default_rng(6)
+    decay = np.exp(-1 / 5.0)
+
+    def coloured(std):
+        e = np.empty(20000)
+        e[0] = 0.0
+        for k in range(1, 20000):
+            e[k] = decay * e[k - 1] + std * np.sqrt(1 - decay**2) * rng.standard_normal()
+        return e
+
+    front, rear = coloured(0.1), coloured(0.1)
+    own = np.column_stack([coloured(0.1) for _ in range(4)]) + 0.05 * rng.standard_normal((20000, 4))
+    y = level(20000, 1.0, 0.01, rng)[:, None] + own + np.column_stack([front, front, rear, rear])
+    fitted = fit_model(recording(y, 0.01))
+    shared = {tuple(e.sensors): e for e in fitted.errors if e.common}
+    assert set(shared) == {("s0", "s1"), ("s2", "s3")}
+    for errors in shared.values():
+        assert errors.std == pytest.approx(0.1, rel=0.3)
+        assert 0.02 < errors.time_constant < 0.12
+    for name in fitted.sensors:
+        assert total(fitted, name) == pytest.approx(np.hypot(0.1, 0.05), rel=0.25)
+
+
+def test_slow_data_that_repeat_are_healthy():
+    rng = np.random.default_rng(7)
+    t = 30.0 * np.arange(3000)
+    truth = 20.0 + 3.0 * np.sin(2 * np.pi * t / 86400.0)
+    y = truth[:, None] + 0.05 * rng.standard_normal((3000, 3)) + [0.0, 0.3, -0.2]
+    for i in range(3):
+        for k in np.flatnonzero(rng.random(3000) < 0.2)[1:]:
+            y[k, i] = y[k - 1, i]
+    y = np.round(y, 2)
+    found, fitted = watched({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)})
+    assert 0.2 < fitted.sensors["s0"].repeats < 0.3
+    assert (found.fault_probability > 0.5).mean() < 0.01
+    y[2000:2100, 1] += 2.0
+    found, _ = watched({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)})
+    (event,) = (e for e in found.events if e.kind != "Frozen")
+    assert (event.sensor, event.kind) == ("s1", "Offset")
+    assert 0 <= event.start - 60000.0 < 300.0
+
+
+def watched(signals, stretch=(None, None), file=None):
+    """Return what a monitor finds with the model that was fitted to the same signals, and the model."""
+    rec = recorded(signals)
+    fitted = fit_model(rec, stretch_of(rec, *stretch))
+    names = fitted.sensors
+    known = {
+        name: replace(signal, bias=names[name].bias, resolution=names[name].resolution)
+        for name, signal in signals.items()
+    }
+    monitor = monitor_of(fitted, rec, file or {name: Place("a.csv", name, "t") for name in names})
+    return monitor.run(align(known, {}, monitor.dt)), fitted
+
+
+def monitor_of(fitted, rec, places):
+    import tempfile
+    from pathlib import Path
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "model.toml")
+        file.write_text(as_model_file(fitted, rec, places), encoding="utf-8")
+        return load_monitor(file)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), missing=st.floats(0.0, 1.0))
+def test_the_median_is_numpys(seed, missing):
+    rng = np.random.default_rng(seed)
+    values = rng.standard_normal((7, 9, 3))
+    values[rng.random(values.shape) < missing] = np.nan
+    for axis in range(3):
+        ours, none = median(values, axis), np.isnan(values).all(axis=axis, keepdims=True)
+        np.testing.assert_array_equal(np.isnan(ours), none.squeeze(axis))
+        theirs = np.nanmedian(np.where(none, 0.0, values), axis=axis)
+        np.testing.assert_allclose(ours, np.where(none.squeeze(axis), np.nan, theirs))
+
+
+def test_the_three_cornered_hat_adds_up():
+    own, shared = np.array([1.0, 4.0, 2.0, 0.5]), {(0, 1): 6.0, (2, 3): 6.0}
+    pairs = list(combinations(range(4), 2))
+    apart = np.array([own[i] + own[j] + sum(v for g, v in shared.items() if (i in g) != (j in g)) for i, j in pairs])
+    windows = np.tile(apart, (5, 1))
+    assert groups(apart, 4) == [(0, 1), (2, 3)]
+    unknown = np.full((5, 4), np.nan)
+    np.testing.assert_allclose(share_out(windows, unknown, [(0, 1), (2, 3)]), [*own, 6.0, 6.0], rtol=1e-9)
+    alone = np.array([own[i] + own[j] for i, j in pairs])
+    np.testing.assert_allclose(share_out(np.tile(alone, (5, 1)), unknown, []), own, rtol=1e-9)
+
+
+def test_noise_is_taken_apart_by_its_time_constant():
+    lags = 2.0 ** np.arange(6)
+    noise = decompose(lags, 2 * (0.5 + 2.0 * (1 - np.exp(-lags / 4.0))), white=True)
+    assert noise.white == pytest.approx(0.5, rel=1e-6)
+    ((variance, constant),) = noise.lasting
+    assert (variance, constant) == pytest.approx((2.0, 4.0), rel=1e-6)
+    assert decompose(lags, np.full(6, 3.0), white=True).lasting == ()
+    assert decompose(lags, np.full(6, np.nan), white=True).variance == 0.0
+
+
+def test_a_bias_that_wanders_is_told_from_noise():
+    rng = np.random.default_rng(8)
+    y = 0.1 * rng.standard_normal((8000, 4))
+    variance, _ = wander(y, 0.75)
+    np.testing.assert_array_equal(variance, 0.0)
+    y[:, 2] += np.repeat(0.3 * rng.standard_normal(32), 250)
+    y[:, 0] += np.repeat(0.3 * rng.standard_normal(32), 250)
+    variance, times = wander(y, 0.75)
+    assert 0.1 < np.sqrt(variance[2]) < 0.6
+    assert 100 < times[2] < 1000
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda y: y[:, :1], "two or more sensors"),
+        (lambda y: y[:150], "150 samples .* 200"),
+        (lambda y: np.ones_like(y), "No sensor changes"),
+        (lambda y: np.column_stack([y[:, 0], y[:, 1], np.full(len(y), 5.0)]), "'s2' stands still"),
+        (lambda y: y[:, [0, 1, 1]], "'s1' and 's2' are the same"),
+        (lambda y: np.column_stack([y[:, 0], y[:, 1], np.arange(len(y))]), "'s2' does not follow"),
+        (lambda y: np.where(np.arange(len(y))[:, None] % 2 == [0, 0, 1], y, np.nan), "'s2' has no sample on a step"),
+    ],
+)
+def test_what_cannot_be_fitted_is_named(change, words):
+    rng = np.random.default_rng(9)
+    y = level(1000, 1.0, 0.01, rng)[:, None] + 0.1 * rng.standard_normal((1000, 3))
+    changed = change(y)
+    t = 0.01 * np.arange(len(changed))
+    rec = align({f"s{i}": Signal(t, column) for i, column in enumerate(changed.T)}, {}, 0.01)
+    with pytest.raises(RecordingError, match=words):
+        fit_model(rec)
+
+
+def test_times_that_jitter_get_shorter_steps():
+    even = Signal(np.arange(1000) / 30, np.zeros(1000), resolution=0.0)
+    assert float(sample_time({"a": even})) == pytest.approx(1 / 30, rel=1e-4)
+    assert str(sample_time({"a": Signal(0.01 * np.arange(1000), np.zeros(1000), resolution=0.0)})) == "1/100"
+    rng = np.random.default_rng(10)
+    times = np.cumsum(rng.uniform(0.001, 0.019, 1000))
+    uneven = Signal(times, np.zeros(1000), resolution=0.0)
+    dt = float(sample_time({"a": uneven}))
+    assert 0.004 < dt < 0.01
+    assert align({"a": uneven}, {}, dt).replaced[0] <= 0.12 * 1000
+
+
+@pytest.mark.skipif(study.recorded() is None, reason=NEEDS_RECORDING)
+@pytest.mark.parametrize("stretch", [(None, None), (0.0, 20.0), (40.0, 60.0), (14.0, 19.0)])
+def test_a_wheel_that_fails_while_braking_casts_no_blame_on_others(stretch, tmp_path):
+    places, signals = redundant_signals([study.recorded() / "wheel_speed.csv"])
+    rec = recorded(signals)
+    fitted = fit_model(rec, stretch_of(rec, *stretch))
+    assert isinstance(fitted.plant, ConstantRate)
+    monitor = monitor_of(fitted, rec, places)
+    sensors, _ = monitor.signals([study.recorded() / "wheel_speed.csv"])
+    healthy = monitor.run(align(sensors, {}, monitor.dt))
+    assert (healthy.fault_probability > 0.5).mean() < 0.015
+    others, found = [], []
+    for kind, size in (("freeze", 0.0), ("injection", 0.5), ("drift", 1.0), ("noise", 5.0)):
+        for i, name in enumerate(sensors):
+            rng = np.random.default_rng(i)
+            broken = study.broken(sensors[name], kind, size, 0.04, (31.5, 34.5), rng)
+            part = study.until(align({**sensors, name: broken}, {}, monitor.dt), 36.0)
+            run = monitor.run(part)
+            after, during = run.time >= 31.5, (run.time >= 31.5) & (run.time < 34.5)
+            blamed = run.fault_probability > 0.5
+            others.append(blamed[after][:, [j for j in range(4) if j != i]].mean())
+            found.append(blamed[during, i].mean())
+    assert np.mean(others) < 0.01
+    assert np.mean(found) > 0.6
