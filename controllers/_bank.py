@@ -56,7 +56,7 @@ def make_infer(
         weigh(y, e, present, nominal, C, memory, settings)
         conclude(mean, covariance, memory, x_hat, P)
         summarise(y, present, memory, settings)
-        listen(present, memory, settings)
+        listen(present, nominal, memory, settings)
         for i in range(m):
             use_trust(memory, sensor, i, present, nominal, R, used, precision, beta)
             fault_probability[i] = failed(memory, i * sensor, width, faults)

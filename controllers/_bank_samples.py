@@ -101,8 +101,7 @@ def make_weigh(
                     noise = variance / memory[own + TRUSTED]
                     correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
                     part = variance / total
-                    squared = part * (part * error * error + spread) / nominal[i, i]
-                    memory[squares + h * m + i] = minimum(squared, FURTHEST)
+                    memory[squares + h * m + i] = part * (part * error * error + spread)
                 if i % 2 == 1 and i < m - 1:  # before the product of many small ones is none
                     memory[told + h] = memory[told + h] + log(memory[factor + h])
                     memory[factor + h] = 1.0 + 0.0 * memory[none]
@@ -141,7 +140,7 @@ def make_listen(layout: Layout) -> Callable[..., None]:
     m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
     sensor, row, squares, lone = layout.sensor, layout.row, layout.squares, layout.lone
 
-    def listen(present, memory, settings):
+    def listen(present, nominal, memory, settings):
         for i in range(m):
             sound, squared = LEAST + 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
@@ -150,7 +149,8 @@ def make_listen(layout: Layout) -> Callable[..., None]:
                     part = memory[at] * memory[at + kept + i * sensor + HEALTHY]
                     sound = sound + part
                     squared = squared + part * memory[squares + h * m + i]
-            learn_noise(squared / sound, present[i] * sound, memory, i * sensor, settings, i * row)
+            squared = minimum(squared / (sound * nominal[i, i]), FURTHEST)
+            learn_noise(squared, present[i] * sound, memory, i * sensor, settings, i * row)
 
     return listen
 

@@ -3,9 +3,9 @@
 The innovation r, in the sensor's nominal standard deviations, is explained by four regressors:
 
 1. one: an offset;
-2. the last innovation: an offset that wanders, and, with the next one, samples that go on from the last sample;
-3. the change of what is predicted: a sensor that is frozen, lags, is late or filtered does not follow it;
-4. the prediction itself, its slow part left out: a gain that has changed.
+2. the last innovation: an offset that wanders;
+3. the prediction, its slow part left out: a sensor of another gain, and one that is frozen, filtered or late, which does not follow
+   it as it should.
 
 Coefficients and noise have a normal-gamma distribution, whose natural parameters decay towards those of the prior (exponential
 forgetting, stabilised; Kulhavy and Zarrop 1993). So the noise may be of any scale: a sensor that is too quiet is as
@@ -15,18 +15,18 @@ suspicious as a wild one. A sample's density is Student's t (Bishop 2006, exerci
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.cosim.ops import log, maximum, select, sqrt
 
-ORDER = 4
+ORDER = 3
 """How many regressors there are."""
 
-WEIGHTS, PULLS, SHAPE, RATE, LAST_ERROR, LEVEL, COURSE = 0, 16, 20, 21, 22, 23, 24
+WEIGHTS, PULLS, SHAPE, RATE, LAST_ERROR, LEVEL, COURSE = 0, 9, 12, 13, 14, 15, 16
 """Places in what is kept: the coefficients' precision (lower triangle of a table), its product with their mean, shape and rate of
 the noise's precision, where the rate is that for coefficients of zero; the last innovation; the prediction without its slow part.
 Last, how many numbers these are."""
 
-ROOT, REGRESSORS, SOLVED, REACHED, COURSE_SCRATCH = 0, 16, 20, 24, 28
+ROOT, REGRESSORS, SOLVED, REACHED, COURSE_SCRATCH = 0, 9, 12, 15, 18
 """Places in the scratch space: the Cholesky factor of the precision, the regressors, both solved for; and its length."""
 
-FORGETTING, FADING, SHAPE0, RATE0, MEANS, WEIGHTS0, COURSE_SETTINGS = 0, 1, 2, 3, 4, 8, 12
+FORGETTING, FADING, SHAPE0, RATE0, MEANS, WEIGHTS0, COURSE_SETTINGS = 0, 1, 2, 3, 4, 7, 10
 """Places in the settings: the forgetting factor of the regression and of the level, the prior's shape and rate, the coefficients'
 means and precisions; and how many there are."""
 
@@ -59,8 +59,7 @@ def follow(r, change, present, entered, memory, at, scratch, settings, first):
     phi, root, solved, reached = scratch + REGRESSORS, scratch + ROOT, scratch + SOLVED, scratch + REACHED
     memory[phi] = 1.0 + 0.0 * r
     memory[phi + 1] = memory[at + LAST_ERROR]
-    memory[phi + 2] = step
-    memory[phi + 3] = level
+    memory[phi + 2] = level
     shape = kept * memory[at + SHAPE] + fresh * settings[first + SHAPE0]
     rate = kept * memory[at + RATE] + fresh * settings[first + RATE0]
     explained, mean, spread = 0.0 * r, 0.0 * r, 1.0 + 0.0 * r

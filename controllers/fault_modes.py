@@ -286,8 +286,7 @@ class Noisier(FaultMode):
 class Unmodelled(FaultMode):
     """The sensor has failed in a way that has no mode of its own: its samples go their own course, which is learned.
 
-    Its innovations are a linear regression on a constant, on their predecessor, on the change of what is predicted and on the
-    prediction itself, with noise of any scale: so are those of a sensor that is frozen with a dither, filtered, late, swapped,
+    Its innovations are a linear regression on a constant, on their predecessor and on the prediction, with noise of any scale: so are those of a sensor that is frozen with a dither, filtered, late, swapped,
     oscillating or of another gain. In the joint form the state is inferred without this sensor meanwhile, in a hypothesis
     for each sensor.
 
@@ -303,15 +302,15 @@ class Unmodelled(FaultMode):
     fading : float
         Factor per sample by which the slow part of the prediction is left out.
     means, deviations : sequence of float
-        Means and standard deviations of the four coefficients at the onset; the latter in those of the regression's noise.
+        Means and standard deviations of the three coefficients at the onset; the latter in those of the regression's noise.
     """
 
     scale: float = 1.0
     shape: float = 1.0
     forgetting: float = 0.97
     fading: float = 0.99
-    means: Sequence[float] = (0.0, 0.5, 0.0, 0.0)
-    deviations: Sequence[float] = (3.0, 0.5, 0.5, 0.3)
+    means: Sequence[float] = (0.0, 0.8, 0.0)
+    deviations: Sequence[float] = (3.0, 0.5, 0.3)
 
     own_hypothesis: ClassVar[bool] = True
     evidence: ClassVar[Callable[..., float]] = kernels.goes_its_way

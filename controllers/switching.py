@@ -237,7 +237,7 @@ class SwitchingPrecision(PrecisionLearner):
     @property
     def _usual_process(self) -> bool:
         """Whether the modes of the process are the default ones, at whatever pace: these are left out where they cannot act."""
-        return [m.scale for m in self.process_modes] == [m.scale for m in PROCESS_MODES]
+        return [(m.scale, m.fading) for m in self.process_modes] == [(m.scale, m.fading) for m in PROCESS_MODES]
 
     @property
     def _faults(self) -> tuple[int, ...]:
