@@ -53,7 +53,9 @@ def make_begin(layout: Layout) -> Callable[..., None]:
                 memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (seen if slow[q] else 1.0)
             for u in range(U):
                 begin = settings[i * row_length + FIRST_SETTINGS + lost[u] * width_of_settings + BEGINS]
-                memory[grow + first_lost + i * U + u] = memory[none] * memory[none + kept + i * sensor + HEALTHY] * begin
+                memory[grow + first_lost + i * U + u] = (
+                    memory[none] * memory[none + kept + i * sensor + HEALTHY] * begin
+                )
         for j in range(p):
             for q in range(L):
                 begin = settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
@@ -148,7 +150,9 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
 
     def arrive(e, Q, nominal, applied, memory, settings):
         stays, left = arrive_offsets(e, nominal, memory, settings, memory[none], memory[pool])
-        stays = arrive_process(Q, memory, settings, arrive_actuators(applied, memory, settings, arrive_lost(memory, stays)))
+        stays = arrive_process(
+            Q, memory, settings, arrive_actuators(applied, memory, settings, arrive_lost(memory, stays))
+        )
         go_on(memory, maximum(stays, LEAST), maximum(left, LEAST))
 
     return arrive

@@ -17,7 +17,7 @@ BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACT
 
 PROCESS_SETTINGS = 4
 STARTS, STOPS, MORE, FADES = range(PROCESS_SETTINGS)
-"""Places in the settings of one mode of the process: probabilities that it begins and ends, the variance that it adds."""
+"""Places in the settings of a mode of the process: probabilities that it begins and ends, the variance it adds, the part that fades."""
 
 WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)
 """What is kept of an actuator: how much of the control arrives and what is added to it, on average; the same as the control

@@ -65,7 +65,12 @@ def make_weigh(
     kinds, sensor, row_length = layout.kinds or (0,), layout.sensor, layout.row
     width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
     told, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
-    first_lost, first_actuator, U, lost = layout.first_lost, layout.first_actuator, len(layout.lost), layout.lost or (0,)
+    first_lost, first_actuator, U, lost = (
+        layout.first_lost,
+        layout.first_actuator,
+        len(layout.lost),
+        layout.lost or (0,),
+    )
     courses, course, squares = layout.courses, layout.course, layout.squares
 
     def weigh(y, e, present, nominal, C, memory, settings):

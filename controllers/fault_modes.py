@@ -109,7 +109,7 @@ class Frozen(FaultMode):
         Resolution of the sensors in their unit, for all or for each: a healthy sensor repeats itself, too, if that is coarse.
     healthy_repeats : float
         Share of the samples that a healthy sensor repeats exactly, as expected before the first one. It is learned while the
-        sensor is not frozen; this counts as ten samples.
+        sensor is not frozen; this counts as ten samples. 0: none but those that the resolution explains, and none is learned.
     """
 
     repeats: float = 0.9
@@ -123,7 +123,7 @@ class Frozen(FaultMode):
         super().__post_init__()
         check_number(self, "repeats", above=0, below=1)
         check_number(self, "dither", above=0)
-        check_number(self, "healthy_repeats", above=0, below=1)
+        check_number(self, "healthy_repeats", least=0, below=1)
         each = self.resolution if isinstance(self.resolution, list | tuple | np.ndarray) else (self.resolution,)
         for value in each:
             as_number("Frozen has resolution", value, least=0)
@@ -137,7 +137,14 @@ class Frozen(FaultMode):
         spread = 2 * self.dither**2 * nominal + width**2 / 6
         near = log(1 - self.repeats) - 0.5 * (log(spread) + kernels.LOG_2_PI)
         prior = self.healthy_repeats * REPEATS_STRENGTH, REPEATS_STRENGTH
-        return 0.5 * width, self.repeats, near, spread, *prior, max(MOST_REPEATS, self.healthy_repeats)
+        return (
+            0.5 * width,
+            self.repeats,
+            near,
+            spread,
+            *prior,
+            max(MOST_REPEATS * (self.healthy_repeats > 0), self.healthy_repeats),
+        )
 
     @property
     def first(self) -> tuple[float, ...]:

@@ -10,11 +10,15 @@ from dataclasses import dataclass
 
 from bayesftc.controllers._checks import check_number
 from bayesftc.controllers._default_time import DefaultTime
+from bayesftc.cosim.errors import ModelError
 
 
 @dataclass(frozen=True)
 class NoisierProcess:
-    """The process noise of the plant's states is larger: by default for a single sample and by far, which is a kick.
+    """The model says less of the plant's states than usual: by default for a single sample and by far, which is a kick.
+
+    Either their process noise is larger (`scale`), or the past tells less of them (`fading`), as in a filter with a fading memory:
+    then it does not matter in which direction the model is wrong.
 
     Parameters
     ----------
@@ -26,6 +30,13 @@ class NoisierProcess:
     scale : float
         Standard deviation of the process noise meanwhile, in nominal ones. That of a kick by default reaches four times as far;
         the larger it is, the sooner a plant that is later than its model makes the loop unstable.
+    fading : float
+        Factor of the covariance of the plant's states at each sample meanwhile (Sorenson and Sacks, Information Sciences 3, 1971).
+
+    Raises
+    ------
+    ModelError
+        If neither scale nor fading is above 1.
     """
 
     time_to_fault: float = DefaultTime(30000.0)
@@ -37,10 +48,16 @@ class NoisierProcess:
         check_number(self, "time_to_fault", above=0)
         check_number(self, "time_to_recovery", least=0)
         check_number(self, "scale", least=1, most=1e6)
+        check_number(self, "fading", least=1, most=1e6)
+        if self.scale == 1 and self.fading == 1:
+            raise ModelError(
+                "NoisierProcess has scale 1 and fading 1: that is no mode; make one of them larger than 1."
+            )
 
     def settings(self, step: float) -> tuple[float, float, float, float]:
-        """Return the probabilities per sample with which it begins and ends, and how much variance it adds, in nominal ones.
+        """Return the probabilities per sample with which it begins and ends, the variance that it adds, and the part that fades.
 
+        The variance is in nominal ones, the part in those of the belief.
         The time that it lasts counts from its first sample on and may be 0: so a mean time T has the probability
         step / (step + T).
         """
@@ -53,8 +70,7 @@ PROCESS_MODES: tuple[NoisierProcess, ...] = (
     NoisierProcess(time_to_fault=DefaultTime(3000.0), time_to_recovery=DefaultTime(10.0), scale=1.0, fading=1.3),
     NoisierProcess(time_to_fault=DefaultTime(3000.0), time_to_recovery=DefaultTime(10.0), scale=1.0, fading=2.0),
 )
-"""What the plant does by default: kicks; and longer times in which the model says less than it should, with a scale that makes up
-for a mass or a drag that is not as believed, and beyond which a plant that answers late was followed too closely."""
+"""What the plant does by default: kicks; and longer times in which the model says less than it should, as one of a wrong mass."""
 
 
 __all__ = ["PROCESS_MODES", "NoisierProcess"]

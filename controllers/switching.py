@@ -19,7 +19,16 @@ from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._ports import port
 from bayesftc.controllers._switching_text import learner_functions, sensor_functions
 from bayesftc.controllers.actuator_modes import ActuatorMode
-from bayesftc.controllers.fault_modes import Drifting, DroppedOut, FaultMode, Frozen, Noisier, Offset, Ramping, Unmodelled
+from bayesftc.controllers.fault_modes import (
+    Drifting,
+    DroppedOut,
+    FaultMode,
+    Frozen,
+    Noisier,
+    Offset,
+    Ramping,
+    Unmodelled,
+)
 from bayesftc.controllers.precision import TOGETHER, Learner, PrecisionLearner
 from bayesftc.controllers.process_modes import PROCESS_MODES, NoisierProcess
 from bayesftc.cosim.errors import ModelError
