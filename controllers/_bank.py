@@ -55,8 +55,8 @@ def make_infer(
         pass_time(e, A, B, Q, nominal, start, covariance, largest[0], applied, memory, settings)
         weigh(y, e, present, nominal, C, memory, settings)
         conclude(mean, covariance, memory, x_hat, P)
-        summarise(y, present, memory, settings)
-        listen(present, nominal, memory, settings)
+        summarise(memory, settings)
+        listen(y, present, nominal, memory, settings)
         for i in range(m):
             use_trust(memory, sensor, i, present, nominal, R, used, precision, beta)
             fault_probability[i] = failed(memory, i * sensor, width, faults)

@@ -203,9 +203,14 @@ class Layout:
         return self.courses + self.m * len(self.lost) * self.course
 
     @property
+    def repeated(self) -> int:
+        """Where it stands for each sensor how surprising a repeated sample is."""
+        return self.squares + self.hypotheses * self.m
+
+    @property
     def scratch(self) -> int:
         """Where scratch space begins."""
-        return self.squares + self.hypotheses * self.m
+        return self.repeated + self.m
 
     def start(self, sensors: Floats) -> Floats:
         """Return what is kept before the first sample besides ``sensors``, what the per-sensor form keeps of all of them."""

@@ -35,6 +35,8 @@ from bayesftc.controllers._switching_kernels import (
     TRUSTED,
     held,
     learn_noise,
+    learn_repeats,
+    repetition,
     share_of,
 )  # fmt: skip
 from bayesftc.controllers.precision import NAN
@@ -71,9 +73,12 @@ def make_weigh(
         len(layout.lost),
         layout.lost or (0,),
     )
-    courses, course, squares = layout.courses, layout.course, layout.squares
+    courses, course, squares, repeated = layout.courses, layout.course, layout.squares, layout.repeated
 
     def weigh(y, e, present, nominal, C, memory, settings):
+        for i in range(m):
+            own, change = i * sensor, y[i] - memory[i * sensor + LAST]
+            memory[repeated + i] = repetition(change, nominal[i, i], memory, own, settings, i * row_length)
         for h in range(H):
             at = none + h * stride
             memory[told + h] = 0.0 * memory[none]
@@ -98,9 +103,9 @@ def make_weigh(
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
                     own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
                     if h == 0:
-                        density = weigh_alone(error, present[i], total, variance, change, memory, own, settings, row)
+                        density = weigh_alone(error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row)
                     else:
-                        density = weigh_other(error, present[i], total, variance, change, memory, own, settings, row)
+                        density = weigh_other(error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row)
                     memory[told + h] = memory[told + h] + density
                     memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
                     noise = variance / memory[own + TRUSTED]
@@ -141,11 +146,11 @@ def make_weigh(
 
 @cache
 def make_listen(layout: Layout) -> Callable[..., None]:
-    """Return the step function that learns each sensor's noise, from the hypotheses in which it is healthy."""
+    """Return the step function that learns each sensor's noise and repetitions, from the hypotheses in which it is healthy."""
     m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
     sensor, row, squares, lone = layout.sensor, layout.row, layout.squares, layout.lone
 
-    def listen(present, nominal, memory, settings):
+    def listen(y, present, nominal, memory, settings):
         for i in range(m):
             sound, squared = LEAST + 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
@@ -156,6 +161,9 @@ def make_listen(layout: Layout) -> Callable[..., None]:
                     squared = squared + part * memory[squares + h * m + i]
             squared = minimum(squared / (sound * nominal[i, i]), FURTHEST)
             learn_noise(squared, present[i] * sound, memory, i * sensor, settings, i * row)
+            change = y[i] - memory[i * sensor + LAST]
+            learn_repeats(change, present[i] * sound, memory, i * sensor, settings, i * row)
+            memory[i * sensor + LAST] = select(present[i] > 0.5, y[i], memory[i * sensor + LAST])
 
     return listen
 
@@ -224,7 +232,7 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
         layout.first_lost, len(layout.lost), layout.lost or (0,), layout.courses, layout.course,
     )  # fmt: skip
 
-    def summarise(y, present, memory, settings):
+    def summarise(memory, settings):
         for i in range(m):
             own = i * sensor
             healthy, trust = 0.0 * memory[none], 0.0 * memory[none]
@@ -236,7 +244,6 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                     trust = trust + memory[at] * memory[at + kept + own + TRUSTED]
             memory[own + HEALTHY] = healthy
             memory[own + TRUSTED] = maximum(minimum(trust, 1.0), LEAST_TRUST)
-            memory[own + LAST] = select(present[i] > 0.5, y[i], memory[own + LAST])
             for k in range(modes):
                 block = own + FIRST + k * width
                 weight, trusted = 0.0 * memory[none], 0.0 * memory[none]

@@ -14,9 +14,6 @@ than its logarithm; the age; the precision that a sample deserves (nominal: 1); 
 
 LOG_2_PI = 1.8378770664093453
 
-TYPICAL = 17.079468445347132
-"""The square of the width over which a probability has the density that is typical of a normal variable: 2 pi e variances."""
-
 FURTHEST = 1e12
 """Largest squared innovation, in units of its variance, that a density is computed of: it is held there."""
 
@@ -55,25 +52,14 @@ def drops(e, present, variance, nominal, change, healthy, memory, at, settings, 
 def freezes(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Repeat the last sample, exactly or with a dither far below the noise.
 
-    ``settings``: half the resolution in the sensor's unit; the share of exact repetitions; the logarithm of the density of
-    another sample with no dither at all; the dither's variance; how many repetitions are expected of how many healthy samples, and
-    the most that is believed of their share. A repetition has a probability, to which a density over the resolution corresponds:
-    so equal samples tell nothing beyond what a coarse resolution explains, or the share of them while the sensor was not frozen.
-    Own numbers: repetitions and samples so far; whether the last sample was a repetition, was there, or neither (1, 0, -1), for
-    whether it counts is known only after it.
+    ``settings``: half the resolution in the sensor's unit; the logarithms of the density of an exact repetition, and of that of
+    another sample with no dither at all; the dither's variance. A repetition has a probability, to which a density over the
+    resolution corresponds: so equal samples tell nothing beyond what a coarse resolution explains. That healthy samples repeat
+    themselves more often than this resolution says is seen to where modes are weighed (``_switching_kernels.py``).
     """
-    counts = (1.0 - memory[at + WEIGHT]) * select(memory[at + OWN + 2] > -0.5, 1.0, 0.0)
-    repeats = memory[at + OWN] + counts * memory[at + OWN + 2]
-    samples = memory[at + OWN + 1] + counts
-    memory[at + OWN] = repeats
-    memory[at + OWN + 1] = samples
-    share = (repeats + settings[first + 4]) / (samples + settings[first + 5])
-    width = maximum(2.0 * settings[first], minimum(share, settings[first + 6]) * sqrt(TYPICAL * variance))
-    equal = absolute(change) <= settings[first]
     near = settings[first + 2] - 0.5 * (change * change / settings[first + 3])
-    memory[at + FACTOR] = select(equal, settings[first + 1] / width, 1.0)
-    memory[at + OWN + 2] = select(present > 0.5, select(equal, 1.0, 0.0), -1.0)
-    return select(change == change, select(equal, 0.0, near), healthy)
+    told = select(absolute(change) <= settings[first], settings[first + 1], near)
+    return select(change == change, told, healthy)
 
 
 def expected_jump(e, jump, reach, nominal):

@@ -2,11 +2,13 @@
 
 What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample, the probability of being `HEALTHY`, the precision
 that it deserves in those of its noise while healthy (`TRUSTED`); the factor of its last sample's `DENSITY` beside the logarithm that was returned; the variance of that `NOISE` in nominal ones, with shape and rate of
-the gamma distribution that it is learned by (one for all hypotheses, where there are such); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
+the gamma distribution that it is learned by, and how many of how many samples were repetitions while it was healthy (these
+of a sensor, not of a hypothesis, where there are such); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
 it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). After all
 sensors follow the number of samples and the logarithm of the last ones' density. The settings likewise, from ``row`` on: the
 probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how much each sample `KEEPS` of
-what was learned, the prior's shape, and its bounds; and a block for each mode: the
+what was learned, the prior's shape, and its bounds; the resolution, how many repetitions of how many samples are expected of it, and
+the largest share; and a block for each mode: the
 probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is missing, and the mode's own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
@@ -15,11 +17,14 @@ sample is: a probability is at least `LEAST`, and what a density loses by its ex
 
 from bayesftc.controllers._mode_kernels import AGE, ENTERED, FURTHEST, SIZE, WEIGHT
 from bayesftc.controllers.precision import NAN
-from bayesftc.cosim.ops import exp, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, exp, maximum, minimum, select, sqrt
 
-LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, FIRST = range(8)
-ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, FIRST_SETTINGS = range(7)
+LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, REPEATS, SAMPLES, FIRST = range(10)
+ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, WIDTH, REPEATS0, SAMPLES0, MOST_REPEATS, FIRST_SETTINGS = range(11)
 BEGINS, LASTS, ENDS, MODE_ARRIVES, MODE_MISSING, OWN_SETTINGS = 0, 1, 2, 3, 4, 5
+
+TYPICAL = 17.079468445347132
+"""The square of the width over which a probability has the density that is typical of a normal variable: 2 pi e variances."""
 
 LEAST = 5e-131
 """Least probability of a mode, exp(-300), so that every mode can come back."""
@@ -59,6 +64,25 @@ def learn_noise(squared, sound, memory, at, settings, row):
     rate = memory[at + NOISE_RATE] + lost * (settings[row + SHAPE0] - memory[at + NOISE_RATE]) + 0.5 * sound * squared
     memory[at + NOISE_SHAPE], memory[at + NOISE_RATE] = shape, rate
     memory[at + NOISE] = maximum(minimum(rate / shape, settings[row + MOST_NOISE]), settings[row + LEAST_NOISE])
+
+
+def repetition(change, nominal, memory, at, settings, row):
+    """Return by how much a repeated sample is less surprising than the sensor's resolution alone says; 1 of any other sample.
+
+    It has the share of repetitions while the sensor was healthy. Over what width that share would have the density that is
+    typical of the noise, a repetition tells as little as over that resolution.
+    """
+    share = (memory[at + REPEATS] + settings[row + REPEATS0]) / (memory[at + SAMPLES] + settings[row + SAMPLES0])
+    share = minimum(share, settings[row + MOST_REPEATS])
+    width = maximum(share * sqrt(TYPICAL * nominal * memory[at + NOISE]), settings[row + WIDTH])
+    return select(absolute(change) <= 0.5 * settings[row + WIDTH], settings[row + WIDTH] / width, 1.0)
+
+
+def learn_repeats(change, sound, memory, at, settings, row):
+    """Count the repetitions of a sensor as far as it is ``sound``: present, and healthy by this sample."""
+    equal = absolute(change) <= 0.5 * settings[row + WIDTH]
+    memory[at + REPEATS] = memory[at + REPEATS] + select(equal, sound, 0.0)
+    memory[at + SAMPLES] = memory[at + SAMPLES] + sound
 
 
 def share_of(told, most):

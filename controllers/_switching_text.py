@@ -43,7 +43,7 @@ _WEIGH_MODE = """\
 block{k}, own = at + {block}, row + {settings}
 told{k} = mode{k}(e, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
 told{k} = select(present > 0.5, told{k}, 0.0)
-factor{k} = select(present > 0.5, settings[own + MODE_ARRIVES] * memory[block{k} + FACTOR], settings[own + MODE_MISSING])\
+factor{k} = select(present > 0.5, settings[own + MODE_ARRIVES] * memory[block{k} + FACTOR]{times}, settings[own + MODE_MISSING])\
 """
 
 _LEARN = """
@@ -55,11 +55,13 @@ for i in range(y.shape[0]):
     pass_time(memory, at, settings, row)
     change = y[i] - memory[at + LAST]
     error = held(e[i], variance)
-    told = told + weigh(error, present[i], variance, noise, change, memory, at, settings, row)
+    repeats = repetition(change, nominal[i, i], memory, at, settings, row)
+    told = told + weigh(error, present[i], variance, noise, change, repeats, memory, at, settings, row)
     told = told + log(memory[at + DENSITY])
     part = noise / variance
     squared = part * (part * error * error + spread[i, i])
     learn_noise(minimum(squared / nominal[i, i], FURTHEST), present[i] * memory[at + HEALTHY], memory, at, settings, row)
+    learn_repeats(change, present[i] * memory[at + HEALTHY], memory, at, settings, row)
     memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
     fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
     use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
@@ -80,7 +82,7 @@ report_process(memory, PROCESS, STRIDE, PROCESS_MODES, first + PROCESS_OUTPUTS, 
 """
 
 _OF_TIME = ("memory", "at", "settings", "row")
-_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "change", *_OF_TIME)
+_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "change", "repeats", *_OF_TIME)
 
 Evidence = tuple[Callable[..., float], ...]
 
@@ -105,7 +107,8 @@ def sensor_functions(
 
     def of_modes(text: str) -> list[str]:
         places = [(k, kernels.FIRST + k * width, kernels.FIRST_SETTINGS + k * settings) for k in chosen]
-        return [text.format(k=k, block=block, settings=own) for k, block, own in places]
+        times = [" * repeats" if evidence[k] is mode_kernels.freezes else "" for k in chosen]
+        return [text.format(k=k, block=block, settings=own, times=t) for (k, block, own), t in zip(places, times, strict=True)]
 
     def lines(text: str) -> str:
         return "\n".join(of_modes(text))

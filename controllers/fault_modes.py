@@ -115,7 +115,7 @@ class Frozen(FaultMode):
     repeats: float = 0.9
     dither: float = 0.01
     resolution: float | Sequence[float] = 0.0
-    healthy_repeats: float = 0.005
+    healthy_repeats: float = 0.001
 
     evidence: ClassVar[Callable[..., float]] = kernels.freezes
 
@@ -136,20 +136,17 @@ class Frozen(FaultMode):
         width = max(float(resolution[sensor]), 1e-9 * sqrt(nominal))
         spread = 2 * self.dither**2 * nominal + width**2 / 6
         near = log(1 - self.repeats) - 0.5 * (log(spread) + kernels.LOG_2_PI)
-        prior = self.healthy_repeats * REPEATS_STRENGTH, REPEATS_STRENGTH
-        return (
-            0.5 * width,
-            self.repeats,
-            near,
-            spread,
-            *prior,
-            max(MOST_REPEATS * (self.healthy_repeats > 0), self.healthy_repeats),
-        )
+        return 0.5 * width, log(self.repeats / width), near, spread
 
-    @property
-    def first(self) -> tuple[float, ...]:
-        """See `FaultMode.first`."""
-        return 0.0, nan, 0.0, 0.0, -1.0
+    def healthy(self, model: LinearModel, sensor: int) -> tuple[float, float, float, float]:
+        """Return what is expected of the repetitions of a healthy sensor of a model.
+
+        The width within which two samples count as equal, in the sensor's unit; how many repetitions of how many samples are
+        expected before the first one; and the largest share that is learned.
+        """
+        width, _, _, _ = self.settings(model, sensor)
+        most = MOST_REPEATS if self.healthy_repeats > 0 else 0.0
+        return 2.0 * width, self.healthy_repeats * REPEATS_STRENGTH, REPEATS_STRENGTH, max(most, self.healthy_repeats)
 
 
 @dataclass(frozen=True)

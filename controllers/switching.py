@@ -195,14 +195,14 @@ class SwitchingPrecision(PrecisionLearner):
         for i in range(m):
             loss = float(losses[i])
             settings += [1.0 - loss, loss, self.noise_forgetting, 0.5 * self.noise_strength]
-            settings += [self.noise_factor**-2, self.noise_factor**2]
+            settings += [self.noise_factor**-2, self.noise_factor**2, *self._repeats(model, i)]
             for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 block = [begin, 1.0 - end, end, arrives, 1.0 - arrives, *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):
-            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, 0.5 * self.noise_strength, 0.5 * self.noise_strength]
+            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, 0.5 * self.noise_strength, 0.5 * self.noise_strength, 0.0, 0.0]
             for values in first:
                 block = [kernels.LEAST, 0.0, 1.0, 0.0, *values]
                 memory += block + [0.0] * (width - len(block))
@@ -251,6 +251,11 @@ class SwitchingPrecision(PrecisionLearner):
     @property
     def _faults(self) -> tuple[int, ...]:
         return tuple(int(mode.is_fault) for mode in self.modes)
+
+    def _repeats(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
+        """Return what is expected of the repetitions of a healthy sensor; without a mode that repeats samples nothing."""
+        frozen = next((mode for mode in self.modes if isinstance(mode, Frozen)), None)
+        return (0.0, 0.0, 1.0, 0.0) if frozen is None else frozen.healthy(model, sensor)
 
     @property
     def _kinds(self) -> tuple[int, ...]:
