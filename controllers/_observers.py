@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 MOST_SETS = 3
 """Sets of sensors: two tell one faulty sensor from a wrong model, three tell two of them."""
 
+LONGEST_REST = 300
+"""Samples within which an observer must forget where it began; a slower one gets some process noise on every state."""
+
 FORGOTTEN = 0.02
 """Share of the initial error that an observer may still have when its innovations begin to count."""
 
@@ -79,17 +82,37 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     moving = model.moving
     n, m = moving.states, moving.sensors
     gain, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
-    slowest = 0.0
+    rest = 1
     for k, chosen in enumerate(map(list, sets)):
         R = moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
-        A, C = moving.matrix("A"), moving.matrix("C")[chosen]
-        try:
-            P = steady_covariance(replace(moving, C=C, sensor_covariance=R))
-        except ModelError:
+        filtered = _filter(replace(moving, C=moving.matrix("C")[chosen], sensor_covariance=R))
+        if filtered is None:
             return None
+        gain[k, :n, chosen], root, needed = filtered[0].T, filtered[1], filtered[2]
+        whiten[k][np.ix_(chosen, chosen)] = np.linalg.inv(root)
+        rest = max(rest, needed)
+    return Observers(sets, gain, whiten, rest)
+
+
+def _filter(model: LinearModel) -> tuple[Floats, Floats, int] | None:
+    """Return A K, the root of the innovations' covariance, and how many samples the filter remembers; None if it has no end.
+
+    Where no noise moves a mode that does not die out (a place that only drifts), the filter would remember it for ever: then all
+    states get a little noise, as much as it takes.
+    """
+    A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
+    size = max(float(np.trace(Q)) / len(A), 1e-12)
+    best = None
+    for more in (0.0, *(10.0**k for k in range(-8, 3))):
+        try:
+            P = steady_covariance(replace(model, process_covariance=Q + more * size * np.eye(len(A))))
+        except ModelError:
+            continue
         S = C @ P @ C.T + R
-        gain[k, :n, chosen] = (A @ np.linalg.solve(S, C @ P).T).T
-        whiten[k][np.ix_(chosen, chosen)] = np.linalg.inv(np.linalg.cholesky(S))
-        slowest = max(slowest, float(np.abs(np.linalg.eigvals(A - gain[k, :n, chosen].T @ C)).max()))
-    rest = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
-    return Observers(sets, gain, whiten, max(rest, 1))
+        gain = A @ np.linalg.solve(S, C @ P).T
+        slowest = float(np.abs(np.linalg.eigvals(A - gain @ C)).max())
+        rest = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
+        best = gain, np.linalg.cholesky(S), max(rest, 1)
+        if rest <= LONGEST_REST:
+            break
+    return best

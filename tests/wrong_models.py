@@ -195,13 +195,13 @@ def parts(case: Case, learner: controllers.PrecisionLearner) -> tuple[Any, ...]:
     if case.plant == "servo":
         return _designed(
             case, learner, "PositionServo", ("J", 0.01), "voltage", ("angle",), "angle", 0.01, {"load": 0.02}, (0.1, 5.0),
-            cosim.Sine(amplitude=0.5, period=4.0), 2.0, (-12.0, 12.0),
+            cosim.Sine(amplitude=0.5, period=4.0), 0.3, (-12.0, 12.0),
         )  # fmt: skip
     if case.plant == "pendulum":
         far = case.wrong == "far"
         return _designed(
             case, learner, "CartPendulum", ("M_cart", 0.5), "force", ("position", "angle"), "position", 0.005,
-            {"torque": 0.02}, (0.1, 5.0), cosim.Step(time=2.0, after=3.0 if far else 0.3), 1.0, (-15.0, 15.0),
+            {"torque": 0.02}, (0.1, 5.0), cosim.Step(time=2.0, after=3.0 if far else 0.3), 3.0, (-15.0, 15.0),
         )  # fmt: skip
     far = case.wrong == "far"
     return _designed(

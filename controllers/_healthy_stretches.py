@@ -1,0 +1,64 @@
+"""When the sensors of a recording agree among themselves, whatever the model says of the plant."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from bayesftc.controllers._observers import Observers
+    from bayesftc.controllers.model import LinearModel
+    from bayesftc.cosim.block import Floats
+
+WINDOW = 25
+"""Samples over which two sensors are compared."""
+
+MEAN_APART = 4.5
+"""Standard errors of the mean difference in a window from which on one of them is faulty."""
+
+SPREAD_APART = (0.35, 2.2)
+"""Mean squares of the difference, in usual ones, outside of which one of them is faulty."""
+
+LEAST_SHARE = 0.3
+"""Share of the run below which nothing is left out: then two sensors disagree for good."""
+
+
+def healthy_stretches(model: LinearModel, seers: Observers, y: Floats) -> NDArray[np.bool_]:
+    """Return which samples (T) count: not where sensors of one quantity disagree and a while after.
+
+    The differences between sensors of one quantity are compared with their own median and spread over the run.
+    """
+    samples = len(y)
+    apart = np.zeros(samples, dtype=bool)
+    rows = model.quantities
+    for i in range(len(rows)):
+        for j in range(i):
+            if np.array_equal(rows[i], rows[j]):
+                apart |= _apart(y[:, i] - y[:, j])
+    last = np.maximum.accumulate(np.where(apart, np.arange(samples), -samples))
+    healthy = np.arange(samples) - last > seers.rest
+    return healthy if healthy.mean() >= LEAST_SHARE else np.ones(samples, dtype=bool)
+
+
+def _apart(difference: Floats) -> NDArray[np.bool_]:
+    """Return in which samples two sensors disagree: those of windows whose mean or mean square is not as usual."""
+    flags = np.zeros(len(difference), dtype=bool)
+    seen = difference[np.isfinite(difference)]
+    if len(seen) < 4 * WINDOW:
+        return flags
+    middle = float(np.median(seen))
+    spread = 1.4826 * float(np.median(np.abs(seen - middle)))
+    if spread == 0.0:
+        return flags
+    for start in range(0, len(difference), WINDOW):
+        window = (difference[start : start + WINDOW] - middle) / spread
+        window = window[np.isfinite(window)]
+        if len(window) < 5:
+            continue
+        far = abs(window.mean()) * np.sqrt(len(window)) > MEAN_APART
+        square = float((window**2).mean())
+        flags[start : start + WINDOW] = far or not SPREAD_APART[0] < square < SPREAD_APART[1]
+    return flags
