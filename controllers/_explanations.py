@@ -5,14 +5,14 @@ All are run over the same recording by the same observers, many at once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.controllers._observers import Observers, observers
-
 if TYPE_CHECKING:
+    from bayesftc.controllers._observers import Observers
     from bayesftc.controllers.model import LinearModel
     from bayesftc.cosim.block import Floats
 
@@ -37,67 +37,49 @@ class Recording:
 
 
 def innovations(
-    model: LinearModel, seers: Observers, seen: Recording, inputs: Floats, pushes: Floats | float = 0.0
-) -> tuple[Floats, Floats]:
-    """Return the whitened innovations of each set's observer under each input (sets x inputs x T x m), and what each predicted.
-
-    The predictions are of the state, T x n, under the first input, on average over the sets.
+    models: Sequence[LinearModel], seers: Sequence[Observers], seen: Recording, moved: Floats
+) -> tuple[list[Floats], Floats]:
+    """Return the whitened innovations of the observers of several models, and the states that the first one's predict.
 
     Parameters
     ----------
-    model : LinearModel
+    models : sequence of LinearModel
         What the observers predict by.
-    seers : Observers
-        The observers.
+    seers : sequence of Observers
+        Those of each model, of the same sets.
     seen : Recording
         The run.
-    inputs : ndarray, H x T x p
-        The controls as they are taken to have arrived, one course for each of H explanations.
-    pushes : ndarray, H x T x n, or 0
-        What moves the state besides.
+    moved : ndarray, models x H x T x n
+        What moves the state from each sample to the next, for each of H explanations: ``B u`` and whatever else.
+
+    Returns
+    -------
+    list of ndarray
+        For each model the innovations, sets x (H + n) x T x m. The last n are what each element of an error of the belief before
+        the first sample adds to those of the first explanation.
+    ndarray, T x n
+        Predictions of the state by the first model under the first explanation, on average over its sets.
     """
-    moved = inputs @ model.matrix("B").T + pushes
-    courses = np.broadcast_to(moved, (len(seers), *moved.shape))
-    return _run([model] * len(seers), seers.gain, seers.whiten, seen, courses)
-
-
-def of_models(models: list[LinearModel], seers: list[Observers], seen: Recording) -> list[Floats]:
-    """Return the whitened innovations of observers by several models (for each: sets x 1 x T x m)."""
-    each = len(seers[0])
-    gain, whiten = (np.concatenate([getattr(s, name) for s in seers]) for name in ("gain", "whiten"))
-    courses = np.repeat([(seen.u @ model.matrix("B").T)[None] for model in models], each, axis=0)
-    white, _ = _run([model for model in models for _ in range(each)], gain, whiten, seen, courses)
-    return [white[first : first + each] for first in range(0, len(white), each)]
-
-
-def _run(
-    models: list[LinearModel], gain: Floats, whiten: Floats, seen: Recording, courses: Floats
-) -> tuple[Floats, Floats]:
-    """Return the whitened innovations of observers (observers x H x T x m), and what they predict on average (T x n)."""
-    At, Ct = (np.array([model.matrix(name).T for model in models]) for name in "AC")
-    y = np.where(np.isfinite(seen.y), seen.y, 0.0)
-    there = np.isfinite(seen.y).astype(float)
-    count, samples = courses.shape[1:3]
-    z = np.broadcast_to(seen.mean, (len(models), count, At.shape[1])).copy()
-    errors, predicted = np.empty((samples, len(models), count, y.shape[1])), np.empty((samples, At.shape[1]))
-    gains = gain.transpose(0, 2, 1)
+    each, n, samples = len(seers[0]), moved.shape[3], len(seen.y)
+    gains = np.concatenate([s.gain for s in seers]).transpose(0, 2, 1)
+    whiten = np.concatenate([s.whiten for s in seers])
+    At, Ct = (np.repeat([model.matrix(name).T for model in models], each, axis=0) for name in "AC")
+    courses = np.concatenate([moved, np.repeat(moved[:, :1], n, axis=1)], axis=1)
+    courses = np.ascontiguousarray(np.repeat(courses, each, axis=0).transpose(2, 0, 1, 3))
+    y, there = np.where(np.isfinite(seen.y), seen.y, 0.0), np.isfinite(seen.y).astype(float)
+    begin = np.concatenate([np.broadcast_to(seen.mean, (moved.shape[1], n)), seen.mean + np.eye(n)])
+    z = np.broadcast_to(begin, (len(At), *begin.shape)).copy()
+    errors, predicted = np.empty((samples, *z.shape[:2], y.shape[1])), np.empty((samples, each, n))
     with np.errstate(all="ignore"):  # an explanation that is far off may diverge; it then explains nothing
         for k in range(samples):
             e = errors[k]
-            predicted[k] = z[:, 0].mean(axis=0)
+            predicted[k] = z[:each, 0]
             np.subtract(y[k], z @ Ct, out=e)
             e *= there[k]
-            z = z @ At + e @ gains + courses[:, :, k]
-        white = np.einsum("kij,tkhj->khti", whiten, errors)
-    return np.asarray(white), predicted
-
-
-def forgetting(model: LinearModel, seers: Observers, seen: Recording) -> Floats:
-    """Return how an error of the belief before the first sample shows in the innovations (sets x n x T x m)."""
-    silent = replace(seen, y=np.where(np.isfinite(seen.y), 0.0, np.nan), mean=np.zeros_like(seen.mean))
-    n = model.states
-    started = replace(silent, mean=np.eye(n))
-    return innovations(model, seers, started, np.zeros((n, *seen.u.shape)))[0]
+            z = z @ At + e @ gains + courses[k]
+        white = np.matmul(errors.transpose(1, 2, 0, 3), whiten.transpose(0, 2, 1)[:, None])
+        white[:, -n:] -= white[:, :1]
+    return [white[first : first + each] for first in range(0, len(white), each)], predicted.mean(axis=1)
 
 
 def delayed(u: Floats, steps: int) -> Floats:
@@ -138,8 +120,3 @@ def faster(model: LinearModel, factor: float) -> LinearModel | None:
     changed[:plant, plant:] = step[:plant, plant:n]
     driven[:plant] = step[:plant, n : n + p]
     return replace(model, A=changed, B=driven)
-
-
-def seers_of(model: LinearModel | None, seers: Observers) -> Observers | None:
-    """Return observers of the same sets for another model; None if it has none."""
-    return None if model is None else observers(model, seers.sensors)

@@ -9,12 +9,13 @@ what one set says alone is a fault of its sensors. Stretches in which sensors of
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.controllers._explanations import Recording, delayed, faster, forgetting, innovations, lagged, of_models, seers_of
+from bayesftc.controllers._explanations import Recording, delayed, faster, innovations, lagged
 from bayesftc.controllers._healthy_stretches import healthy_stretches
 from bayesftc.controllers._observers import Observers, observers
 
@@ -30,12 +31,14 @@ RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 MOST_SAMPLES = 20_000
 LATEST = 1.0
 COARSE = 40
+LAGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
 FACTORS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
 NEAR = (0.87, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.15)
 LEVELS = tuple(np.linspace(0.1, 0.97, 24))
-CUTS = (1e6, 300.0, 30.0)
-NOISE = 3.0
-LEAST_SAMPLES = 50
+CUTS = (1e6, 300.0, 100.0, 30.0, 10.0, 6.0)
+NOISE = 2.0
+SIMPLE = frozenset({"sign", "gain", "dt", "late", "limit"})
+LEAST_SAMPLES = 12
 
 
 @dataclass(frozen=True)
@@ -65,41 +68,37 @@ class _Judge:
 
     def __init__(self, model: LinearModel, seers: Observers, seen: Recording):
         self.model, self.seers, self.seen = model, seers, seen
-        base, self.states = innovations(model, seers, seen, seen.u[None])
-        self.base = base[:, 0]
-        use = healthy_stretches(model, seers, seen.y)
-        there = np.isfinite(seen.y)
+        self.moved = seen.u @ model.matrix("B").T
+        (white,), self.states = innovations([model], [seers], seen, self.moved[None, None])
+        self.base = white[:, :1]
+        use, there = healthy_stretches(model, seers, seen.y), np.isfinite(seen.y)
         self.masks = [use & there[:, list(chosen)].all(axis=1) for chosen in seers.sensors]
-        self.begin = self.beginnings(model, seers)
-        self.first, self.first_squares = self.cost(self.base[:, None])
-
-    @property
-    def enough(self) -> bool:
-        return all(mask.sum() >= LEAST_SAMPLES for mask in self.masks)
+        self.begin = self.beginnings(white)
+        self.first, self.first_squares = self.cost(self.base, seers, self.begin)
 
     def part(self, white: Floats, k: int) -> Floats:
         """Return what counts of one set's innovations under H explanations (H x scalars)."""
         return white[k][:, self.masks[k]][:, :, list(self.seers.sensors[k])].reshape(len(white[k]), -1)
 
-    def beginnings(self, model: LinearModel, seers: Observers) -> list[Floats]:
+    def beginnings(self, white: Floats) -> list[Floats]:
         """Return an orthonormal basis of what the unknown initial state does to each set's innovations (scalars x n)."""
-        white = forgetting(model, seers, self.seen)
         found = []
-        for k in range(len(seers)):
-            u, s, _ = np.linalg.svd(self.part(white, k).T, full_matrices=False)
+        for k in range(len(self.seers)):
+            u, s, _ = np.linalg.svd(self.part(white, k)[-self.model.states :].T, full_matrices=False)
             found.append(u[:, s > 1e-9 * max(s[0], 1e-300)])
         return found
 
-    def cost(
-        self, white: Floats, seers: Observers | None = None, begin: list[Floats] | None = None
-    ) -> tuple[Floats, Floats]:
+    def free(self, white: Floats, k: int, begin: list[Floats]) -> Floats:
+        """Return the part that does not depend on the initial state."""
+        part = self.part(white, k)
+        return part - (part @ begin[k]) @ begin[k].T
+
+    def cost(self, white: Floats, seers: Observers, begin: list[Floats]) -> tuple[Floats, Floats]:
         """Return the negative log-likelihood by set and explanation, and mean squares (sets x H)."""
-        seers, begin = seers or self.seers, begin or self.begin
         losses, squares = [], []
         for k, chosen in enumerate(map(list, seers.sensors)):
             with np.errstate(all="ignore"):
-                part = self.part(white, k)
-                part = part - (part @ begin[k]) @ begin[k].T
+                part = self.free(white, k, begin)
                 square = np.nan_to_num((part**2).mean(axis=1), nan=np.inf)
             volume = np.log(np.diag(seers.whiten[k])[chosen]).sum() * self.masks[k].sum()
             losses.append(0.5 * part.shape[1] * np.log(np.maximum(square, 1e-300)) - volume)
@@ -107,8 +106,9 @@ class _Judge:
         return np.array(losses), np.array(squares)
 
     def of(
-        self, kind: str, values: list[tuple[float, ...]], losses: Floats, squares: Floats, parameters: int = 1
+        self, kind: str, values: list[tuple[float, ...]], costs: tuple[Floats, Floats], parameters: int = 1
     ) -> list[Explanation]:
+        losses, squares = costs
         price = np.array([0.5 * parameters * np.log(mask.sum()) for mask in self.masks])
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
@@ -117,32 +117,37 @@ class _Judge:
             for h, value in enumerate(values)
         ]
 
-    def inputs(self, kind: str, courses: list[Floats], values: list[tuple[float, ...]]) -> list[Explanation]:
-        """Judge courses of the control, each of one parameter."""
+    def inputs(self, courses: list[tuple[str, tuple[float, ...], Floats]]) -> list[Explanation]:
+        """Judge courses of the control, each with its kind and its values, of which one is fitted."""
         if not courses:
             return []
-        white, _ = innovations(self.model, self.seers, self.seen, np.array(courses))
-        return self.of(kind, values, *self.cost(white))
+        moved = np.array([course for _, _, course in courses]) @ self.model.matrix("B").T
+        (white,), _ = innovations([self.model], [self.seers], self.seen, moved[None])
+        costs = self.cost(white[:, : len(courses)], self.seers, self.begin)
+        return [
+            self.of(kind, [values], (costs[0][:, h : h + 1], costs[1][:, h : h + 1]))[0]
+            for h, (kind, values, _) in enumerate(courses)
+        ]
 
     def pushes(self, pushes: Floats) -> Floats:
-        """Return the innovations' answers to pushes (H x T x n), each scaled to a largest element of 1."""
-        zeros = np.zeros_like(self.seen.u)
-        silent = Recording(np.where(np.isfinite(self.seen.y), 0.0, np.nan), zeros, np.zeros_like(self.seen.mean))
-        pushes = pushes / np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
-        return innovations(self.model, self.seers, silent, np.broadcast_to(zeros, (len(pushes), *zeros.shape)), pushes)[0]
+        """Return the innovations' answers to pushes (H x T x n) of any size."""
+        scale = np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
+        silent = Recording(
+            np.where(np.isfinite(self.seen.y), 0.0, np.nan), self.seen.u, np.zeros_like(self.seen.mean)
+        )
+        (white,), _ = innovations([self.model], [self.seers], silent, (pushes / scale)[None])
+        return white[:, : len(pushes)] * scale[:, 0, 0][:, None, None]
 
     def fitted(self, kind: str, answers: Floats) -> Explanation:
         """Fit the sizes of pushes, whose answers are given, by least squares."""
-        D = np.concatenate([self._free(answers, k) for k in range(len(self.seers))], axis=1).T
-        e = np.concatenate([self._free(self.base[:, None], k)[0] for k in range(len(self.seers))])
+        sets = range(len(self.seers))
+        D = np.concatenate([self.free(answers, k, self.begin) for k in sets], axis=1).T
+        e = np.concatenate([self.free(self.base, k, self.begin)[0] for k in sets])
         scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
         theta = np.linalg.lstsq(D / scale, -e, rcond=1e-10)[0] / scale
-        rest = self.base + np.einsum("khti,h->kti", answers, theta)
-        return self.of(kind, [tuple(map(float, theta))], *self.cost(rest[:, None]), len(theta))[0]
-
-    def _free(self, white: Floats, k: int) -> Floats:
-        part = self.part(white, k)
-        return part - (part @ self.begin[k]) @ self.begin[k].T
+        rest = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]
+        costs = self.cost(rest, self.seers, self.begin)
+        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
 
 
 def diagnose(model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0):
@@ -152,55 +157,68 @@ def diagnose(model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: Array
     y = np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES]
     u = np.asarray(u, float).reshape(-1, model.controls)[:MOST_SAMPLES]
     seen = Recording(y, u, np.broadcast_to(np.asarray(initial_mean, float), model.states))
-    base = innovations(model, seers, seen, seen.u[None])[0][:, 0]
+    moved = seen.u @ model.matrix("B").T
+    base = innovations([model], [seers], seen, moved[None, None])[0][0][:, 0]
     with np.errstate(all="ignore"):
         missed = np.nan_to_num(np.abs(base), nan=np.inf).max(axis=2).min(axis=0)
-    best, known, tried = None, [], set()
+    fallback: list[Explanation] = []
+    tried: set[int] = set()
     for cut in CUTS:
         end = int(np.argmax(missed > cut)) if (missed > cut).any() else len(y)
-        if end in tried:
+        if end in tried or end < LEAST_SAMPLES:
             continue
         tried.add(end)
-        judge = _Judge(model, seers, Recording(y[:end], u[:end], seen.mean)) if end >= LEAST_SAMPLES else None
-        if judge is None or not judge.enough:
+        judge = _Judge(model, seers, Recording(y[:end], u[:end], seen.mean))
+        if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
-        ranked = explanations(judge)
-        named = next((x for x in ranked if x.counts), None)
-        if not known:
-            known = ranked
-        if named is not None and (best is None or max(named.square) < max(best.square)):
-            best, known = named, ranked
-        if best is None or max(best.square) < NOISE:
-            break
-    return best, known
+        ranked = [x for x in explanations(judge) if x.counts]
+        if ranked and ranked[0].kind in SIMPLE and max(ranked[0].square) < NOISE:
+            return ranked[0], ranked
+        if ranked and (not fallback or max(ranked[0].square) < NOISE <= max(fallback[0].square)):
+            fallback = ranked
+    return (fallback[0] if fallback else None), fallback
+
+
+Course = tuple[str, tuple[float, ...], "Floats"]
 
 
 def explanations(judge: _Judge) -> list[Explanation]:
     """Return the best explanation of each kind, the best first."""
-    found = _late(judge) + _times(judge)
     model, u = judge.model, judge.seen.u
-    B, plant = model.matrix("B"), model.states - model.disturbances
-    for j in range(model.controls):
-        found += _limits(judge, j)
-        pushes = u[:, j, None] * B[:, j]
-        fit = judge.fitted("gain", judge.pushes(pushes[None]))
-        g = 1.0 + fit.values[0] / max(float(np.abs(pushes).max()), 1e-300)
-        found.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
-    found.append(judge.fitted("load", judge.pushes(np.array([np.outer(np.ones(len(u)), b) for b in B.T]))))
-    linear, bent = _features(judge)
-    directions = np.eye(model.states)[:plant]
-    answers = judge.pushes(np.array([np.outer(f, d) for f in linear + bent for d in directions]))
-    each, first = len(directions), len(linear) * len(directions)
-    found.append(judge.fitted("dynamics", answers[:, :first]))
-    for i in range(first, answers.shape[1], each):
-        found.append(judge.fitted("nonlinear", answers[:, i : i + each]))
-    found.append(judge.fitted("nonlinear", answers[:, first:]))
-    found.append(judge.fitted("nonlinear", answers))
+    coarse = judge.inputs([*_late(judge), *(c for j in range(model.controls) for c in _limits(judge, j))])
+    fine = judge.inputs(
+        [*_late(judge, coarse), *(c for j in range(model.controls) for c in _limits(judge, j, coarse))]
+    )
+    found = coarse + fine + _times(judge) + _pushed(judge)
     best: dict[str, Explanation] = {}
     for x in found:
         if x.kind not in best or x.total > best[x.kind].total:
             best[x.kind] = x
     return sorted(best.values(), key=lambda x: -x.total)
+
+
+def _pushed(judge: _Judge) -> list[Explanation]:
+    """Judge all that pushes of the state explain: another gain, a load, other dynamics."""
+    model, u = judge.model, judge.seen.u
+    B, plant = model.matrix("B"), model.states - model.disturbances
+    linear, bent = _features(judge)
+    directions = np.eye(model.states)[:plant]
+    p, each, first = len(B.T), plant, len(linear) * plant
+    pushes = [u[:, j, None] * B[:, j] for j in range(p)] + [np.outer(np.ones(len(u)), b) for b in B.T]
+    answers = judge.pushes(np.array(pushes + [np.outer(f, d) for f in linear + bent for d in directions]))
+    found = []
+    for j in range(p):
+        fit = judge.fitted("gain", answers[:, j : j + 1])
+        g = 1.0 + fit.values[0]
+        found.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
+    found.append(judge.fitted("load", answers[:, p : 2 * p]))
+    answers = answers[:, 2 * p :]
+    found.append(judge.fitted("dynamics", answers[:, :first]))
+    for i in range(first, answers.shape[1], each):
+        found.append(judge.fitted("nonlinear", answers[:, i : i + each]))
+    found.append(judge.fitted("nonlinear", answers[:, first:]))
+    found.append(judge.fitted("nonlinear", answers))
+    return found
 
 
 def _features(judge: _Judge) -> tuple[list[Floats], list[Floats]]:
@@ -221,61 +239,59 @@ def _holding(model: LinearModel, x: Floats) -> Floats:
     return np.linalg.lstsq(B, x - A @ x, rcond=None)[0]
 
 
-def _late(judge: _Judge) -> list[Explanation]:
-    """Judge delays and lags, first coarsely, then about the best."""
+def _best(found: list[Explanation], kind: str, chosen: Callable[[Explanation], bool]) -> Explanation:
+    return max((x for x in found if x.kind == kind and chosen(x)), key=lambda x: x.total)
+
+
+def _late(judge: _Judge, coarse: list[Explanation] | None = None) -> list[Course]:
+    """Return late controls: coarsely, or about the best of the coarse ones."""
     u, dt = judge.seen.u, float(judge.model.step)
     most = max(1, min(round(LATEST / dt), len(u) // 4))
-    coarse = sorted({max(1, round(k)) for k in np.linspace(1, most, COARSE)})
-
-    def tried(steps):
-        return judge.inputs("late", [delayed(u, k) for k in steps], [(k * dt, 0.0) for k in steps])
-
-    found = tried(coarse)
-    best = round(max(found, key=lambda x: x.total).values[0] / dt)
+    steps = sorted({max(1, round(k)) for k in np.linspace(1, most, COARSE)})
+    if coarse is None:
+        lags: list[Course] = [("late", (most * f * dt, 1.0), lagged(u, most * f)) for f in LAGS]
+        return lags + [("late", (k * dt, 0.0), delayed(u, k)) for k in steps]
+    best = round(_best(coarse, "late", lambda x: not x.values[1]).values[0] / dt)
     width = -(-most // COARSE)
-    found += tried([k for k in range(max(1, best - width), best + width + 1) if k not in coarse])
-    lags = [most * f for f in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
-    return found + judge.inputs("late", [lagged(u, tau) for tau in lags], [(tau * dt, 1.0) for tau in lags])
+    near = [k for k in range(max(1, best - width), best + width + 1) if k not in steps]
+    return [("late", (k * dt, 0.0), delayed(u, k)) for k in near]
 
 
-def _limits(judge: _Judge, j: int) -> list[Explanation]:
-    """Judge limits to one control: to both sides alike, above and below."""
+def _limits(judge: _Judge, j: int, coarse: list[Explanation] | None = None) -> list[Course]:
+    """Return limited controls, to both sides alike, above and below: coarsely, or about the best of the coarse ones."""
     u = judge.seen.u
-
-    def tried(levels):
-        courses, values = [], []
-        for level in levels:
-            for low, high in ((-level, level), (-np.inf, level), (-level, np.inf)):
-                course = u.copy()
-                course[:, j] = np.clip(u[:, j], low, high)
-                courses.append(course)
-                values.append((low, high, j))
-        return judge.inputs("limit", courses, values)
-
     levels = np.unique(np.quantile(np.abs(u[:, j]), LEVELS))
-    found = tried(levels)
-    best = max(found, key=lambda x: x.total).values
-    level = best[1] if np.isfinite(best[1]) else -best[0]
-    i = int(np.argmin(np.abs(levels - level)))
-    return found + tried(np.linspace(levels[max(i - 1, 0)], levels[min(i + 1, len(levels) - 1)], 9)[1:-1])
+    if coarse is not None:
+        low, high, _ = _best(coarse, "limit", lambda x: x.values[2] == j).values
+        i = int(np.argmin(np.abs(levels - (high if np.isfinite(high) else -low))))
+        levels = np.linspace(levels[max(i - 1, 0)], levels[min(i + 1, len(levels) - 1)], 9)[1:-1]
+    found: list[Course] = []
+    for level in levels:
+        for low, high in ((-level, level), (-np.inf, level), (-level, np.inf)):
+            course = u.copy()
+            course[:, j] = np.clip(u[:, j], low, high)
+            found.append(("limit", (float(low), float(high), float(j)), course))
+    return found
 
 
 def _times(judge: _Judge) -> list[Explanation]:
     """Judge time scales, first coarsely, then about the best."""
 
-    def tried(factors):
-        models = [(f, faster(judge.model, f)) for f in factors]
-        known = [(f, model, seers) for f, model in models if (seers := seers_of(model, judge.seers)) is not None]
+    def tried(factors: Iterable[float]) -> list[Explanation]:
+        known = []
+        for f in factors:
+            model = faster(judge.model, f)
+            if model is not None and (seers := observers(model, judge.seers.sensors)) is not None:
+                known.append((f, model, seers))
         if not known:
             return []
-        whites = of_models([m for _, m, _ in known], [s for _, _, s in known], judge.seen)
+        moved = np.array([(judge.seen.u @ model.matrix("B").T)[None] for _, model, _ in known])
+        models, seers = [m for _, m, _ in known], [s for _, _, s in known]
+        whites, _ = innovations(models, seers, judge.seen, moved)
         return [
-            judge.of("dt", [(f,)], *judge.cost(white, seers, judge.beginnings(model, seers)))[0]
-            for (f, model, seers), white in zip(known, whites, strict=True)
+            judge.of("dt", [(f,)], judge.cost(white[:, :1], seers, judge.beginnings(white)))[0]
+            for (f, _, seers), white in zip(known, whites, strict=True)
         ]
 
     found = tried(FACTORS)
-    if found:
-        best = max(found, key=lambda x: x.total).values[0]
-        found += tried([best * f for f in NEAR])
-    return found
+    return found + tried(max(found, key=lambda x: x.total).values[0] * f for f in NEAR) if found else []
