@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -59,6 +59,8 @@ class BayesianBlock(Block, ABC):
     u_rate: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}/s"})
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix = 1.0
+
+    checks_model: ClassVar[bool] = True
 
     def _check_settings(self) -> None:
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
@@ -145,7 +147,7 @@ class BayesianBlock(Block, ABC):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, and the precision learner's own."""
         return *self._own_outputs, *self._learner().ports
 
     @property
@@ -160,7 +162,11 @@ class BayesianBlock(Block, ABC):
             "precision": (m,),
             "beta": (m,),
         }
-        return (*(port(name, shape) for name, shape in shapes.items()), port("fault_probability", (m,)))
+        return (
+            *(port(name, shape) for name, shape in shapes.items()),
+            port("fault_probability", (m,)),
+            *((port("model_suspect"),) if self.checks_model else ()),
+        )
 
     @abstractmethod
     def _learner(self) -> Learner:

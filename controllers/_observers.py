@@ -37,8 +37,8 @@ class Observers:
     ----------
     sensors : tuple of tuple of int
         The sensors of each set.
-    gain : ndarray, shape (K, n, m)
-        A K: what the next prediction takes from each innovation; zero for sensors of other sets.
+    gain, correction : ndarray, shape (K, n, m)
+        A K and K: what the next prediction and the estimate take from each innovation; zero for sensors of other sets.
     whiten : ndarray, shape (K, m, m)
         What makes an observer's innovations white and of variance 1; zero rows and columns for sensors of other sets.
     rest : int
@@ -47,6 +47,7 @@ class Observers:
 
     sensors: tuple[tuple[int, ...], ...]
     gain: Floats
+    correction: Floats
     whiten: Floats
     rest: int
 
@@ -81,21 +82,21 @@ def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = Non
 def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers | None:
     moving = model.moving
     n, m = moving.states, moving.sensors
-    gain, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
+    correction, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
     rest = 1
     for k, chosen in enumerate(map(list, sets)):
         R = moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
         filtered = _filter(replace(moving, C=moving.matrix("C")[chosen], sensor_covariance=R))
         if filtered is None:
             return None
-        gain[k, :n, chosen], root, needed = filtered[0].T, filtered[1], filtered[2]
+        correction[k, :n, chosen], root, needed = filtered[0].T, filtered[1], filtered[2]
         whiten[k][np.ix_(chosen, chosen)] = np.linalg.inv(root)
         rest = max(rest, needed)
-    return Observers(sets, gain, whiten, rest)
+    return Observers(sets, model.matrix("A") @ correction, correction, whiten, rest)
 
 
 def _filter(model: LinearModel) -> tuple[Floats, Floats, int] | None:
-    """Return A K, the root of the innovations' covariance, and how many samples the filter remembers; None if it has no end.
+    """Return the gain K, the root of the innovations' covariance, and how many samples the filter remembers; None if it has no end.
 
     Where no noise moves a mode that does not die out (a place that only drifts), the filter would remember it for ever: then all
     states get a little noise, as much as it takes.
@@ -109,8 +110,8 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, int] | None:
         except ModelError:
             continue
         S = C @ P @ C.T + R
-        gain = A @ np.linalg.solve(S, C @ P).T
-        slowest = float(np.abs(np.linalg.eigvals(A - gain @ C)).max())
+        gain = np.linalg.solve(S, C @ P).T
+        slowest = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
         rest = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
         best = gain, np.linalg.cholesky(S), max(rest, 1)
         if rest <= LONGEST_REST:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.block import Floats
 
 EVIDENCE = 10.0
-CLOSE = 0.12
+CLOSE = 0.07
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 MOST_SAMPLES = 20_000
 LATEST = 1.0
@@ -246,7 +246,7 @@ def _best(found: list[Explanation], kind: str, chosen: Callable[[Explanation], b
 def _late(judge: _Judge, coarse: list[Explanation] | None = None) -> list[Course]:
     """Return late controls: coarsely, or about the best of the coarse ones."""
     u, dt = judge.seen.u, float(judge.model.step)
-    most = max(1, min(round(LATEST / dt), len(u) // 4))
+    most = max(1, min(round(LATEST / dt), 2 * len(u) // 3))
     steps = sorted({max(1, round(k)) for k in np.linspace(1, most, COARSE)})
     if coarse is None:
         lags: list[Course] = [("late", (most * f * dt, 1.0), lagged(u, most * f)) for f in LAGS]
