@@ -16,7 +16,13 @@ from .bayesian import BayesianController as BayesianController, UnstableLoopWarn
 from .calibration import CalibrationReport as CalibrationReport, Hazards as Hazards, calibrate as calibrate
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .design import design as design
+from ._plant_check import ModelMismatchWarning as ModelMismatchWarning, compare_with_plant as compare_with_plant
 from .detectability import Detectability as Detectability, detectability as detectability
+from .diagnosis import (
+    ModelFinding as ModelFinding,
+    diagnose as diagnose,
+    diagnose_recording as diagnose_recording,
+)
 from .estimator import StateEstimator as StateEstimator
 from .explicit import ExplicitDetection as ExplicitDetection
 from .fault_modes import (

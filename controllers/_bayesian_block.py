@@ -147,7 +147,7 @@ class BayesianBlock(Block, ABC):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, and the precision learner's own."""
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, and the learner's own."""
         return *self._own_outputs, *self._learner().ports
 
     @property

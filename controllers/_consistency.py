@@ -1,9 +1,9 @@
-"""The consistency check that runs beside a controller: do all sensors disagree with the model in the same way?
+"""The consistency check that runs beside a controller: whether all sensors disagree with the model in the same way.
 
 Each set of sensors has an observer of its own (`_observers`), which knows the control but nothing of what a precision learner
-believes. Of its whitened innovations three moments are kept and forgotten exponentially: mean, mean square, and the product with
-the one before. With the right model and healthy sensors mean and product are zero. Both are compared with the mean square, so that
-a wrong noise level raises nothing. The set that disagrees least decides: one faulty sensor spoils one set.
+believes. Of its whitened innovations three moments are kept and forgotten exponentially: mean, mean square, and the product
+with the one before. With the right model and healthy sensors mean and product are zero. Both are compared with the mean square,
+so that a wrong noise level raises nothing. The set that disagrees least decides: one faulty sensor spoils one set.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 WINDOW = 100.0
 """Samples in which the moments forget."""
 
-MEAN_LIMIT, PRODUCT_LIMIT = 22.0, 16.0
+MEAN_LIMIT, PRODUCT_LIMIT = 25.0, 18.5
 """Squared mean, and product with the one before (squared, where positive), in units of their variances with the right model, at
 which the model is suspect.
 

@@ -35,6 +35,10 @@ class Recording:
     u: Floats
     mean: Floats
 
+    def until(self, end: int) -> Recording:
+        """Return the first `end` samples."""
+        return replace(self, y=self.y[:end], u=self.u[:end])
+
 
 def innovations(
     models: Sequence[LinearModel], seers: Sequence[Observers], seen: Recording, moved: Floats
@@ -120,3 +124,9 @@ def faster(model: LinearModel, factor: float) -> LinearModel | None:
     changed[:plant, plant:] = step[:plant, plant:n]
     driven[:plant] = step[:plant, n : n + p]
     return replace(model, A=changed, B=driven)
+
+
+def holding(model: LinearModel, x: Floats) -> Floats:
+    """Return the control that holds the plant in a state, as nearly as one does."""
+    A, B = model.matrix("A"), model.matrix("B")
+    return np.asarray(np.linalg.lstsq(B, x - A @ x, rcond=None)[0])

@@ -96,7 +96,7 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
 
 
 def _filter(model: LinearModel) -> tuple[Floats, Floats, int] | None:
-    """Return the gain K, the root of the innovations' covariance, and how many samples the filter remembers; None if it has no end.
+    """Return the gain K, the root of the innovations' covariance, and how many samples it remembers; None if that has no end.
 
     Where no noise moves a mode that does not die out (a place that only drifts), the filter would remember it for ever: then all
     states get a little noise, as much as it takes.
