@@ -29,11 +29,14 @@ class Recording:
         What was applied from each sample to the next.
     mean : ndarray, shape (n,)
         Belief before the first sample.
+    begins : tuple of int
+        Samples before which nothing is known of the state: the first one, and those after a stretch that is left out.
     """
 
     y: Floats
     u: Floats
     mean: Floats
+    begins: tuple[int, ...] = (0,)
 
     def until(self, end: int) -> Recording:
         """Return the first `end` samples."""
@@ -59,8 +62,8 @@ def innovations(
     Returns
     -------
     list of ndarray
-        For each model the innovations, sets x (H + n) x T x m. The last n are what each element of an error of the belief before
-        the first sample adds to those of the first explanation.
+        For each model the innovations, sets x (H + errors) x T x m. The last ones are what an error of each state before each of
+        the samples ``seen.begins`` adds to those of the first explanation.
     ndarray, T x n
         Predictions of the state by the first model under the first explanation, on average over its sets.
     """
@@ -68,10 +71,18 @@ def innovations(
     gains = np.concatenate([s.gain for s in seers]).transpose(0, 2, 1)
     whiten = np.concatenate([s.whiten for s in seers])
     At, Ct = (np.repeat([model.matrix(name).T for model in models], each, axis=0) for name in "AC")
-    courses = np.concatenate([moved, np.repeat(moved[:, :1], n, axis=1)], axis=1)
+    errors_of = n * len(seen.begins)
+    courses = np.concatenate([moved, np.repeat(moved[:, :1], errors_of, axis=1)], axis=1)
+    begin = np.repeat(seen.mean[None], moved.shape[1] + errors_of, axis=0)
+    for number, k in enumerate(seen.begins):
+        for i in range(n):
+            place = moved.shape[1] + number * n + i
+            if k == 0:
+                begin[place, i] += 1.0
+            else:
+                courses[:, place, k - 1, i] += 1.0
     courses = np.ascontiguousarray(np.repeat(courses, each, axis=0).transpose(2, 0, 1, 3))
     y, there = np.where(np.isfinite(seen.y), seen.y, 0.0), np.isfinite(seen.y).astype(float)
-    begin = np.concatenate([np.broadcast_to(seen.mean, (moved.shape[1], n)), seen.mean + np.eye(n)])
     z = np.broadcast_to(begin, (len(At), *begin.shape)).copy()
     errors, predicted = np.empty((samples, *z.shape[:2], y.shape[1])), np.empty((samples, each, n))
     with np.errstate(all="ignore"):  # an explanation that is far off may diverge; it then explains nothing
@@ -82,7 +93,7 @@ def innovations(
             e *= there[k]
             z = z @ At + e @ gains + courses[k]
         white = np.matmul(errors.transpose(1, 2, 0, 3), whiten.transpose(0, 2, 1)[:, None])
-        white[:, -n:] -= white[:, :1]
+        white[:, -errors_of:] -= white[:, :1]
     return [white[first : first + each] for first in range(0, len(white), each)], predicted.mean(axis=1)
 
 

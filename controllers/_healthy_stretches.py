@@ -9,7 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from bayesftc.controllers._observers import Observers
     from bayesftc.controllers.model import LinearModel
     from bayesftc.cosim.block import Floats
 
@@ -22,25 +21,33 @@ MEAN_APART = 4.5
 SPREAD_APART = (0.35, 2.2)
 """Mean squares of the difference, in usual ones, outside of which one of them is faulty."""
 
-LEAST_SHARE = 0.3
+LEAST_SHARE = 0.2
 """Share of the run below which nothing is left out: then two sensors disagree for good."""
 
+MOST_STRETCHES = 6
+"""Agreeing stretches that count, the longest ones."""
 
-def healthy_stretches(model: LinearModel, seers: Observers, y: Floats) -> NDArray[np.bool_]:
-    """Return which samples (T) count: not where sensors of one quantity disagree and a while after.
+
+def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
+    """Return which samples (T) count: not those where sensors of one quantity disagree, nor a window before and after.
 
     The differences between sensors of one quantity are compared with their own median and spread over the run.
     """
-    samples = len(y)
-    apart = np.zeros(samples, dtype=bool)
+    apart = np.zeros(len(y), dtype=bool)
     rows = model.quantities
     for i in range(len(rows)):
         for j in range(i):
             if np.array_equal(rows[i], rows[j]):
                 apart |= _apart(y[:, i] - y[:, j])
-    last = np.maximum.accumulate(np.where(apart, np.arange(samples), -samples))
-    healthy = np.arange(samples) - last > seers.rest
-    return healthy if healthy.mean() >= LEAST_SHARE else np.ones(samples, dtype=bool)
+    wide = apart.copy()
+    for k in np.flatnonzero(apart)[:: WINDOW // 2]:
+        wide[max(k - WINDOW, 0) : k + 2 * WINDOW] = True
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], wide, [True]]).astype(int)))
+    stretches = sorted(zip(edges[::2], edges[1::2], strict=True), key=lambda each: each[0] - each[1])
+    healthy = np.zeros(len(y), dtype=bool)
+    for start, stop in stretches[:MOST_STRETCHES]:
+        healthy[start:stop] = True
+    return healthy if healthy.mean() >= LEAST_SHARE else np.ones(len(y), dtype=bool)
 
 
 def _apart(difference: Floats) -> NDArray[np.bool_]:

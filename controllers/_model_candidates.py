@@ -13,7 +13,6 @@ from bayesftc.controllers._model_judge import Explanation, Judge
 from bayesftc.controllers._observers import observers
 
 if TYPE_CHECKING:
-    from bayesftc.controllers.model import LinearModel
     from bayesftc.cosim.block import Floats
 
 LATEST = 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,12 +67,13 @@ class Judge:
     """The run, its observers, and what the model as it is leaves unexplained."""
 
     def __init__(self, model: LinearModel, seers: Observers, seen: Recording):
-        self.model, self.seers, self.seen = model, seers, seen
+        self.model, self.seers = model, seers
+        self.seen = seen = _agreeing(model, seen)
         self.moved = seen.u @ model.matrix("B").T
         (white,), self.states = innovations([model], [seers], seen, self.moved[None, None])
         self.base = white[:, :1]
-        use, there = healthy_stretches(model, seers, seen.y), np.isfinite(seen.y)
-        self.masks = [use & there[:, list(chosen)].all(axis=1) for chosen in seers.sensors]
+        there = np.isfinite(seen.y)
+        self.masks = [there[:, list(chosen)].all(axis=1) for chosen in seers.sensors]
         self.begin = self.beginnings(white)
         self.first, self.first_squares = self.cost(self.base, seers, self.begin)
 
@@ -81,15 +82,17 @@ class Judge:
         return white[k][:, self.masks[k]][:, :, list(self.seers.sensors[k])].reshape(len(white[k]), -1)
 
     def beginnings(self, white: Floats) -> list[Floats]:
-        """Return an orthonormal basis of what the unknown initial state does to each set's innovations (scalars x n)."""
+        """Return an orthonormal basis of what unknown states at the begins do to each set's innovations (scalars x basis)."""
         found = []
         for k in range(len(self.seers)):
-            u, s, _ = np.linalg.svd(self.part(white, k)[-self.model.states :].T, full_matrices=False)
+            u, s, _ = np.linalg.svd(
+                self.part(white, k)[-self.model.states * len(self.seen.begins) :].T, full_matrices=False
+            )
             found.append(u[:, s > 1e-9 * max(s[0], 1e-300)])
         return found
 
     def free(self, white: Floats, k: int, begin: list[Floats]) -> Floats:
-        """Return the part that does not depend on the initial state."""
+        """Return the part that does not depend on unknown states at the begins."""
         part = self.part(white, k)
         return part - (part @ begin[k]) @ begin[k].T
 
@@ -132,7 +135,9 @@ class Judge:
     def pushes(self, pushes: Floats) -> Floats:
         """Return the innovations' answers to pushes (H x T x n) of any size."""
         scale = np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
-        silent = Recording(np.where(np.isfinite(self.seen.y), 0.0, np.nan), self.seen.u, np.zeros_like(self.seen.mean))
+        silent = replace(
+            self.seen, y=np.where(np.isfinite(self.seen.y), 0.0, np.nan), mean=np.zeros_like(self.seen.mean)
+        )
         (white,), _ = innovations([self.model], [self.seers], silent, (pushes / scale)[None])
         return white[:, : len(pushes)] * scale[:, 0, 0][:, None, None]
 
@@ -146,3 +151,10 @@ class Judge:
         rest = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]
         costs = self.cost(rest, self.seers, self.begin)
         return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
+
+
+def _agreeing(model: LinearModel, seen: Recording) -> Recording:
+    """Return a recording without the samples of stretches in which sensors of one quantity disagree."""
+    healthy = healthy_stretches(model, seen.y)
+    begins = [k for k in range(1, len(healthy)) if healthy[k] and not healthy[k - 1]]
+    return replace(seen, y=np.where(healthy[:, None], seen.y, np.nan), begins=(0, *begins))

@@ -69,13 +69,13 @@ class Mismatch:
         where = f"A step of {self.control} moves {self.output}"
         if self.delay:
             return (
-                f"{where} {self.delay * dt:.3g} s later in the plant than in the model. Make the delay part of the model, or weaken "
-                "the control."
+                f"{where} {self.delay * dt:.3g} s later in the plant than in the model. Make the delay part of the model, or "
+                "weaken the control."
             )
         if self.ratio < 0:
             return f"{where} the other way in the plant than in the model. Is the sign of B right? Is that of C?"
         if self.ratio == 0:
-            return f"{where} in the model, but not in the plant. Is it the right control, and does its start value let it act?"
+            return f"{where} in the model, but not in the plant. Is it the right control?"
         return (
             f"{where} in the plant by {self.ratio:.3g} times as much as in the model. Check B, dt, and the masses and gains behind "
             "A and B."
