@@ -14,11 +14,14 @@ ALIKE = "All sensors disagree with the model in the same way"
 ALONE = " No quantity has a second sensor: a fault of a sensor may look the same."
 
 
-def sentence(kind: str, values: Sequence[float], model: LinearModel) -> str:
-    """Return what a finding says, of a kind and its values as `ModelFinding` has them."""
+def sentence(
+    kind: str, values: Sequence[float], model: LinearModel, others: Sequence[tuple[str, Sequence[float]]] = ()
+) -> str:
+    """Return what a finding says: its kind and values as `ModelFinding` has them, and those that fit nearly as well."""
     rows = model.quantities
     alone = len(np.unique(rows, axis=0)) == len(rows)
-    return f"{ALIKE}: {_WORDS[kind](values, model)}{ALONE if alone else ''}"
+    also = "".join(f" Or, by this run nearly as likely: {_WORDS[other](its, model)}" for other, its in others)
+    return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{ALONE if alone else ''}"
 
 
 def _named(j: float, model: LinearModel) -> str:

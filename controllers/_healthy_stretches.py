@@ -21,6 +21,9 @@ MEAN_APART = 4.5
 SPREAD_APART = (0.35, 2.2)
 """Mean squares of the difference, in usual ones, outside of which one of them is faulty."""
 
+LEAST_IN_WINDOW, LEAST_WINDOWS = 5, 4
+"""Samples of a window, and windows of a run, without which nothing is said."""
+
 LEAST_SHARE = 0.2
 """Share of the run below which nothing is left out: then two sensors disagree for good."""
 
@@ -53,19 +56,20 @@ def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
 def _apart(difference: Floats) -> NDArray[np.bool_]:
     """Return in which samples two sensors disagree: those of windows whose mean or mean square is not as usual."""
     flags = np.zeros(len(difference), dtype=bool)
-    seen = difference[np.isfinite(difference)]
-    if len(seen) < 4 * WINDOW:
+    windows = []
+    for start in range(0, len(difference), WINDOW):
+        window = difference[start : start + WINDOW]
+        window = window[np.isfinite(window)]
+        if len(window) >= LEAST_IN_WINDOW:
+            windows.append((start, window))
+    if len(windows) < LEAST_WINDOWS:
         return flags
-    middle = float(np.median(seen))
-    spread = 1.4826 * float(np.median(np.abs(seen - middle)))
+    middle = float(np.median([window.mean() for _, window in windows]))
+    spread = float(np.median([window.std(ddof=1) for _, window in windows]))
     if spread == 0.0:
         return flags
-    for start in range(0, len(difference), WINDOW):
-        window = (difference[start : start + WINDOW] - middle) / spread
-        window = window[np.isfinite(window)]
-        if len(window) < 5:
-            continue
-        far = abs(window.mean()) * np.sqrt(len(window)) > MEAN_APART
-        square = float((window**2).mean())
-        flags[start : start + WINDOW] = far or not SPREAD_APART[0] < square < SPREAD_APART[1]
+    for start, window in windows:
+        apart = (window - middle) / spread
+        far = abs(apart.mean()) * np.sqrt(len(apart)) > MEAN_APART
+        flags[start : start + WINDOW] = far or not SPREAD_APART[0] < float((apart**2).mean()) < SPREAD_APART[1]
     return flags

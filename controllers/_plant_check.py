@@ -77,8 +77,8 @@ class Mismatch:
         if self.ratio == 0:
             return f"{where} in the model, but not in the plant. Is it the right control?"
         return (
-            f"{where} in the plant by {self.ratio:.3g} times as much as in the model. Check B, dt, and the masses and gains behind "
-            "A and B."
+            f"{where} {self.ratio:.3g} times as far in the plant as in the model. Check B, dt, and the masses and gains "
+            "behind A and B."
         )
 
 

@@ -42,6 +42,9 @@ SIMPLE = frozenset({"sign", "gain", "dt", "late", "limit"})
 EXPLAINED = 2.0
 """Mean squared innovation up to which a run is explained."""
 
+NEARLY = 5.0
+"""Log-likelihood ratio within which two explanations are nearly as good."""
+
 LEAST_SAMPLES = 12
 """Samples without which nothing is said."""
 
@@ -64,12 +67,15 @@ class ModelFinding:
         control, in its unit; else empty.
     evidence : float
         Log-likelihood ratio over the model as it is, from the sensors of the set that says least.
+    others : tuple of str
+        Kinds that explain the run nearly as well; the sentence says them, too.
     """
 
     kind: str
     sentence: str
     values: tuple[float, ...] = ()
     evidence: float = float("nan")
+    others: tuple[str, ...] = ()
 
 
 def diagnose(
@@ -135,20 +141,22 @@ def diagnose_recording(
     initial_mean : number or vector
         About where the state is at the first sample; nonlinear explanations count from there.
     """
-    best = best_explanation(model, y, u, initial_mean)
-    if best is None:
+    found = best_explanations(model, y, u, initial_mean)
+    if not found:
         return None
+    best = found[0]
+    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in found[1:]])
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
-    return ModelFinding(best.kind, sentence(best.kind, values, model), values, min(best.support))
+    return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in found[1:]))
 
 
-def best_explanation(
+def best_explanations(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
-) -> Explanation | None:
-    """Return what explains a recording best; arguments as of `diagnose_recording`."""
+) -> list[Explanation]:
+    """Return what explains a recording best, then what does so nearly as well; arguments as of `diagnose_recording`."""
     seers = observers(model)
     if seers is None:
-        return None
+        return []
     seen = Recording(
         np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES],
         np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[:MOST_SAMPLES]),
@@ -157,7 +165,8 @@ def best_explanation(
     moved = seen.u @ model.matrix("B").T
     base = innovations([model], [seers], seen, moved[None, None])[0][0][:, 0]
     missed = np.nan_to_num(np.abs(base), nan=np.inf).max(axis=2).min(axis=0)
-    fallback, tried = None, set()
+    fallback: list[Explanation] = []
+    tried: set[int] = set()
     for cut in CUTS:
         end = int(np.argmax(missed > cut)) if (missed > cut).any() else len(seen.y)
         if end in tried or end < LEAST_SAMPLES:
@@ -166,9 +175,10 @@ def best_explanation(
         judge = Judge(model, seers, seen.until(end))
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
-        best = next((x for x in explanations(judge) if x.counts), None)
-        if best is not None and best.kind in SIMPLE and max(best.square) < EXPLAINED:
-            return best
-        if best is not None and (fallback is None or max(best.square) < EXPLAINED <= max(fallback.square)):
-            fallback = best
+        known = [x for x in explanations(judge) if x.counts]
+        near = [x for x in known if x is known[0] or (x.kind in SIMPLE and x.total > known[0].total - NEARLY)]
+        if near and near[0].kind in SIMPLE and max(near[0].square) < EXPLAINED:
+            return near
+        if near and (not fallback or max(near[0].square) < EXPLAINED <= max(fallback[0].square)):
+            fallback = near
     return fallback
