@@ -133,8 +133,8 @@ def _times(judge: Judge) -> list[Explanation]:
         if not known:
             return []
         moved = np.array([(judge.seen.u @ model.matrix("B").T)[None] for _, model, _ in known])
-        models, seers = [m for _, m, _ in known], [s for _, _, s in known]
-        whites, _ = innovations(models, seers, judge.seen, moved)
+        models, observing = [m for _, m, _ in known], [s for _, _, s in known]
+        whites, _ = innovations(models, observing, judge.seen, moved)
         return [
             judge.of("dt", [(f,)], judge.cost(white[:, :1], seers, judge.beginnings(white)))[0]
             for (f, _, seers), white in zip(known, whites, strict=True)

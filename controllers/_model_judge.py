@@ -79,7 +79,7 @@ class Judge:
 
     def part(self, white: Floats, k: int) -> Floats:
         """Return what counts of one set's innovations under H explanations (H x scalars)."""
-        return white[k][:, self.masks[k]][:, :, list(self.seers.sensors[k])].reshape(len(white[k]), -1)
+        return np.asarray(white[k][:, self.masks[k]][:, :, list(self.seers.sensors[k])].reshape(len(white[k]), -1))
 
     def beginnings(self, white: Floats) -> list[Floats]:
         """Return an orthonormal basis of what unknown states at the begins do to each set's innovations (scalars x basis)."""
@@ -139,7 +139,7 @@ class Judge:
             self.seen, y=np.where(np.isfinite(self.seen.y), 0.0, np.nan), mean=np.zeros_like(self.seen.mean)
         )
         (white,), _ = innovations([self.model], [self.seers], silent, (pushes / scale)[None])
-        return white[:, : len(pushes)] * scale[:, 0, 0][:, None, None]
+        return np.asarray(white[:, : len(pushes)] * scale[:, 0, 0][:, None, None])
 
     def fitted(self, kind: str, answers: Floats) -> Explanation:
         """Fit the sizes of pushes, whose answers are given, by least squares."""

@@ -103,7 +103,7 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, int] | None:
     """
     A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     size = max(float(np.trace(Q)) / len(A), 1e-12)
-    best = None
+    best: tuple[Floats, Floats, int] | None = None
     for more in (0.0, *(10.0**k for k in range(-8, 3))):
         try:
             P = steady_covariance(replace(model, process_covariance=Q + more * size * np.eye(len(A))))
@@ -113,7 +113,7 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, int] | None:
         gain = np.linalg.solve(S, C @ P).T
         slowest = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
         rest = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
-        best = gain, np.linalg.cholesky(S), max(rest, 1)
+        best = np.asarray(gain), np.asarray(np.linalg.cholesky(S)), max(rest, 1)
         if rest <= LONGEST_REST:
             break
     return best

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.controllers._bayesian_block import extended_mean
 from bayesftc.controllers._checks import as_vector
 from bayesftc.controllers._explanations import holding
 from bayesftc.cosim.diagram import Diagram
@@ -124,7 +125,7 @@ def compare_with_plant(
     names = [control] if isinstance(control, str) else list(control)
     outputs = [measured] if isinstance(measured, str) else list(measured)
     low, high = as_vector("u_min", u_min, p, finite=False), as_vector("u_max", u_max, p, finite=False)
-    mean = np.array(np.broadcast_to(np.asarray(at, float), model.states))
+    mean = np.array(np.broadcast_to(extended_mean(model, np.atleast_1d(at), at), model.states), dtype=float)
     start = np.clip(holding(model, mean), low, high)
     rest = _answer(model, plant, names, outputs, start)
     if rest is None or rest.shape[1] > model.sensors:

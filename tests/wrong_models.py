@@ -1,4 +1,4 @@
-"""Closed loops whose model is wrong in a known way, and right ones with every kind of sensor fault: what a diagnosis is judged by."""
+"""Closed loops whose model is wrong in a known way, and right ones with every kind of sensor fault."""
 
 from __future__ import annotations
 
