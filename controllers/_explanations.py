@@ -62,8 +62,8 @@ def innovations(
     Returns
     -------
     list of ndarray
-        For each model the innovations, sets x (H + errors) x T x m. The last ones are what an error of each state before each of
-        the samples ``seen.begins`` adds to those of the first explanation.
+        For each model the innovations, sets x (H + errors) x T x m. The last ones are what an error of each state (a constant
+        is known) before each of the samples ``seen.begins`` adds to those of the first explanation.
     ndarray, T x n
         Predictions of the state by the first model under the first explanation, on average over its sets.
     """
@@ -71,22 +71,19 @@ def innovations(
     gains = np.concatenate([s.gain for s in seers]).transpose(0, 2, 1)
     whiten = np.concatenate([s.whiten for s in seers])
     At, Ct = (np.repeat([model.matrix(name).T for model in models], each, axis=0) for name in "AC")
-    errors_of = n * len(seen.begins)
+    unknown = n - models[0].constant
+    errors_of = unknown * len(seen.begins)
     courses = np.concatenate([moved, np.repeat(moved[:, :1], errors_of, axis=1)], axis=1)
-    begin = np.repeat(seen.mean[None], moved.shape[1] + errors_of, axis=0)
-    for number, k in enumerate(seen.begins):
-        for i in range(n):
-            place = moved.shape[1] + number * n + i
-            if k == 0:
-                begin[place, i] += 1.0
-            else:
-                courses[:, place, k - 1, i] += 1.0
     courses = np.ascontiguousarray(np.repeat(courses, each, axis=0).transpose(2, 0, 1, 3))
     y, there = np.where(np.isfinite(seen.y), seen.y, 0.0), np.isfinite(seen.y).astype(float)
-    z = np.broadcast_to(begin, (len(At), *begin.shape)).copy()
+    z = np.empty((len(At), courses.shape[2], n))
     errors, predicted = np.empty((samples, *z.shape[:2], y.shape[1])), np.empty((samples, each, n))
     with np.errstate(all="ignore"):  # an explanation that is far off may diverge; it then explains nothing
         for k in range(samples):
+            if k in seen.begins:
+                first = moved.shape[1] + seen.begins.index(k) * unknown
+                z[:] = seen.mean
+                z[:, first : first + unknown, :unknown] += np.eye(unknown)
             e = errors[k]
             predicted[k] = z[:each, 0]
             np.subtract(y[k], z @ Ct, out=e)

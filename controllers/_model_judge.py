@@ -86,7 +86,7 @@ class Judge:
         found = []
         for k in range(len(self.seers)):
             u, s, _ = np.linalg.svd(
-                self.part(white, k)[-self.model.states * len(self.seen.begins) :].T, full_matrices=False
+                self.part(white, k)[-self.model.moving.states * len(self.seen.begins) :].T, full_matrices=False
             )
             found.append(u[:, s > 1e-9 * max(s[0], 1e-300)])
         return found

@@ -45,7 +45,7 @@ EXPLAINED = 2.0
 NEARLY = 5.0
 """Log-likelihood ratio within which two explanations are nearly as good."""
 
-LEAST_SAMPLES = 12
+LEAST_SAMPLES = 8
 """Samples without which nothing is said."""
 
 
