@@ -42,6 +42,7 @@ def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], 
     weight = 1.0 / WINDOW
     state = {
         "seer_mean": np.broadcast_to(np.asarray(initial_mean, float), (count, n)).copy(),
+        "seer_age": np.zeros(1),
         "seer_error": np.zeros(m),
         "seer_white": np.zeros((count, 2, m)),
         "seer_moments": np.concatenate([np.zeros((count, m)), np.ones((count, 1)), np.zeros((count, 1))], axis=1),
@@ -51,7 +52,7 @@ def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], 
 
 
 def check_consistency(
-    y, x_hat, C, k, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings, model_suspect
+    y, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings, model_suspect
 ):  # fmt: skip
     """Take the samples in: correct each observer, update its moments, and say how far the least doubtful set disagrees.
 
@@ -59,7 +60,8 @@ def check_consistency(
     """
     m, n = y.shape[0], x_hat.shape[0]
     weight, count, size = seer_settings[0], seer_settings[1], seer_settings[2]
-    counts = select(k >= seer_settings[5], weight, 0.0)
+    counts = select(seer_age[0] >= seer_settings[5], weight, 0.0)
+    seer_age[0] = seer_age[0] + 1.0
     least = 1e300 + 0.0 * weight
     for s in range(seer_mean.shape[0]):
         there = 0.0 * weight == 0.0

@@ -45,12 +45,12 @@ def _make_step(
     """
 
     def bayesian_controller(
-        y, goal, k, u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
+        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
-        seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+        seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
@@ -61,7 +61,7 @@ def _make_step(
         )  # fmt: skip
         report(memory, settings, nominal, first, outputs)
         check_consistency(
-            y, x_hat, C, k, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+            y, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
             model_suspect,
         )  # fmt: skip
         seek(

@@ -34,10 +34,10 @@ def _make_estimate(
     """
 
     def state_estimator(
-        y, k, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
+        y, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
-        works, load, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+        works, load, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(y, expected, covariance, C, e, present, CP, spread, innovation)
@@ -48,7 +48,7 @@ def _make_estimate(
         )  # fmt: skip
         report(memory, settings, nominal, first, outputs)
         check_consistency(
-            y, x_hat, C, k, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+            y, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
             model_suspect,
         )  # fmt: skip
 
