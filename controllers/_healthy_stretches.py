@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 WINDOW = 25
 """Samples over which two sensors are compared."""
 
-MEAN_APART = 4.5
+MEAN_APART = 5.0
 """Standard errors of the mean difference in a window from which on one of them is faulty."""
 
-SPREAD_APART = (0.35, 2.2)
+SPREAD_APART = (0.25, 2.7)
 """Mean squares of the difference, in usual ones, outside of which one of them is faulty."""
 
 LEAST_IN_WINDOW, LEAST_WINDOWS = 5, 4

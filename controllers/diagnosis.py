@@ -176,7 +176,7 @@ def best_explanations(
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
         known = [x for x in explanations(judge) if x.counts]
-        near = [x for x in known if x is known[0] or (x.kind in SIMPLE and x.total > known[0].total - NEARLY)]
+        near = [x for x in known if x.total > known[0].total - NEARLY]
         if near and near[0].kind in SIMPLE and max(near[0].square) < EXPLAINED:
             return near
         if near and (not fallback or max(near[0].square) < EXPLAINED <= max(fallback[0].square)):

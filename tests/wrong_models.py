@@ -87,12 +87,15 @@ def _faults(size: float, start: float, stop: float) -> dict[str, cosim.Fault]:
 PLANTS: Mapping[str, float] = {"car": 1.0, "servo": 0.01, "pendulum": 0.005, "turbine": 0.01}
 """Standard deviation of the sensors of each plant."""
 
+MASS = frozenset({"gain", "dt", "dynamics"})
+"""Kinds whose sentences ask for masses and inertias: of a car mass and time scale are one and the same."""
+
 WRONG: Mapping[str, Mapping[str, frozenset[str]]] = {
     "car": {
         "sign": frozenset({"sign"}),
         "dt": frozenset({"dt"}),
-        "heavier": frozenset({"gain", "dt"}),
-        "lighter": frozenset({"gain", "dt"}),
+        "heavier": MASS,
+        "lighter": MASS,
         "far": frozenset({"nonlinear"}),
         "limit": frozenset({"limit"}),
         "late": frozenset({"late"}),
@@ -100,16 +103,16 @@ WRONG: Mapping[str, Mapping[str, frozenset[str]]] = {
     "servo": {
         "sign": frozenset({"sign"}),
         "dt": frozenset({"dt"}),
-        "heavier": frozenset({"gain"}),
-        "lighter": frozenset({"gain"}),
+        "heavier": MASS,
+        "lighter": MASS,
         "limit": frozenset({"limit"}),
         "late": frozenset({"late"}),
     },
     "pendulum": {
         "sign": frozenset({"sign"}),
         "dt": frozenset({"dt"}),
-        "heavier": frozenset({"gain"}),
-        "lighter": frozenset({"gain"}),
+        "heavier": MASS,
+        "lighter": MASS,
         "far": frozenset({"nonlinear"}),
         "limit": frozenset({"limit"}),
         "late": frozenset({"late"}),
