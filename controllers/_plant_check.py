@@ -125,7 +125,8 @@ def compare_with_plant(
     names = [control] if isinstance(control, str) else list(control)
     outputs = [measured] if isinstance(measured, str) else list(measured)
     low, high = as_vector("u_min", u_min, p, finite=False), as_vector("u_max", u_max, p, finite=False)
-    mean = np.array(np.broadcast_to(extended_mean(model, np.atleast_1d(at), at), model.states), dtype=float)
+    given = np.atleast_1d(np.asarray(at, dtype=np.float64))
+    mean = np.array(np.broadcast_to(np.asarray(extended_mean(model, given, given), np.float64), model.states))
     start = np.clip(holding(model, mean), low, high)
     rest = _answer(model, plant, names, outputs, start)
     if rest is None or rest.shape[1] > model.sensors:

@@ -206,3 +206,37 @@ def test_a_diagnosis_says_what_it_lacks():
         controllers.diagnose(result, controller)
     with pytest.raises(cosim.ModelError, match="every step"):
         controllers.diagnose(loop(case, LEARNERS["fixed"]).simulate(1.0, decimation=2), controller, y="sensors.y")
+
+
+WRONG_SIGN = ("B = [[2e-4]]", "B = [[-2e-4]]")
+
+
+def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys):
+    from bayesftc.cli.run import run_scenario
+    from bayesftc.scenario._files import find_scenario
+
+    text = find_scenario("cruise_control").read_text(encoding="utf-8")
+    assert WRONG_SIGN[0] in text
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(text.replace(*WRONG_SIGN), encoding="utf-8")
+    with pytest.warns(controllers.ModelMismatchWarning, match="the other way"):
+        run_scenario(str(wrong), None, {}, check_kalman=False, json=False, quiet=False)
+    assert "Is the sign of B right?" in " ".join(capsys.readouterr().out.split())
+
+
+def test_bayesftc_run_says_nothing_of_a_right_model(capsys):
+    from bayesftc.cli.run import run_scenario
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", controllers.ModelMismatchWarning)
+        run_scenario("cruise_control", None, {}, check_kalman=False, json=True, quiet=False)
+    assert '"model": null' in capsys.readouterr().out
+
+
+def test_the_comparison_before_a_run_leaves_its_bits():
+    case = Case("car", "right")
+    before = loop(case, LEARNERS["gamma"]).simulate(2.0, seed=1)
+    controllers.compare_with_plant(MODEL, CAR, control="force", measured="v", at=20.0)
+    after = loop(case, LEARNERS["gamma"]).simulate(2.0, seed=1)
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name])
