@@ -1,5 +1,6 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
+from ._plant_check import ModelMismatchWarning as ModelMismatchWarning, compare_with_plant as compare_with_plant
 from ._pulse_responses import PoorFitWarning as PoorFitWarning
 from ._rate import Calibration as Calibration, RateLearner as RateLearner
 from ._resolution import find_resolution as find_resolution
@@ -17,6 +18,11 @@ from .calibration import CalibrationReport as CalibrationReport, Hazards as Haza
 from .classifier import FaultClassifier as FaultClassifier, UntrainedClassifierError as UntrainedClassifierError
 from .design import design as design
 from .detectability import Detectability as Detectability, detectability as detectability
+from .diagnosis import (
+    ModelFinding as ModelFinding,
+    diagnose as diagnose,
+    diagnose_recording as diagnose_recording,
+)
 from .estimator import StateEstimator as StateEstimator
 from .explicit import ExplicitDetection as ExplicitDetection
 from .fault_modes import (

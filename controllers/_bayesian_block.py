@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -72,6 +72,8 @@ class BayesianBlock(Block, ABC):
     initial_covariance: Matrix = 1.0
     invalid: Invalid = field(default=(), kw_only=True)
     posterior_outputs: bool = field(default=False, kw_only=True)
+
+    checks_model: ClassVar[bool] = True
 
     def _check_settings(self) -> None:
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
@@ -160,7 +162,7 @@ class BayesianBlock(Block, ABC):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability``, those asked for, and the learner's own."""
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, those asked for, the learner's."""
         return *self._own_outputs, *self._learner().ports
 
     @property
@@ -175,8 +177,12 @@ class BayesianBlock(Block, ABC):
             "precision": (m,),
             "beta": (m,),
         }
-        shapes["fault_probability"] = (m,)
-        return *(port(name, shape) for name, shape in shapes.items()), *self._posterior_ports
+        return (
+            *(port(name, shape) for name, shape in shapes.items()),
+            port("fault_probability", (m,)),
+            *((port("model_suspect"),) if self.checks_model else ()),
+            *self._posterior_ports,
+        )
 
     @property
     def _posterior_ports(self) -> tuple[Port, ...]:

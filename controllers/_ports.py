@@ -17,6 +17,7 @@ _SIGNALS = {
     "fault_probability": "Probability that each sensor is faulty; NaN where it is not inferred",
     "fault": "1 for each sensor that is taken for faulty, else 0; NaN where that is not known",
     "detected": "1 for each sensor that a fault is detected of, else 0",
+    "model_suspect": "How far all sensors disagree with the model alike, 0 to 1; it is wrong from 0.5 on; NaN if not checked",
     "precision_shape": "Shape of the gamma distribution of each precision",
     "precision_rate": "Rate of the gamma distribution of each precision",
     "precision_scale": "Scale matrix V of the Wishart distribution of the precision",

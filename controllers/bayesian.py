@@ -16,6 +16,7 @@ from bayesftc.controllers import _filter
 from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._belief import arrive, belief_state, make_ways, plan
+from bayesftc.controllers._consistency import check_consistency, consistency, follow
 from bayesftc.controllers._filter import decide, innovate, limit, predict, restore
 from bayesftc.controllers._free_energy import tell_nothing, tell_posterior
 from bayesftc.controllers._linalg import apply
@@ -49,13 +50,14 @@ def _make_step(
     """
 
     def bayesian_controller(
-        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work,
+        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
         expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
         heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
         u_0, goal_noise, constant,
+        seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(
@@ -71,6 +73,10 @@ def _make_step(
         blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
         alarm(doubts, outputs)
+        check_consistency(
+            heard, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+            model_suspect,
+        )  # fmt: skip
         seek(
             goal,
             x_hat,
@@ -97,6 +103,7 @@ def _make_step(
             pull[i] = pull[i] - goal_shift[i]
         fold(pull, wanted, GA, GQ, GBw, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
         arrive(applied, works, load, effective)
+        follow(effective, A, B, J, seer_mean)
         predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
 
     return bayesian_controller
@@ -231,6 +238,8 @@ class BayesianController(BayesianBlock):
         scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
         state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
         state |= {name: np.zeros(shape) for name, shape in scratch.items()}
+        watching, constants = consistency(model, self.initial_mean)
+        state, parameters = state | watching, parameters | constants
         seek, constants, seeking = self._seeking(G @ B, prior)
         parameters |= constants
         state |= seeking

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
+from bayesftc.controllers._plant_check import compare_with_plant
 from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.identification import Identification
 from bayesftc.controllers.linearization import INPUT_NOISE, Names, elements_of, linearize, names_of
@@ -18,6 +19,7 @@ from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.fmu import FMU
 
 
 def design(
@@ -85,6 +87,11 @@ def design(
     UnknownNameError
         If the plant has no such variable.
 
+    Warns
+    -----
+    ModelMismatchWarning
+        If an FMU answers a short step of a control from its start values otherwise than the model; see `compare_with_plant`.
+
     Examples
     --------
     >>> from bayesftc import controllers, cosim, fmus
@@ -134,6 +141,8 @@ def design(
     refuse_unstabilisable(model)
     refuse_undetectable(model)
     p = model.controls
+    if isinstance(plant, FMU) and at is None:
+        compare_with_plant(model, plant, control=driven, measured=seen, at=mean, u_min=u_min, u_max=u_max)
     low, high = as_vector("u_min", u_min, p, finite=False), as_vector("u_max", u_max, p, finite=False)
     if goal_covariance is None:
         goal_covariance = _squares("acceptable_error", acceptable_error, len(H))

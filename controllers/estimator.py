@@ -13,6 +13,7 @@ from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP, extended_mean, known_constant
 from bayesftc.controllers._belief import arrive, belief_state, make_ways
 from bayesftc.controllers._checks import Matrix, as_covariance, as_numbers, as_vector, frozen
+from bayesftc.controllers._consistency import check_consistency, consistency, follow
 from bayesftc.controllers._filter import innovate, predict, restore
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._ports import port
@@ -39,9 +40,11 @@ def _make_estimate(
     """
 
     def state_estimator(
-        y, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work, mean, covariance, applied, memory,
+        y, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
+        mean, covariance, applied, memory,
         A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
         works, load, heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
+        seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(
@@ -57,15 +60,20 @@ def _make_estimate(
         blame(doubts, certain, fault_probability)
         report(memory, settings, nominal, first, outputs)
         alarm(doubts, outputs)
+        check_consistency(
+            heard, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+            model_suspect,
+        )  # fmt: skip
 
     return state_estimator
 
 
-def look_ahead(u, x_hat, P, applied, works, load, effective, A, B, Q, largest, J, mean, covariance):
+def look_ahead(u, x_hat, P, applied, works, load, effective, A, B, Q, largest, J, mean, covariance, seer_mean):
     """Take the belief to the next step with the input, or with the last one where it is not finite."""
     for i in range(u.shape[0]):
         applied[i] = select(u[i] - u[i] == 0.0, u[i], applied[i])
     arrive(applied, works, load, effective)
+    follow(effective, A, B, J, seer_mean)
     predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
 
 
@@ -158,14 +166,14 @@ class StateEstimator(Block):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``x_hat, P, R, innovation, precision, beta, fault_probability``, and the precision learner's own."""
+        """Outputs ``x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, and the learner's own."""
         return *self._own_outputs, *self.precision.learner(self.model).ports
 
     @property
     def _own_outputs(self) -> tuple[Port, ...]:
         n, m = self.model.states, self.model.sensors
         each = tuple(port(name, (m,)) for name in ("innovation", "precision", "beta", "fault_probability"))
-        return port("x_hat", (n,)), port("P", (n, n)), port("R", (m, m)), *each
+        return port("x_hat", (n,)), port("P", (n, n)), port("R", (m, m)), *each, port("model_suspect")
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
@@ -182,4 +190,6 @@ class StateEstimator(Block):
         ways = make_ways(learner.step, learner.infer)
         estimate = _make_estimate(*ways, learner.report, alarm_of(learner, first), first)
         state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
+        watching, constants = consistency(model, self.initial_mean)
+        state, parameters = state | watching, parameters | constants
         return Definition(estimate, look_ahead, state=state, parameters=parameters, compiled=learner.compiled)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -239,6 +239,7 @@ class NonlinearBayesianController(BayesianBlock):
     model: NonlinearModel
     goal_on: Literal["states"] | Matrix = "states"
     prediction: Literal["model", "random walk"] = "model"
+    checks_model: ClassVar[bool] = False
     iterations: int = 40
 
     def __post_init__(self) -> None:

@@ -13,6 +13,8 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
+from bayesftc.controllers import diagnose_recording
+from bayesftc.cosim.metrics import without_nan
 from bayesftc.monitoring import ActuatorEvent, FaultEvent, Monitored, load_monitor
 
 if TYPE_CHECKING:
@@ -93,7 +95,16 @@ def summary(found: Monitored) -> dict[str, Any]:
         },
         "actuator_faults": [asdict(event) for event in found.actuator_events],
         "why_no_probability": found.why_no_probability,
+        "model": _diagnosed(found),
     }
+
+
+def _diagnosed(found: Monitored) -> dict[str, Any] | None:
+    """Return how the model is wrong; None if nothing speaks against it, or no input is known by which to judge it."""
+    if not found.recording.u.shape[1]:
+        return None
+    finding = diagnose_recording(found.model, found.recording.y, found.recording.u, found.x_hat[0])
+    return None if finding is None else dict(without_nan(asdict(finding)))
 
 
 def _write(folder: Path, found: Monitored, numbers: dict[str, Any]) -> None:
@@ -129,6 +140,9 @@ def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> No
             actuators.add_row(name, "{:.4f}".format(row["mean_probability"]), str(row["alarms"]))
         say("\nActuators", "bold")
         console.print(actuators)
+    if numbers["model"]:
+        say("\nThe model", "bold")
+        say(numbers["model"]["sentence"])
     if found.why_no_probability:
         say(f"There is no fault probability: {found.why_no_probability}")
     elif not found.events and not found.actuator_events:

@@ -171,6 +171,10 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
         console.print(table)
         if sentence:
             console.print(Text(sentence))
+    if numbers.get("model"):
+        console.print()
+        console.print(Text("The model", style="bold"))
+        console.print(Text(numbers["model"]["sentence"]))
     for note in numbers["notes"]:
         console.print()
         console.print(Text(note))

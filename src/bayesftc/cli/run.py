@@ -59,6 +59,7 @@ def run_scenario(
     """
     scenario = load_scenario(path)
     loop = scenario.loop()
+    _compare(scenario)
     if check_kalman:
         _refuse_kalman(scenario)
         options = {**options, "record": _with_kalmans(scenario, loop)}
@@ -74,6 +75,7 @@ def run_scenario(
             error.args = (f"{error} They are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(path, scenario, loop, result)
+    numbers["model"] = _diagnosed(scenario, loop, result)
     if check_kalman:
         numbers["kalman"] = _kalman(scenario, loop, result)
     elif _is_ser(scenario):
@@ -87,6 +89,26 @@ def run_scenario(
         typer.echo(output.as_json(numbers))
     elif not quiet:
         output.print_report(numbers, out)
+
+
+def _compare(scenario: Scenario) -> None:
+    """Warn if the controller's model answers a step of a control otherwise than the plant."""
+    from bayesftc.controllers import LinearModel, compare_with_plant
+
+    controller, sensors, wiring = scenario.controller, scenario.sensors, scenario.wiring
+    if not isinstance(getattr(controller, "model", None), LinearModel):
+        return
+    if sensors is not None and (sensors.function is not None or sensors.matrix is not None):
+        return  # what the sensors read is no plain output of the plant
+    limits = {name: getattr(controller, name) for name in ("u_min", "u_max") if hasattr(controller, name)}
+    compare_with_plant(
+        controller.model,  # type: ignore[attr-defined]
+        scenario.plant,
+        control=wiring.control,
+        measured=wiring.measured,
+        at=controller.initial_mean,  # type: ignore[attr-defined]
+        **limits,
+    )
 
 
 def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any], LoopSignals]:
@@ -112,6 +134,19 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         numbers["pace"] = pace
         numbers["notes"].append(_in_time(pace))
     return numbers, signals
+
+
+def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any] | None:
+    """Return how the controller's model is wrong, as far as the run was recorded; None if nothing speaks against it."""
+    from bayesftc.controllers import LinearModel, diagnose
+
+    name, needed = _source_of_samples(loop), "controller.u"
+    if not isinstance(getattr(scenario.controller, "model", None), LinearModel) or result.decimation != 1:
+        return None
+    if name is None or name not in result or needed not in result:
+        return None
+    found = diagnose(result, scenario.controller, y=name)
+    return None if found is None else without_nan(asdict(found))
 
 
 def _in_time(pace: Mapping[str, float]) -> str:

@@ -1,0 +1,117 @@
+"""The consistency check that runs beside a controller: whether all sensors disagree with the model in the same way.
+
+Each set of sensors has an observer of its own (`_observers`), which knows the control but nothing of what a precision learner
+believes. Of its whitened innovations three moments are kept and forgotten exponentially: mean, mean square, and the product
+with the one before. With the right model and healthy sensors mean and product are zero. Both are compared with the mean square,
+so that a wrong noise level raises nothing. The set that disagrees least decides: one faulty sensor spoils one set.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.controllers._observers import observers
+from bayesftc.cosim.ops import absolute, both, maximum, minimum, select
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.model import LinearModel
+
+WINDOW = 100.0
+"""Samples in which the moments forget."""
+
+MEAN_LIMIT, PRODUCT_LIMIT = 25.0, 18.5
+"""Squared mean, and product with the one before (squared, where positive), in units of their variances with the right model, at
+which the model is suspect.
+
+Tuned on the seeds 1000 to 1023 of ``tests/wrong_models.py``, judged on the seeds 0 to 99."""
+
+ABSURD = 1e6
+"""Standard deviations beyond which a sample says nothing of the model."""
+
+
+def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the state and the parameters of the check for a model and a belief before the first sample."""
+    seers, n, m = observers(model), model.states, model.sensors
+    count = 1 if seers is None else len(seers)
+    gain = np.zeros((count, n, m)) if seers is None else seers.correction
+    whiten = np.zeros((count, m, m)) if seers is None else seers.whiten
+    size = 1.0 if seers is None else max(map(len, seers.sensors))
+    limits = [np.nan, np.nan] if seers is None else [MEAN_LIMIT, PRODUCT_LIMIT]
+    weight = 1.0 / WINDOW
+    state = {
+        "seer_mean": np.broadcast_to(np.asarray(initial_mean, float), (count, n)).copy(),
+        "seer_age": np.zeros(1),
+        "seer_error": np.zeros(m),
+        "seer_white": np.zeros((count, 2, m)),
+        "seer_moments": np.concatenate([np.zeros((count, m)), np.ones((count, 1)), np.zeros((count, 1))], axis=1),
+    }
+    settings = [weight, (2.0 - weight) / weight, float(size), *limits, 0.0 if seers is None else float(seers.rest)]
+    return state, {"seer_gain": gain, "seer_whiten": whiten, "seer_settings": settings}
+
+
+def check_consistency(
+    y, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings, model_suspect
+):  # fmt: skip
+    """Take the samples in: correct each observer, update its moments, and say how far the least doubtful set disagrees.
+
+    Where a sample of a set is missing or absurd, its observer takes the controller's estimate, and its moments stay.
+    """
+    m, n = y.shape[0], x_hat.shape[0]
+    weight, count, size = seer_settings[0], seer_settings[1], seer_settings[2]
+    counts = select(seer_age[0] >= seer_settings[5], weight, 0.0)
+    seer_age[0] = seer_age[0] + 1.0
+    least = 1e300 + 0.0 * weight
+    for s in range(seer_mean.shape[0]):
+        there = 0.0 * weight == 0.0
+        for i in range(m):
+            total = y[i]
+            for j in range(n):
+                total = total - C[i, j] * seer_mean[s, j]
+            seer_error[i] = total
+        square, product = 0.0 * weight, 0.0 * weight
+        for i in range(m):
+            total = 0.0 * weight
+            for j in range(i + 1):
+                total = total + select(seer_whiten[s, i, j] == 0.0, 0.0, seer_whiten[s, i, j] * seer_error[j])
+            there = both(there, absolute(total) < ABSURD)
+            seer_white[s, 1, i] = total
+            square = square + total * total
+            product = product + total * seer_white[s, 0, i]
+        step = select(there, counts, 0.0)
+        far = 0.0 * weight
+        for i in range(m):
+            new = select(there, seer_white[s, 1, i], 0.0)
+            seer_white[s, 0, i] = new
+            seer_moments[s, i] = seer_moments[s, i] + step * (new - seer_moments[s, i])
+            far = far + seer_moments[s, i] * seer_moments[s, i]
+        square, product = select(there, square / size, 0.0), select(there, product / size, 0.0)
+        seer_moments[s, m] = seer_moments[s, m] + step * (square - seer_moments[s, m])
+        seer_moments[s, m + 1] = seer_moments[s, m + 1] + step * (product - seer_moments[s, m + 1])
+        ratio = maximum(seer_moments[s, m + 1] / seer_moments[s, m], 0.0)
+        apart = maximum(
+            count * far / seer_moments[s, m] / seer_settings[3], count * size * ratio * ratio / seer_settings[4]
+        )
+        least = minimum(least, apart)
+        for j in range(n):
+            total = seer_mean[s, j]
+            for i in range(m):
+                total = total + select(seer_gain[s, j, i] == 0.0, 0.0, seer_gain[s, j, i] * seer_error[i])
+            seer_mean[s, j] = select(there, total, x_hat[j])
+    model_suspect[0] = least / (1.0 + least)
+
+
+def follow(effective, A, B, J, seer_mean):
+    """Take each observer to the next sample, with the control that arrives."""
+    n = A.shape[0]
+    for s in range(seer_mean.shape[0]):
+        for i in range(n):
+            total = A[i, 0] * seer_mean[s, 0]
+            for j in range(1, n):
+                total = total + A[i, j] * seer_mean[s, j]
+            for j in range(B.shape[1]):
+                total = total + B[i, j] * effective[j]
+            J[0, i] = total
+        for i in range(n):
+            seer_mean[s, i] = J[0, i]
