@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesftc.controllers._bank_kernels import PROBABILITY, STATE
-from bayesftc.controllers._course import COURSE_SCRATCH, COURSE
+from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
 from bayesftc.controllers._switching_kernels import FIRST, FIRST_SETTINGS, LEAST
 from bayesftc.cosim.block import Floats
 
@@ -17,7 +17,7 @@ BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACT
 
 PROCESS_SETTINGS = 4
 STARTS, STOPS, MORE, FADES = range(PROCESS_SETTINGS)
-"""Places in the settings of a mode of the process: probabilities that it begins and ends, the variance it adds, the part that fades."""
+"""Places in the settings of a mode of the process: probabilities that it begins and ends, added variance, faded part."""
 
 WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)
 """What is kept of an actuator: how much of the control arrives and what is added to it, on average; the same as the control
@@ -134,7 +134,7 @@ class Layout:
 
     @property
     def first_lost(self) -> int:
-        """Which hypothesis is the first one that a sensor goes its own course; up to it all have an offset, but for the very first."""
+        """Which hypothesis is the first one that a sensor goes its own course."""
         return 1 + self.m * len(self.kinds)
 
     @property
@@ -189,7 +189,7 @@ class Layout:
 
     @property
     def courses(self) -> int:
-        """Where the courses stand, for each sensor and each of its modes that is one: how much has just begun, and the regression."""
+        """Where the courses stand, for each sensor and mode: the share that has just begun, then the regression."""
         return self.shift + self.n + 2
 
     @property

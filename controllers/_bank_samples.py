@@ -28,9 +28,9 @@ from bayesftc.controllers._switching_kernels import (
     LAST,
     LEAST,
     LEAST_TRUST,
-    NOISE,
     MODE_ARRIVES,
     MODE_MISSING,
+    NOISE,
     OWN_SETTINGS,
     TRUSTED,
     held,
@@ -103,9 +103,13 @@ def make_weigh(
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
                     own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
                     if h == 0:
-                        density = weigh_alone(error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row)
+                        density = weigh_alone(
+                            error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row
+                        )
                     else:
-                        density = weigh_other(error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row)
+                        density = weigh_other(
+                            error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row
+                        )
                     memory[told + h] = memory[told + h] + density
                     memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
                     noise = variance / memory[own + TRUSTED]

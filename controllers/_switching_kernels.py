@@ -1,15 +1,28 @@
 """Step functions of switching between fault modes: time passing, probabilities, and what they say of a sensor.
 
-What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample, the probability of being `HEALTHY`, the precision
-that it deserves in those of its noise while healthy (`TRUSTED`); the factor of its last sample's `DENSITY` beside the logarithm that was returned; the variance of that `NOISE` in nominal ones, with shape and rate of
-the gamma distribution that it is learned by, and how many of how many samples were repetitions while it was healthy (these
-of a sensor, not of a hypothesis, where there are such); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
-it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). After all
-sensors follow the number of samples and the logarithm of the last ones' density. The settings likewise, from ``row`` on: the
-probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how much each sample `KEEPS` of
-what was learned, the prior's shape, and its bounds; the resolution, how many repetitions of how many samples are expected of it, and
-the largest share; and a block for each mode: the
-probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is missing, and the mode's own settings.
+What is kept of a sensor stands in ``memory`` from ``at`` on:
+
+- `LAST`: its last sample.
+- `HEALTHY`: the probability that it is healthy.
+- `TRUSTED`: the precision that it deserves, in that of its noise while healthy.
+- `DENSITY`: a factor of its last sample's density, beside the logarithm that was returned.
+- `NOISE`, `NOISE_SHAPE`, `NOISE_RATE`: the variance of its noise while healthy, in nominal ones, and the gamma distribution of the
+  precision by which it is learned.
+- `REPEATS`, `SAMPLES`: how many of how many samples were repetitions while it was healthy.
+- From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
+  `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``).
+
+After all sensors follow the number of samples and the logarithm of the last ones' density. A bank's hypotheses keep a sensor in the
+same form; noise and repetitions belong to the sensor, not to a hypothesis.
+
+The settings of a sensor stand from ``row`` on:
+
+- `ARRIVES`, `MISSING`: the probabilities that a healthy sensor's sample arrives and is missing.
+- `KEEPS`, `SHAPE0`, `LEAST_NOISE`, `MOST_NOISE`: of its noise the forgetting factor, the prior's shape, and the bounds.
+- `WIDTH`, `REPEATS0`, `SAMPLES0`, `MOST_REPEATS`: the resolution, how many repetitions of how many samples are expected, and the
+  largest share of them that is learned.
+- From `FIRST_SETTINGS` on a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is
+  missing, and the mode's own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
 sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.
@@ -20,7 +33,9 @@ from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import absolute, exp, maximum, minimum, select, sqrt
 
 LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, REPEATS, SAMPLES, FIRST = range(10)
-ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, WIDTH, REPEATS0, SAMPLES0, MOST_REPEATS, FIRST_SETTINGS = range(11)
+ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, WIDTH, REPEATS0, SAMPLES0, MOST_REPEATS, FIRST_SETTINGS = (
+    range(11)
+)
 BEGINS, LASTS, ENDS, MODE_ARRIVES, MODE_MISSING, OWN_SETTINGS = 0, 1, 2, 3, 4, 5
 
 TYPICAL = 17.079468445347132

@@ -108,7 +108,10 @@ def sensor_functions(
     def of_modes(text: str) -> list[str]:
         places = [(k, kernels.FIRST + k * width, kernels.FIRST_SETTINGS + k * settings) for k in chosen]
         times = [" * repeats" if evidence[k] is mode_kernels.freezes else "" for k in chosen]
-        return [text.format(k=k, block=block, settings=own, times=t) for (k, block, own), t in zip(places, times, strict=True)]
+        return [
+            text.format(k=k, block=block, settings=own, times=t)
+            for (k, block, own), t in zip(places, times, strict=True)
+        ]
 
     def lines(text: str) -> str:
         return "\n".join(of_modes(text))

@@ -33,8 +33,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from bayesftc.controllers import _mode_kernels as kernels
-from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
 from bayesftc.controllers._checks import as_number, as_vector, check_number
+from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
 from bayesftc.controllers._default_time import DefaultTime
 from bayesftc.controllers._mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST, log_density
 
@@ -288,11 +288,11 @@ class Noisier(FaultMode):
 
 @dataclass(frozen=True)
 class Unmodelled(FaultMode):
-    """The sensor has failed in a way that has no mode of its own: its samples go their own course, which is learned.
+    """The sensor has failed in a way that has no mode of its own; how its samples then go is learned.
 
-    Its innovations are a linear regression on a constant, on their predecessor and on the prediction, with noise of any scale: so are those of a sensor that is frozen with a dither, filtered, late, swapped,
-    oscillating or of another gain. In the joint form the state is inferred without this sensor meanwhile, in a hypothesis
-    for each sensor.
+    Its innovations are a linear regression on a constant, on their predecessor and on the prediction, with noise of any scale.
+    So are those of a sensor that is frozen with a dither, filtered, late, swapped or oscillating, or that has another gain. In
+    the joint form each sensor has a hypothesis for it, in which the state is inferred without that sensor.
 
     Parameters
     ----------

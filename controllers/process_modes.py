@@ -17,8 +17,8 @@ from bayesftc.cosim.errors import ModelError
 class NoisierProcess:
     """The model says less of the plant's states than usual: by default for a single sample and by far, which is a kick.
 
-    Either their process noise is larger (`scale`), or the past tells less of them (`fading`), as in a filter with a fading memory:
-    then it does not matter in which direction the model is wrong.
+    Either their process noise is larger (`scale`), or the past tells less of them (`fading`), as in a filter with a fading
+    memory. A fading memory covers models that are wrong in any direction.
 
     Parameters
     ----------
@@ -31,7 +31,8 @@ class NoisierProcess:
         Standard deviation of the process noise meanwhile, in nominal ones. That of a kick by default reaches four times as far;
         the larger it is, the sooner a plant that is later than its model makes the loop unstable.
     fading : float
-        Factor of the covariance of the plant's states at each sample meanwhile (Sorenson and Sacks, Information Sciences 3, 1971).
+        Factor of the covariance of the plant's states at each sample meanwhile (Sorenson and Sacks, Information Sciences 3,
+        1971).
 
     Raises
     ------

@@ -321,8 +321,8 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
-            becomes=becomes, slow=slow, lost=self._lost, alone=spans[0], other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes),
-            process_modes=len(process_modes), width=width, width_of_settings=settings,
+            becomes=becomes, slow=slow, lost=self._lost, alone=spans[0], other=spans[1], faults=self._faults,
+            actuator_modes=len(actuator_modes), process_modes=len(process_modes), width=width, width_of_settings=settings,
         )  # fmt: skip
 
     def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
