@@ -162,7 +162,7 @@ class BayesianBlock(Block, ABC):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, chosen ones, the learner's."""
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect`` and further ones."""
         return *self._own_outputs, *self._learner().ports
 
     @property

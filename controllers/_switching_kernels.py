@@ -6,14 +6,14 @@ What is kept of a sensor stands in ``memory`` from ``at`` on:
 - `HEALTHY`: the probability that it is healthy.
 - `TRUSTED`: the precision that it deserves, in that of its noise while healthy.
 - `DENSITY`: a factor of its last sample's density, beside the logarithm that was returned.
-- `NOISE`, `NOISE_SHAPE`, `NOISE_RATE`: the variance of its noise while healthy, in nominal ones, and the gamma distribution of the
-  precision by which it is learned.
+- `NOISE`, `NOISE_SHAPE`, `NOISE_RATE`: the variance of its noise while healthy, in nominal ones, and the gamma distribution of
+  the precision by which it is learned.
 - `REPEATS`, `SAMPLES`: how many of how many samples were repetitions while it was healthy.
 - From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
   `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``).
 
-After all sensors follow the number of samples and the logarithm of the last ones' density. A bank's hypotheses keep a sensor in the
-same form; noise and repetitions belong to the sensor, not to a hypothesis.
+After all sensors follow the number of samples and the logarithm of the last ones' density. A bank's hypotheses keep a sensor in
+the same form; noise and repetitions belong to the sensor, not to a hypothesis.
 
 The settings of a sensor stand from ``row`` on:
 
@@ -21,8 +21,8 @@ The settings of a sensor stand from ``row`` on:
 - `KEEPS`, `SHAPE0`, `LEAST_NOISE`, `MOST_NOISE`: of its noise the forgetting factor, the prior's shape, and the bounds.
 - `WIDTH`, `REPEATS0`, `SAMPLES0`, `MOST_REPEATS`: the resolution, how many repetitions of how many samples are expected, and the
   largest share of them that is learned.
-- From `FIRST_SETTINGS` on a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is
-  missing, and the mode's own settings.
+- From `FIRST_SETTINGS` on a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and
+  is missing, and the mode's own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
 sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.
