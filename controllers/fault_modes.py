@@ -65,7 +65,7 @@ class FaultMode:
     """
 
     time_to_fault: float = DefaultTime(300.0)
-    time_to_recovery: float = DefaultTime(20.0)
+    time_to_recovery: float = DefaultTime(10.0)
 
     evidence: ClassVar[Callable[..., float]]
     arrival: ClassVar[float | None] = None
