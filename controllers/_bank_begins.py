@@ -36,7 +36,7 @@ from bayesftc.cosim.ops import maximum
 def make_begin(layout: Layout) -> Callable[..., None]:
     """Return the step function that notes how probable it is that each hypothesis begins, before time passes."""
     m, p, K, L, G = layout.m, layout.p, len(layout.kinds), layout.actuator_modes, layout.process_modes
-    kinds, slow, begins_here = layout.kinds or (0,), layout.slow or (0,), layout.begins_here
+    kinds, slow, begins_here = layout.kinds or (0,), layout.slow or (0,), layout.begins_here or (False,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, grow, first_actuator, process = layout.first, layout.grow, layout.first_actuator, layout.process
     of_actuators, of_process, witnessed = layout.actuator_settings, layout.process_settings, make_witnessed(layout)
@@ -74,7 +74,8 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
     """
     n, plant, m, p = layout.n, layout.plant, layout.m, layout.p
     K, L, G = len(layout.kinds), layout.actuator_modes, layout.process_modes
-    kinds, fresh, begins_here, alone = layout.kinds or (0,), layout.fresh, layout.begins_here, layout.alone
+    kinds, alone = layout.kinds or (0,), layout.alone
+    fresh, begins_here = layout.fresh or (False,), layout.begins_here or (False,)
     row_length, width, width_of_settings, sensor = layout.row, layout.width, layout.width_of_settings, layout.sensor
     none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
     first_actuator, process, first_lost, U = layout.first_actuator, layout.process, layout.first_lost, len(layout.lost)

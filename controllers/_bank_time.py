@@ -101,7 +101,8 @@ def make_set_out(layout: Layout) -> Callable[..., None]:
 def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh."""
     n, m, K, N = layout.n, layout.m, len(layout.kinds), layout.n + 2
-    kinds, becomes, slow, fresh = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,), layout.fresh
+    kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
+    fresh = layout.fresh or (False,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
     witnessed, collect, receive = make_witnessed(layout), make_collect(layout), make_receive(layout)

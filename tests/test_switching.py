@@ -78,9 +78,11 @@ def enumerated(y, variance, modes, loss):
 
 
 def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
-    modes = (Frozen(time_to_fault=0.3, time_to_recovery=0.2), DroppedOut(time_to_fault=0.5, time_to_recovery=0.1))
+    frozen = Frozen(time_to_fault=0.3, time_to_recovery=0.2, healthy_repeats=0)
+    modes = (frozen, DroppedOut(time_to_fault=0.5, time_to_recovery=0.1))
     rows = np.array([20.3, 19.1, 19.1, 19.10001, np.nan, np.nan, 21.9, 21.9])
-    found = learned(SwitchingPrecision(modes=modes, loss=(0.1, 0.8)), np.column_stack([rows, rows[::-1]]))
+    precision = SwitchingPrecision(modes=modes, loss=(0.1, 0.8), noise_factor=1.0)
+    found = learned(precision, np.column_stack([rows, rows[::-1]]))
     for n, (probability, *_) in enumerate(found, start=1):
         expected = [enumerated(rows[:n], 1.0, modes, 0.1), enumerated(rows[::-1][:n], 4.0, modes, 0.8)]
         np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
@@ -170,7 +172,8 @@ def test_noise_of_unknown_precision_has_the_density_of_numerical_integration():
 def test_the_first_sample_is_bayes_rule():
     """An offset is expected to be as large as the first innovation, 4, if it is believed smaller."""
     modes = (Offset(time_to_fault=1.0, jump=3.0), Noisier(time_to_fault=2.0))
-    probability, _, R = next(learned(SwitchingPrecision(modes=modes), np.array([[24.0, 20.0]]), spread=0.5 * np.eye(2)))
+    precision = SwitchingPrecision(modes=modes, noise_factor=1.0)
+    probability, _, R = next(learned(precision, np.array([[24.0, 20.0]]), spread=0.5 * np.eye(2)))
     S, enter = np.array([1.5, 4.5]), np.array([STEP / 1.0, STEP / 2.0])
     for i, e in enumerate((4.0, 0.0)):
         nominal = (1.0, 4.0)[i]

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.design import USUAL_STEP
 from bayesftc.cosim.block import Floats
 from bayesftc.reproduce._car import model as model_of_car
 from bayesftc.reproduce.family_cases import PLANTS, Case, Plant
@@ -100,10 +99,7 @@ def _matrix(plant: Plant, count: int, reads: Mapping[int, tuple[float, ...]]) ->
 def _controller(
     name: str, sensors: int, std: tuple[float, ...], learner: controllers.PrecisionLearner
 ) -> controllers.BayesianController:
-    base = _designed(name, sensors, std)
-    if isinstance(learner, controllers.SwitchingPrecision):
-        learner = learner.slowed(max(1.0, float(base.model.step) / USUAL_STEP))  # as `design` does by default
-    return replace(base, precision=learner)
+    return replace(_designed(name, sensors, std), precision=learner)
 
 
 @cache
