@@ -203,7 +203,10 @@ def test_what_no_healthy_sensor_repeats_is_a_freeze():
 
 @pytest.mark.parametrize("model", [CAR, TWO, CAR.with_disturbance(4.0)])
 def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
-    """The plant's predicted covariance grows, its process noise with it; that of a force that is estimated does not."""
+    """The plant's predicted covariance grows, its process noise with it; that of a force that is estimated does not.
+
+    It grows only where there is a sample: a belief would be lost by silence.
+    """
     fading, n = 1.3, model.states
     mode = NoisierProcess(1e-15, NEVER, scale=1.0, fading=fading)
     precision = SwitchingPrecision([Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], noise_factor=1.0)
@@ -211,20 +214,25 @@ def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
     grown = np.diag([fading**0.5] * (n - model.disturbances) + [1.0] * model.disturbances)
     one = KalmanFilter(n, model.sensors, 1)
     one.F, one.B, one.H = model.matrix("A"), model.matrix("B"), model.matrix("C")
-    one.R, one.Q = model.matrix("sensor_covariance"), grown @ model.matrix("process_covariance") @ grown
+    one.R, Q = model.matrix("sensor_covariance"), model.matrix("process_covariance")
     one.x, one.P = np.zeros((n, 1)), 0.3 * grown @ grown  # it begins with the first sample
-    if not model.disturbances:
-        one.alpha = fading**0.5
     rng = np.random.default_rng(3)
-    for _ in range(40):
+    for k in range(80):
         y, u = rng.normal(size=model.sensors), rng.normal()
-        one.update(y[:, None])
+        silent, next_silent = k in range(20, 50), k + 1 in range(20, 50)
+        if silent:
+            y[:] = np.nan
+        else:
+            one.update(y[:, None])
         out = step(y=list(y), u=[u])
         np.testing.assert_allclose(out.x_hat, one.x[:, 0], rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(out.P, one.P, rtol=1e-6, atol=1e-12)
+        one.Q, one.alpha = Q, 1.0
+        if not next_silent and not model.disturbances:
+            one.Q, one.alpha = fading * Q, fading**0.5
         one.predict(u=np.array([[u]]))
-        if model.disturbances:
-            one.P = grown @ (one.P - one.Q) @ grown + one.Q
+        if not next_silent and model.disturbances:
+            one.P = grown @ one.P @ grown
     assert out.process_mode_probability[1] == pytest.approx(1.0)
 
 
