@@ -36,7 +36,7 @@ from bayesftc.cosim.ops import maximum
 def make_begin(layout: Layout) -> Callable[..., None]:
     """Return the step function that notes how probable it is that each hypothesis begins, before time passes."""
     m, p, K, L, G = layout.m, layout.p, len(layout.kinds), layout.actuator_modes, layout.process_modes
-    kinds, slow, begins_here = layout.kinds or (0,), layout.slow or (0,), layout.begins_here
+    kinds, slow, begins_here = layout.kinds or (0,), layout.slow or (0,), layout.begins_here or (False,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, grow, first_actuator, process = layout.first, layout.grow, layout.first_actuator, layout.process
     of_actuators, of_process, witnessed = layout.actuator_settings, layout.process_settings, make_witnessed(layout)
@@ -74,7 +74,8 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
     """
     n, plant, m, p = layout.n, layout.plant, layout.m, layout.p
     K, L, G = len(layout.kinds), layout.actuator_modes, layout.process_modes
-    kinds, fresh, begins_here, alone = layout.kinds or (0,), layout.fresh, layout.begins_here, layout.alone
+    kinds, alone = layout.kinds or (0,), layout.alone
+    fresh, begins_here = layout.fresh or (False,), layout.begins_here or (False,)
     row_length, width, width_of_settings, sensor = layout.row, layout.width, layout.width_of_settings, layout.sensor
     none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
     first_actuator, process, first_lost, U = layout.first_actuator, layout.process, layout.first_lost, len(layout.lost)
@@ -124,14 +125,15 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
                 receive(memory, at, came, none, -1, 0.0, c, 0.0, settings[own + VARIANCE], 0.0, 0.0)
         return stays
 
-    def arrive_process(Q, memory, settings, stays):
+    def arrive_process(sampled, Q, memory, settings, stays):
         for q in range(G):
             at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
             came = memory[grow + process + q]
             stays = stays - came
             part = came / (memory[at] + came)
             receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            inflate(memory, at, n, plant, part * settings[own + MORE], part * settings[own + FADES], Q)
+            more, fades = part * settings[own + MORE], part * sampled * settings[own + FADES]
+            inflate(memory, at, n, plant, more, fades, Q)
         return stays
 
     def go_on(memory, stays, left):
@@ -148,10 +150,10 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
             scale = 1.0 / maximum(rest, 1e-3)
             blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
 
-    def arrive(e, Q, nominal, applied, memory, settings):
+    def arrive(e, sampled, Q, nominal, applied, memory, settings):
         stays, left = arrive_offsets(e, nominal, memory, settings, memory[none], memory[pool])
         stays = arrive_process(
-            Q, memory, settings, arrive_actuators(applied, memory, settings, arrive_lost(memory, stays))
+            sampled, Q, memory, settings, arrive_actuators(applied, memory, settings, arrive_lost(memory, stays))
         )
         go_on(memory, maximum(stays, LEAST), maximum(left, LEAST))
 

@@ -58,7 +58,10 @@ def make_pass_time(
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
     couples, shift, scratch = layout.couples, layout.shift, layout.scratch
 
-    def pass_time(e, A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
+    def pass_time(e, present, A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
+        sampled = 0.0 * memory[none]
+        for i in range(m):
+            sampled = maximum(sampled, present[i])
         begin(memory, settings)
         set_out(B, applied, memory)
         for i in range(m):
@@ -69,8 +72,8 @@ def make_pass_time(
         move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings)
         move_lost(A, Q, start, covariance, largest, memory, settings)
         move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings)
-        move_process(A, Q, start, covariance, largest, memory, settings)
-        arrive(e, Q, nominal, applied, memory, settings)
+        move_process(sampled, A, Q, start, covariance, largest, memory, settings)
+        arrive(e, sampled, Q, nominal, applied, memory, settings)
 
     return pass_time
 
@@ -101,7 +104,8 @@ def make_set_out(layout: Layout) -> Callable[..., None]:
 def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh."""
     n, m, K, N = layout.n, layout.m, len(layout.kinds), layout.n + 2
-    kinds, becomes, slow, fresh = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,), layout.fresh
+    kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
+    fresh = layout.fresh or (False,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
     witnessed, collect, receive = make_witnessed(layout), make_collect(layout), make_receive(layout)
@@ -201,13 +205,16 @@ def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Call
 
 @cache
 def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses of the process' modes, and the one that such a mode has ended."""
+    """Return the step function that moves the hypotheses of the process' modes, and the one that such a mode has ended.
+
+    A belief fades only where a sensor was ``sampled`` (1, else 0): without samples it would grow without bound.
+    """
     n, plant, m, H, G = layout.n, layout.plant, layout.m, layout.hypotheses, layout.process_modes
     sensor, kept, row_length, process = layout.sensor, layout.kept, layout.row, layout.process
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
     of_process, collect, receive = layout.process_settings, make_collect(layout), make_receive(layout)
 
-    def move_process(A, Q, start, covariance, largest, memory, settings):
+    def move_process(sampled, A, Q, start, covariance, largest, memory, settings):
         for q in range(H - process):
             at = none + (process + q) * stride
             for i in range(m):
@@ -223,6 +230,6 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
                 ended = memory[at] * settings[own + STOPS]
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-                inflate(memory, at, n, plant, settings[own + MORE], settings[own + FADES], Q)
+                inflate(memory, at, n, plant, settings[own + MORE], sampled * settings[own + FADES], Q)
 
     return move_process

@@ -31,8 +31,8 @@ class NoisierProcess:
         Standard deviation of the process noise meanwhile, in nominal ones. That of a kick by default reaches four times as far;
         the larger it is, the sooner a plant that is later than its model makes the loop unstable.
     fading : float
-        Factor of the covariance of the plant's states at each sample meanwhile (Sorenson and Sacks, Information Sciences 3,
-        1971).
+        Factor of the predicted covariance of the plant's states at each sample meanwhile (Sorenson and Sacks, Information
+        Sciences 3, 1971); steps without a sample of any sensor do not count.
 
     Raises
     ------

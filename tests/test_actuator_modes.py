@@ -47,7 +47,8 @@ def test_there_are_outputs_for_the_modes_that_were_given(modes):
 def test_a_fault_that_has_begun_is_filtered_as_filterpy_does(kind):
     """Whatever the controller counts on in between; the offset of a sensor has no chance beside it."""
     mode = kind(AT_ONCE, NEVER)
-    precision = SwitchingPrecision((controllers.Offset(NEVER, NEVER),), 1e-9, actuator_modes=(mode,), process_modes=())
+    never = (controllers.Offset(NEVER, NEVER),)
+    precision = SwitchingPrecision(never, 1e-9, actuator_modes=(mode,), process_modes=(), noise_factor=1.0)
     step = StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=0.5).online(compiled=False)
     mean, variance, walk = mode.expected(SCALE)
     one = KalmanFilter(2, 2, 1)
@@ -186,7 +187,7 @@ def test_the_unit_of_an_offset_is_what_the_state_that_tells_most_tells():
 def test_a_belief_with_the_goal_in_it_is_that_of_the_per_sensor_form():
     never = (controllers.Offset(NEVER, NEVER),)
     outs = []
-    for precision in (controllers.FixedPrecision(), SwitchingPrecision(modes=never)):
+    for precision in (controllers.FixedPrecision(), SwitchingPrecision(modes=never, noise_factor=1.0)):
         controller = BayesianController(
             MODEL, precision=precision, initial_mean=20.0, belief="joint", control_covariance=1e6
         )

@@ -63,7 +63,8 @@ def test_drifts_of_two_sensors_are_told_apart_as_by_filterpys_interacting_models
         rows.append(x + np.sqrt(NOISE) * rng.normal(size=2) + [0.0, 0.15 * max(0, k - 30)])
         x = A * x + np.sqrt(Q) * rng.normal()
     slope, time_to_fault = 0.1, 2.0
-    precision = SwitchingPrecision((Drifting(time_to_fault, NEVER, slope=slope),), loss=1e-9, process_modes=())
+    modes = (Drifting(time_to_fault, NEVER, slope=slope),)
+    precision = SwitchingPrecision(modes, loss=1e-9, process_modes=(), noise_factor=1.0)
     for out, (mean, variance, mu) in zip(
         inferred(precision, rows), imm(np.array(rows), slope, time_to_fault), strict=True
     ):
@@ -132,7 +133,8 @@ def test_a_hypothesis_is_filtered_as_filterpy_does():
 def test_an_offset_that_jumps_is_estimated_as_by_filterpy_from_its_first_sample_on():
     """It begins at once and for good: not merged with offsets that had been there before, and together with the state."""
     a, q, noise = 0.999, 0.05, np.diag([1.0, 2.0])
-    precision = SwitchingPrecision([Offset(10 * STEP, NEVER, jump=50.0, walk=0.1)], loss=1e-9, process_modes=())
+    modes = [Offset(10 * STEP, NEVER, jump=50.0, walk=0.1)]
+    precision = SwitchingPrecision(modes, loss=1e-9, process_modes=(), noise_factor=1.0)
     step = controllers.StateEstimator(
         LinearModel([[a]], [[0.1]], [[1.0], [1.0]], q, noise, STEP),
         precision,

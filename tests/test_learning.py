@@ -67,14 +67,16 @@ def enumerated(y, modes, loss):
     return np.log(total), counts / total
 
 
-FEW = (Frozen(time_to_fault=0.3, time_to_recovery=0.2), DroppedOut(time_to_fault=0.5, time_to_recovery=0.1))
+FEW = (
+    Frozen(time_to_fault=0.3, time_to_recovery=0.2, healthy_repeats=0),
+    DroppedOut(time_to_fault=0.5, time_to_recovery=0.1),
+)
 ROWS = np.array([20.3, 19.1, 19.1, 19.1001, np.nan, np.nan, 21.9])
 
 
 def test_what_is_expected_is_the_mean_over_all_sequences_of_modes():
-    learned = learn_modes(
-        [RecordedRun(ROWS[:, None], **KNOWN)], still(1.0), SwitchingPrecision(FEW, loss=0.1), iterations=1
-    )
+    start = SwitchingPrecision(FEW, loss=0.1, noise_factor=1.0)
+    learned = learn_modes([RecordedRun(ROWS[:, None], **KNOWN)], still(1.0), start, iterations=1)
     likelihood, counts = enumerated(ROWS, FEW, 0.1)
     assert learned.log_likelihood == pytest.approx([likelihood], rel=1e-9)
     np.testing.assert_allclose(learned.onsets, counts[0], rtol=1e-9)
@@ -135,10 +137,10 @@ def wrong(modes, factor):
 
 
 def test_the_density_never_falls_where_nothing_is_approximated():
-    modes = (Frozen(2.0, 0.5), DroppedOut(2.0, 0.5, arrives=0.3))  # of a lossy sensor, so that silence does not say all
+    modes = (Frozen(2.0, 0.5, healthy_repeats=0), DroppedOut(2.0, 0.5, arrives=0.3))  # of a lossy sensor, so that silence does not say all
     y, _ = broken(3, modes, 600)
-    start = wrong(modes, 5.0)
-    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), SwitchingPrecision(start, loss=0.2))
+    start = SwitchingPrecision(wrong(modes, 5.0), loss=0.2, noise_factor=1.0)
+    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), start)
     assert learned.settled
     assert len(learned.log_likelihood) > 2
     assert np.diff(learned.log_likelihood).min() > -0.01  # of what is believed before, half a fault

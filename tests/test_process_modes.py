@@ -27,7 +27,7 @@ def filtered(model, mode, steps, noise, left=1.0):
     """
     n, m = model.states, model.sensors
     A, B, C, Q = (model.matrix(name) for name in ("A", "B", "C", "process_covariance"))
-    precision = SwitchingPrecision([Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode])
+    precision = SwitchingPrecision([Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], noise_factor=1.0)
     step = StateEstimator(model, precision, initial_covariance=0.3).online(compiled=False)
     one = KalmanFilter(n, m, 1)
     one.x, one.P = np.zeros((n, 1)), 0.3 * np.eye(n) + noise  # it begins with the first sample
@@ -128,7 +128,7 @@ def test_a_plant_that_is_not_as_the_model_is_no_fault_of_the_sensors():
 @pytest.mark.parametrize(
     ("precision", "ports"),
     [
-        (SwitchingPrecision(), [4]),
+        (SwitchingPrecision(), [5]),
         (SwitchingPrecision(process_modes=[NoisierProcess()]), [3]),
         (SwitchingPrecision(process_modes=()), []),
         (SwitchingPrecision(joint=False), []),

@@ -78,9 +78,11 @@ def enumerated(y, variance, modes, loss):
 
 
 def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
-    modes = (Frozen(time_to_fault=0.3, time_to_recovery=0.2), DroppedOut(time_to_fault=0.5, time_to_recovery=0.1))
+    frozen = Frozen(time_to_fault=0.3, time_to_recovery=0.2, healthy_repeats=0)
+    modes = (frozen, DroppedOut(time_to_fault=0.5, time_to_recovery=0.1))
     rows = np.array([20.3, 19.1, 19.1, 19.10001, np.nan, np.nan, 21.9, 21.9])
-    found = learned(SwitchingPrecision(modes=modes, loss=(0.1, 0.8)), np.column_stack([rows, rows[::-1]]))
+    precision = SwitchingPrecision(modes=modes, loss=(0.1, 0.8), noise_factor=1.0)
+    found = learned(precision, np.column_stack([rows, rows[::-1]]))
     for n, (probability, *_) in enumerate(found, start=1):
         expected = [enumerated(rows[:n], 1.0, modes, 0.1), enumerated(rows[::-1][:n], 4.0, modes, 0.8)]
         np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
@@ -170,7 +172,8 @@ def test_noise_of_unknown_precision_has_the_density_of_numerical_integration():
 def test_the_first_sample_is_bayes_rule():
     """An offset is expected to be as large as the first innovation, 4, if it is believed smaller."""
     modes = (Offset(time_to_fault=1.0, jump=3.0), Noisier(time_to_fault=2.0))
-    probability, _, R = next(learned(SwitchingPrecision(modes=modes), np.array([[24.0, 20.0]]), spread=0.5 * np.eye(2)))
+    precision = SwitchingPrecision(modes=modes, noise_factor=1.0)
+    probability, _, R = next(learned(precision, np.array([[24.0, 20.0]]), spread=0.5 * np.eye(2)))
     S, enter = np.array([1.5, 4.5]), np.array([STEP / 1.0, STEP / 2.0])
     for i, e in enumerate((4.0, 0.0)):
         nominal = (1.0, 4.0)[i]
@@ -205,6 +208,7 @@ def car(kind, precision, steps=400, begins=150, ends=300, seed=0):
                 "Drifting": y[0] + 0.05 * (k - begins),
                 "Ramping": y[0] + 0.4 * (k - begins),
                 "Noisier": y[0] + 5.0 * noise,
+                "Unmodelled": 20.0 + 5.0 * np.sin(2 * np.pi * k / 80),
                 "DroppedOut": np.nan,
                 "dither": last + 0.01 * noise,
             }[kind]
@@ -222,7 +226,9 @@ NUMBERS = {type(mode).__name__: 1 + k for k, mode in enumerate(SwitchingPrecisio
     [(name, name) for name in NUMBERS] + [("dither", "Frozen")],
 )
 def test_the_kind_of_fault_is_told_with_its_size_and_onset(kind, mode):
-    outs = [out for out, _ in car(kind, SwitchingPrecision())]
+    # A drift of 0.05 standard deviations per sample is nearly as probable a ramp: how large these are must be known.
+    precision = SwitchingPrecision(noise_factor=1.0 if kind == "Drifting" else 3.0)
+    outs = [out for out, _ in car(kind, precision)]
     during, after = outs[160:299], outs[310:]
     if kind == "Drifting":  # it grows by 2.5 standard deviations a second, so at first nothing shows
         during, after = outs[250:299], outs[320:]
@@ -362,11 +368,14 @@ def test_arguments_are_looked_at_before_there_is_a_model():
 
 
 def test_a_resolution_explains_equal_samples():
-    """Rounded to its standard deviation a healthy sensor repeats itself in a quarter of the samples: no freeze."""
+    """Rounded to its standard deviation a healthy sensor repeats itself in a quarter of the samples: no freeze.
+
+    Where it is not given, only a learned share of repetitions explains them (``test_unmodelled.py``).
+    """
     rows = 20.0 + np.round(np.random.default_rng(5).normal(size=(2000, 2)))
     assert (np.diff(rows[:, 0]) == 0).mean() > 0.2
     for resolution, share in ((1.0, 0.02), (0.0, None)):
-        modes = (Frozen(resolution=resolution), Offset(), Noisier(), DroppedOut())
+        modes = (Frozen(resolution=resolution, healthy_repeats=0), Offset(), Noisier(), DroppedOut())
         alarms = np.mean([p[0] > 0.5 for p, *_ in learned(SwitchingPrecision(modes=modes), rows)])
         assert alarms < share if share else alarms > 0.1
 
@@ -374,7 +383,7 @@ def test_a_resolution_explains_equal_samples():
 def test_each_sensor_has_its_resolution():
     """Both repeat themselves; of the one with a fine resolution that is a freeze."""
     rows = np.tile([[20.0], [20.0], [20.5], [21.0], [21.0], [20.5]], (50, 2))
-    modes = (Frozen(resolution=[0.5, 0.0]),)
+    modes = (Frozen(resolution=[0.5, 0.0], healthy_repeats=0),)
     *_, (probability, *_) = learned(SwitchingPrecision(modes=modes), np.vstack([rows, rows[-2:-1], rows[-2:-1]]))
     assert probability[0] < 0.1 < 0.9 < probability[1]
     assert Frozen(resolution=[0.5, 0.0]) == Frozen(resolution=(0.5, 0.0))
@@ -411,11 +420,14 @@ def test_a_sensor_whose_offset_is_known_informs_though_its_own_precision_is_near
 
 
 def test_insurance_costs_nothing_on_healthy_sensors():
-    squares = {}
-    for precision in (SwitchingPrecision(), controllers.FixedPrecision()):
-        errors = [out.x_hat[0] - x for seed in range(3) for out, x in car("healthy", precision, 1000, seed=seed)]
-        squares[type(precision)] = np.mean(np.square(errors))
-    assert squares[SwitchingPrecision] < 1.01 * squares[controllers.FixedPrecision]
+    """To learn the noise costs a little, until it is known after 4 s."""
+    squares = []
+    for precision in (controllers.FixedPrecision(), SwitchingPrecision(), SwitchingPrecision(noise_factor=1.0)):
+        runs = [car("healthy", precision, 1000, seed=seed) for seed in range(3)]
+        squares.append(np.square([[out.x_hat[0] - x for out, x in run] for run in runs]))
+    fixed, learned, believed = squares
+    assert believed.mean() < 1.01 * fixed.mean()
+    assert learned[:, 200:].mean() < 1.01 * fixed[:, 200:].mean()
 
 
 @pytest.mark.parametrize(
