@@ -25,7 +25,7 @@ MEAN_LIMIT, PRODUCT_LIMIT = 25.0, 18.5
 """Squared mean, and product with the one before (squared, where positive), in units of their variances with the right model, at
 which the model is suspect.
 
-Tuned on the seeds 1000 to 1023 of ``tests/wrong_models.py``, judged on the seeds 0 to 99."""
+Tuned on the seeds 1000 to 1023 of ``src/bayesftc/reproduce/wrong_models.py``, judged on the seeds 0 to 99."""
 
 ABSURD = 1e6
 """Standard deviations beyond which a sample says nothing of the model."""

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
-from wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers._consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
 from bayesftc.controllers._explanations import delayed, faster
 from bayesftc.controllers._observers import observers
+from bayesftc.reproduce.wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 WORDS = {
     "sign": "sign of B",

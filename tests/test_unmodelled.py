@@ -72,7 +72,9 @@ def test_a_course_has_the_density_of_bayesian_regression(rows, mode, deviation):
     given_, moves, entered = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
     entered = [1.0, *entered[1:]] if entered else []
     predictions = 20.0 + np.cumsum(moves) * deviation
-    samples = np.array([x + np.nan if e is None else x + e * deviation for e, x in zip(given_, predictions, strict=True)])
+    samples = np.array(
+        [x + np.nan if e is None else x + e * deviation for e, x in zip(given_, predictions, strict=True)]
+    )
     noise = deviation**2
     model = LinearModel([[1.0]], [[0.0]], [[1.0]], 1.0, noise, STEP)
     own, memory, last = np.array(mode.settings(model, 0)), np.concatenate([np.zeros(TRUST), mode.first]), np.nan
@@ -99,7 +101,7 @@ def test_a_sensor_that_goes_its_own_course_is_left_out_as_filterpy_leaves_it_out
     one.F, one.B, one.Q = TWO.matrix("A"), TWO.matrix("B"), TWO.matrix("process_covariance")
     rng = np.random.default_rng(3)
     for k in range(60):
-        y, u = rng.normal(size=3) + [60.0 * np.cos(0.3 * k), 0.0, 0.0], rng.normal()
+        y, u = rng.normal(size=3) + np.array([60.0 * np.cos(0.3 * k), 0.0, 0.0]), rng.normal()
         y[1] = np.nan if k % 7 == 3 else y[1]
         for i in (1, 2):
             if np.isfinite(y[i]):

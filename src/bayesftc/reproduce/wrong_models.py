@@ -44,6 +44,7 @@ class Actuator(Block):
     outputs = (Port("y"),)
 
     def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
         return Definition(_arrive, state={"sent": np.zeros(self.delay + 1)}, parameters={"limit": self.limit})
 
 
@@ -58,6 +59,7 @@ class Case:
 
     @property
     def name(self) -> str:
+        """What tests and tables call it."""
         return f"{self.plant}: {self.wrong}"
 
 
@@ -227,12 +229,12 @@ def loop(case: Case, learner: controllers.PrecisionLearner) -> cosim.Diagram:
         block = diagram.add(replace(fault, channels=len(std)), "fault")
         diagram.connect(signal, block["u"])
         signal = block["y"]
-    brain = diagram.add(controller, "controller")
-    diagram.connect(signal, brain["y"])
-    diagram.connect(goal["y"], brain["goal"])
+    node_of = diagram.add(controller, "controller")
+    diagram.connect(signal, node_of["y"])
+    diagram.connect(goal["y"], node_of["goal"])
     late = round(0.2 / float(step)) if case.wrong == "late" else 0
     actuator = diagram.add(Actuator(late, limit if case.wrong == "limit" else inf), "actuator")
-    diagram.connect(brain["u"], actuator["u"])
+    diagram.connect(node_of["u"], actuator["u"])
     diagram.connect(actuator["y"], node[control])
     for name, source in noise.items():
         diagram.connect(diagram.add(source, f"{name}_noise")["y"], node[name])
@@ -241,7 +243,8 @@ def loop(case: Case, learner: controllers.PrecisionLearner) -> cosim.Diagram:
 
 def run(case: Case, learner: controllers.PrecisionLearner, seeds: Sequence[int], duration: float = 20.0) -> list[Any]:
     """Return the runs of a case (what was recorded of one that stopped early) for each seed."""
-    diagram, results = loop(case, learner), []
+    diagram = loop(case, learner)
+    results: list[Any] = []
     for seed in seeds:
         try:
             results.append(diagram.simulate(duration, seed=seed, record=["controller.*", "controller.y"]))
