@@ -109,7 +109,8 @@ class Frozen(FaultMode):
         Resolution of the sensors in their unit, for all or for each: a healthy sensor repeats itself, too, if that is coarse.
     healthy_repeats : float
         Share of the samples that a healthy sensor repeats exactly, as expected before the first one. It is learned while the
-        sensor is not frozen; this counts as ten samples. 0: none but those that the resolution explains, and none is learned.
+        sensor is healthy; this counts as ten samples. With 0, or where a resolution is given, none is learned: then the
+        resolution alone explains repetitions.
     """
 
     repeats: float = 0.9
@@ -144,9 +145,10 @@ class Frozen(FaultMode):
         The width within which two samples count as equal, in the sensor's unit; how many repetitions of how many samples are
         expected before the first one; and the largest share that is learned.
         """
-        width, _, _, _ = self.settings(model, sensor)
-        most = MOST_REPEATS if self.healthy_repeats > 0 else 0.0
-        return 2.0 * width, self.healthy_repeats * REPEATS_STRENGTH, REPEATS_STRENGTH, max(most, self.healthy_repeats)
+        half = self.settings(model, sensor)[0]
+        told = as_vector("The resolution of Frozen", self.resolution, model.sensors)[sensor] > 0
+        most = 0.0 if told or self.healthy_repeats == 0 else max(MOST_REPEATS, self.healthy_repeats)
+        return 2.0 * half, self.healthy_repeats * REPEATS_STRENGTH, REPEATS_STRENGTH, most
 
 
 @dataclass(frozen=True)
