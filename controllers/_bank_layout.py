@@ -17,7 +17,9 @@ BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACT
 
 PROCESS_SETTINGS = 4
 STARTS, STOPS, MORE, FADES = range(PROCESS_SETTINGS)
-"""Places in the settings of a mode of the process: probabilities that it begins and ends, the variance it adds, the part that fades."""
+"""Places in the settings of a mode of the process.
+
+Probabilities that it begins and ends, the variance that it adds, the part of the belief by which it grows."""
 
 WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)
 """What is kept of an actuator: how much of the control arrives and what is added to it, on average; the same as the control
@@ -31,8 +33,7 @@ class Layout:
     The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
     of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each mode
     of each actuator; each of the process, and that one of those has ended), the pool, what is kept of these courses, and scratch
-    space. The settings are those of the per-sensor form,
-    then those of each mode of each actuator and of the process.
+    space. The settings are those of the per-sensor form, then those of each mode of each actuator and of the process.
 
     An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
     nothing has contradicted so far, it would hardly be one that jumps.
@@ -134,7 +135,7 @@ class Layout:
 
     @property
     def first_lost(self) -> int:
-        """Which hypothesis is the first one that a sensor goes its own course; up to it all have an offset, but for the very first."""
+        """Which hypothesis is the first one that a sensor goes its own course: before it all but the very first have an offset."""
         return 1 + self.m * len(self.kinds)
 
     @property
@@ -189,7 +190,7 @@ class Layout:
 
     @property
     def courses(self) -> int:
-        """Where the courses stand, for each sensor and each of its modes that is one: how much has just begun, and the regression."""
+        """Where the courses stand, for each sensor and each such mode of it: how much has just begun, and the regression."""
         return self.shift + self.n + 2
 
     @property

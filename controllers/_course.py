@@ -1,11 +1,11 @@
 """A course of its own: the innovations of a failed sensor as a linear regression that is learned online.
 
-The innovation r, in the sensor's nominal standard deviations, is explained by four regressors:
+The innovation r, in the sensor's nominal standard deviations, is explained by three regressors:
 
 1. one: an offset;
 2. the last innovation: an offset that wanders;
-3. the prediction, its slow part left out: a sensor of another gain, and one that is frozen, filtered or late, which does not follow
-   it as it should.
+3. the prediction, its slow part left out: a sensor of another gain, and one that is frozen, filtered or late, which does not
+   follow it as it should.
 
 Coefficients and noise have a normal-gamma distribution, whose natural parameters decay towards those of the prior (exponential
 forgetting, stabilised; Kulhavy and Zarrop 1993). So the noise may be of any scale: a sensor that is too quiet is as

@@ -1,13 +1,16 @@
 """Step functions of switching between fault modes: time passing, probabilities, and what they say of a sensor.
 
-What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample, the probability of being `HEALTHY`, the precision
-that it deserves in those of its noise while healthy (`TRUSTED`); the factor of its last sample's `DENSITY` beside the logarithm that was returned; the variance of that `NOISE` in nominal ones, with shape and rate of
-the gamma distribution that it is learned by (one for all hypotheses, where there are such); and from `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of
-it that has just begun (`ENTERED`), its mean `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``). After all
-sensors follow the number of samples and the logarithm of the last ones' density. The settings likewise, from ``row`` on: the
-probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how much each sample `KEEPS` of
-what was learned, the prior's shape, and its bounds; and a block for each mode: the
-probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is missing, and the mode's own settings.
+What is kept of a sensor stands in ``memory`` from ``at`` on: its last sample; the probability of being `HEALTHY`; the precision
+that it deserves in those of its noise while healthy (`TRUSTED`); a factor of its last sample's `DENSITY`, beside the logarithm
+that was returned; the variance of its `NOISE` while healthy, in nominal ones, with shape and rate of the gamma distribution by
+which it is learned (one for all hypotheses, where there are such); and from `FIRST` on a block for each mode: its probability
+(`WEIGHT`), the share of it that has just begun (`ENTERED`), a `FACTOR` of its density, its mean `AGE` in samples, and what the
+mode itself keeps (``_mode_kernels.py``). After all sensors follow the number of samples and the logarithm of the last ones'
+density.
+
+The settings likewise, from ``row`` on: the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how
+much each sample `KEEPS` of what was learned, the prior's shape, and its bounds; and a block for each mode: the probabilities that
+it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is missing, and the mode's own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
 sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.

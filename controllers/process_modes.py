@@ -17,8 +17,8 @@ from bayesftc.cosim.errors import ModelError
 class NoisierProcess:
     """The model says less of the plant's states than usual: by default for a single sample and by far, which is a kick.
 
-    Either their process noise is larger (`scale`), or the past tells less of them (`fading`), as in a filter with a fading memory:
-    then it does not matter in which direction the model is wrong.
+    Their process noise is larger (`scale`), or the past tells less of them (`fading`), as in a filter with a fading memory: then
+    it does not matter in which direction the model is wrong.
 
     Parameters
     ----------
