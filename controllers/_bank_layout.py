@@ -31,8 +31,7 @@ class Layout:
     The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
     of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each mode
     of each actuator; each of the process, and that one of those has ended), the pool, what is kept of these courses, and scratch
-    space. The settings are those of the per-sensor form,
-    then those of each mode of each actuator and of the process.
+    space. The settings are those of the per-sensor form, then those of each mode of each actuator and of the process.
 
     An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
     nothing has contradicted so far, it would hardly be one that jumps.

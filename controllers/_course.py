@@ -1,6 +1,6 @@
 """A course of its own: the innovations of a failed sensor as a linear regression that is learned online.
 
-The innovation r, in the sensor's nominal standard deviations, is explained by four regressors:
+The innovation r, in the sensor's nominal standard deviations, is explained by three regressors:
 
 1. one: an offset;
 2. the last innovation: an offset that wanders;

@@ -17,7 +17,8 @@ That is all in Python: ``SwitchingPrecision([Glitching(), Offset()])``; ``docs/e
 by name from `FAULT_MODES`, over which the tests run as well: one that they shall know is added there.
 
 In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``; its
-``evidence`` then counts only where another sensor has an offset already, or an actuator has failed.
+``evidence`` then counts only where another sensor has an offset already, or an actuator has failed. A mode with
+``own_hypothesis = True`` is one like `Unmodelled`, whose regression the joint form computes in place of its ``evidence``.
 
 A mode with ``is_fault = False`` is harmless: the sensor is trusted as the mode says, but its probability is no part of
 ``fault_probability``.
@@ -34,7 +35,7 @@ import numpy as np
 
 from bayesftc.controllers import _mode_kernels as kernels
 from bayesftc.controllers._checks import as_number, as_vector, check_number
-from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
+from bayesftc.controllers._course import COURSE, COURSE_SCRATCH, ORDER
 from bayesftc.controllers._default_time import DefaultTime
 from bayesftc.controllers._mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST, log_density
 
@@ -293,8 +294,9 @@ class Unmodelled(FaultMode):
     """The sensor has failed in a way that has no mode of its own; how its samples then go is learned.
 
     Its innovations are a linear regression on a constant, on their predecessor and on the prediction, with noise of any scale.
-    So are those of a sensor that is frozen with a dither, filtered, late, swapped or oscillating, or that has another gain. In
-    the joint form each sensor has a hypothesis for it, in which the state is inferred without that sensor.
+    That fits a sensor that is frozen with a dither, filtered, late, swapped, oscillating or of another gain. In the joint form
+    the state is inferred without this sensor meanwhile, in a hypothesis for each sensor. The fault's size is the root mean
+    square of the innovations, in nominal standard deviations.
 
     Parameters
     ----------
@@ -308,7 +310,8 @@ class Unmodelled(FaultMode):
     fading : float
         Factor per sample by which the slow part of the prediction is left out.
     means, deviations : sequence of float
-        Means and standard deviations of the three coefficients at the onset; the latter in those of the regression's noise.
+        Means and standard deviations of the three coefficients at the onset: of the constant, of the last innovation, of the
+        prediction. The latter are in those of the regression's noise.
     """
 
     scale: float = 1.0
@@ -320,6 +323,18 @@ class Unmodelled(FaultMode):
 
     own_hypothesis: ClassVar[bool] = True
     evidence: ClassVar[Callable[..., float]] = kernels.goes_its_way
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("scale", "shape"):
+            check_number(self, name, above=0)
+        for name in ("forgetting", "fading"):
+            check_number(self, name, above=0, most=1)
+        for name in ("means", "deviations"):
+            given = as_vector(f"The {name} of Unmodelled", getattr(self, name), ORDER)
+            object.__setattr__(self, name, tuple(map(float, given)))
+        for value in self.deviations:
+            as_number("Unmodelled has deviations", value, above=0)
 
     @property
     def first(self) -> tuple[float, ...]:

@@ -47,18 +47,24 @@ class SwitchingPrecision(PrecisionLearner):
     probable the sample is, as a logarithm, so that none is lost. What a mode has learned about its fault is merged with what it
     expects of one that has just begun, as in an interacting-multiple-model filter.
 
+    The model's standard deviations of sensors are a first guess: the noise of each sensor is learned while it is healthy, by a
+    gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). So is the share of samples that
+    a healthy sensor repeats exactly (`Frozen`).
+
     ``fault_probability`` is that of all modes which are faults (all but `Burst`), also of a sensor that sends nothing; ``beta``
     is NaN. It adds the outputs ``mode_probability`` (m x 1 + modes, healthy first), and for each sensor ``fault_kind`` (the most
     probable mode by its number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard
-    deviation of a noisier sensor in nominal ones; NaN where there is none) and ``fault_onset`` (time in seconds since the first
+    deviation of a noisier sensor in nominal ones, the root mean square of an unmodelled one's innovations in the same; NaN where
+    there is none) and ``fault_onset`` (time in seconds since the first
     sample; NaN of a healthy sensor); and ``log_density``, the logarithm of the density of these samples after those before,
     whose sum over a recording says how well the settings explain it (a pseudo-likelihood where an offset exceeds its `jump`).
 
     In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
     slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs.
-    Further hypotheses are that the plant is moved by more than its process noise, or that an actuator has failed. The joint form
-    is for controllers with a linear model; with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated,
-    sensors are judged one by one by their innovation from the common prediction (the per-sensor form).
+    Further hypotheses are that a sensor fails in a way that has no mode (`Unmodelled`), where the state is inferred without it;
+    that the plant is moved by more than its process noise, or the model says less than it should; or that an actuator has
+    failed. The joint form is for controllers with a linear model; with other ones, in `ExplicitDetection`, and where the noise of
+    sensors is correlated, sensors are judged one by one by their innovation from the common prediction (the per-sensor form).
 
     Parameters
     ----------
@@ -68,7 +74,8 @@ class SwitchingPrecision(PrecisionLearner):
         Probability with which a sample of a healthy sensor is missing, for all sensors or for each: of one that is not due at
         every step (a slow one) the share of the steps without a sample.
     joint : bool
-        Whether offsets are estimated together with the state. The per-sensor form is faster and tells slow drifts later.
+        Whether offsets are estimated together with the state, and the state without a sensor that is `Unmodelled`. The
+        per-sensor form is faster and tells slow drifts later.
     actuator_modes : sequence of ActuatorMode
         The ways in which each actuator or the process can fail, see `ACTUATOR_MODES`; in the joint form. Then there are, for each
         actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``,
@@ -77,14 +84,14 @@ class SwitchingPrecision(PrecisionLearner):
         ``u_min`` and ``u_max``. By default there is none: an actuator that is slower than the model says looks failed as well,
         and to make up for that can make the loop unstable.
     process_modes : sequence of NoisierProcess
-        Times in which the plant is moved by more than its process noise: by default kicks, and longer ones in which the model
-        says less than it should. Without any, what all sensors see alike is taken for faults of all of them. A part of the joint
-        form, which then has the output ``process_mode_probability`` (2 + modes: healthy first; last that one has ended, as far as
-        that is not settled). Without the joint form, an `Offset` or process noise the default ones are left out.
-
+        Times in which the plant is moved by more than its process noise: by default kicks, and longer ones in which the belief
+        fades, slowly or fast, for the model says less than it should. Without any, what all sensors see alike is taken for faults
+        of all of them. A part of the joint form, which then has the output ``process_mode_probability`` (2 + modes: healthy
+        first; last that one has ended, as far as that is not settled). Without the joint form, a mode with hypotheses of its own
+        (`Offset`, `Unmodelled`) or process noise the default ones are left out.
     noise_factor : float
-        The standard deviation of a healthy sensor's noise is learned while it is healthy, up to so many times the believed one
-        and down to so many times less; 1 for as it is believed.
+        The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
+        less. 1: it is the model's.
     noise_strength : float
         How many samples the belief in the model's standard deviations counts as.
     noise_forgetting : float
@@ -132,7 +139,7 @@ class SwitchingPrecision(PrecisionLearner):
         --------
         >>> from bayesftc.controllers import SwitchingPrecision
         >>> SwitchingPrecision().slowed(100.0).modes[0].time_to_recovery
-        2000.0
+        1000.0
         """
         factor = as_number("SwitchingPrecision.slowed() has factor", factor, above=0)
         return self._timed(lambda value: factor * value)
@@ -153,7 +160,7 @@ class SwitchingPrecision(PrecisionLearner):
         >>> from bayesftc.controllers import Frozen, Offset, SwitchingPrecision
         >>> modes = SwitchingPrecision([Frozen(), Offset(time_to_fault=3600.0)]).paced(2.0).modes
         >>> [(mode.time_to_fault, mode.time_to_recovery) for mode in modes]
-        [(30000.0, 2000.0), (3600.0, 2000.0)]
+        [(30000.0, 1000.0), (3600.0, 1000.0)]
         """
         step = as_number("SwitchingPrecision.paced() has step", step, above=0)
         return self._timed(lambda value: value.at_step(step) if isinstance(value, DefaultTime) else value)
@@ -283,8 +290,8 @@ class SwitchingPrecision(PrecisionLearner):
         if self.process_modes and not self._usual_process:
             raise ModelError(
                 "SwitchingPrecision has process_modes, which are told from sensors' faults in the joint form only, and scale the "
-                "process noise of the plant: leave joint=True, give sensors of independent noise, an Offset among the modes and "
-                "a process covariance, or leave the process modes out."
+                "process noise of the plant: leave joint=True, give sensors of independent noise, an Offset or Unmodelled among "
+                "the modes and a process covariance, or leave the process modes out."
             )
         return ()
 
@@ -307,9 +314,9 @@ class SwitchingPrecision(PrecisionLearner):
         begins += sum(mode.settings(step)[0] for mode in process_modes)
         if begins >= 1:
             raise ModelError(
-                f"The offsets of {model.sensors} sensors, the actuators' faults and process modes begin with a probability of "
-                f"{begins:.3g} together in each sample of {step:g} s; their times to a fault are too short for the joint form of "
-                "SwitchingPrecision: lengthen time_to_fault, or take joint=False."
+                f"The offsets and unmodelled faults of {model.sensors} sensors, the actuators' faults and process modes begin "
+                f"with a probability of {begins:.3g} together in each sample of {step:g} s; their times to a fault are too short "
+                "for the joint form of SwitchingPrecision: lengthen time_to_fault, or take joint=False."
             )
         jumping = tuple(q for q, k in enumerate(kinds) if getattr(self.modes[k], "jump", 0.0) > 0)
         becomes = (*range(len(kinds)), *jumping)

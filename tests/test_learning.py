@@ -137,10 +137,8 @@ def wrong(modes, factor):
 
 
 def test_the_density_never_falls_where_nothing_is_approximated():
-    modes = (
-        Frozen(2.0, 0.5, healthy_repeats=0),
-        DroppedOut(2.0, 0.5, arrives=0.3),
-    )  # of a lossy sensor, so that silence does not say all
+    # Of a lossy sensor, so that silence does not say all.
+    modes = (Frozen(2.0, 0.5, healthy_repeats=0), DroppedOut(2.0, 0.5, arrives=0.3))
     y, _ = broken(3, modes, 600)
     start = SwitchingPrecision(wrong(modes, 5.0), loss=0.2, noise_factor=1.0)
     learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), start)

@@ -3,6 +3,7 @@
 import copy
 import pickle
 import re
+from ast import literal_eval
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
@@ -13,7 +14,16 @@ from filterpy.kalman import KalmanFilter
 from scipy import integrate, special, stats
 
 from bayesftc import controllers, scenario
-from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision, fault_modes
+from bayesftc.controllers import (
+    DroppedOut,
+    Frozen,
+    LinearModel,
+    Noisier,
+    Offset,
+    SwitchingPrecision,
+    Unmodelled,
+    fault_modes,
+)
 from bayesftc.controllers._mode_kernels import drops, scatters, shifts
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.controllers.fault_modes import ENTERED, FACTOR, OWN, SIZE
@@ -304,8 +314,8 @@ def test_the_page_and_the_module_say_how_a_mode_is_called():
 def test_the_table_of_modes_has_their_defaults(mode):
     page = (Path(__file__).resolve().parents[1] / "docs" / "precision.md").read_text(encoding="utf-8")
     (row,) = re.findall(rf"^\| `{mode.__name__}` \|.* = .*$", page, re.M)
-    told = {name: float(value) for name, value in re.findall(r"`(\w+)` = ([\d.]+)", row)}
-    times = {"time_to_fault": 300.0, "time_to_recovery": 20.0}
+    told = {name: literal_eval(value) for name, value in re.findall(r"`(\w+)` = ([\d.]+|\([\d., ]+\))", row)}
+    times = {"time_to_fault": 300.0, "time_to_recovery": 10.0}
     assert {**times, **told} == {field.name: getattr(mode(), field.name) for field in fields(mode)}
 
 
@@ -460,6 +470,16 @@ def test_insurance_costs_nothing_on_healthy_sensors():
         ),
         (lambda: Noisier(forgetting=0.0), "forgetting=0.0"),
         (lambda: DroppedOut(time_to_fault="soon"), "time_to_fault='soon'"),
+        (lambda: Unmodelled(scale=0.0), "Unmodelled has scale=0.0"),
+        (lambda: Unmodelled(forgetting=1.5), "Unmodelled has forgetting=1.5"),
+        (
+            lambda: Unmodelled(means=(0.0, 0.8)),
+            r"means of Unmodelled has the shape \(2,\); here it must be a vector of 3",
+        ),
+        (lambda: Unmodelled(deviations=(3.0, 0.0, 0.3)), "Unmodelled has deviations=0.0"),
+        (lambda: SwitchingPrecision(noise_factor=0.5), "noise_factor=0.5"),
+        (lambda: SwitchingPrecision(noise_strength=0.0), "noise_strength=0.0"),
+        (lambda: SwitchingPrecision(noise_forgetting=1.1), "noise_forgetting=1.1"),
     ],
 )
 def test_bad_settings(make, words):
@@ -477,7 +497,7 @@ def test_default_times_grow_with_the_step_and_given_ones_stay(step):
     assert paced == default.slowed(longer) == paced.paced(step)  # what is a number now stays
     given = SwitchingPrecision([Offset(time_to_fault=300.0), Frozen(time_to_recovery=7.0)]).paced(step).modes
     assert [(mode.time_to_fault, mode.time_to_recovery) for mode in given] == [
-        (300.0, 20.0 * longer),
+        (300.0, 10.0 * longer),
         (300.0 * longer, 7.0),
     ]
     (burst,) = SwitchingPrecision([controllers.Burst()]).paced(step).modes

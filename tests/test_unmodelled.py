@@ -101,7 +101,8 @@ def test_a_sensor_that_goes_its_own_course_is_left_out_as_filterpy_leaves_it_out
     one.F, one.B, one.Q = TWO.matrix("A"), TWO.matrix("B"), TWO.matrix("process_covariance")
     rng = np.random.default_rng(3)
     for k in range(60):
-        y, u = rng.normal(size=3) + np.array([60.0 * np.cos(0.3 * k), 0.0, 0.0]), rng.normal()
+        y, u = rng.normal(size=3), rng.normal()
+        y[0] += 60.0 * np.cos(0.3 * k)
         y[1] = np.nan if k % 7 == 3 else y[1]
         for i in (1, 2):
             if np.isfinite(y[i]):
