@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesftc.controllers._bank_kernels import PROBABILITY, STATE
-from bayesftc.controllers._course import COURSE_SCRATCH, COURSE
+from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
 from bayesftc.controllers._switching_kernels import FIRST, FIRST_SETTINGS, LEAST
 from bayesftc.cosim.block import Floats
 
@@ -135,7 +135,7 @@ class Layout:
 
     @property
     def first_lost(self) -> int:
-        """Which hypothesis is the first one that a sensor goes its own course: before it all but the very first have an offset."""
+        """Which hypothesis is the first one that a sensor goes its own course: before it all but one have an offset."""
         return 1 + self.m * len(self.kinds)
 
     @property

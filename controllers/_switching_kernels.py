@@ -8,9 +8,9 @@ which it is learned (one for all hypotheses, where there are such); and from `FI
 mode itself keeps (``_mode_kernels.py``). After all sensors follow the number of samples and the logarithm of the last ones'
 density.
 
-The settings likewise, from ``row`` on: the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise how
-much each sample `KEEPS` of what was learned, the prior's shape, and its bounds; and a block for each mode: the probabilities that
-it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is missing, and the mode's own settings.
+The settings likewise, from ``row`` on: the probabilities that a healthy sensor's sample `ARRIVES` and is `MISSING`; of its noise
+how much each sample `KEEPS` of what was learned, the prior's shape, and its bounds; and a block for each mode: the probabilities
+that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and is missing, and the mode's own settings.
 
 Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
 sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.

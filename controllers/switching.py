@@ -63,8 +63,8 @@ class SwitchingPrecision(PrecisionLearner):
     slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs.
     Further hypotheses are that a sensor fails in a way that has no mode (`Unmodelled`), where the state is inferred without it;
     that the plant is moved by more than its process noise, or the model says less than it should; or that an actuator has
-    failed. The joint form is for controllers with a linear model; with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated,
-    sensors are judged one by one by their innovation from the common prediction (the per-sensor form).
+    failed. The joint form is for controllers with a linear model; with other ones, in `ExplicitDetection`, and where the noise of
+    sensors is correlated, sensors are judged one by one by their innovation from the common prediction (the per-sensor form).
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class SwitchingPrecision(PrecisionLearner):
         (`Offset`, `Unmodelled`) or process noise the default ones are left out.
     noise_factor : float
         The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
-        less. 1: it is the model's.
+        less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.
     noise_strength : float
         How many samples the belief in the model's standard deviations counts as.
     noise_forgetting : float
@@ -310,8 +310,8 @@ class SwitchingPrecision(PrecisionLearner):
         if begins >= 1:
             raise ModelError(
                 f"The offsets and unmodelled faults of {model.sensors} sensors, the actuators' faults and process modes begin "
-                f"with a probability of {begins:.3g} together in each sample of {step:g} s; their times to a fault are too short for the joint form of "
-                "SwitchingPrecision: lengthen time_to_fault, or take joint=False."
+                f"with a probability of {begins:.3g} together in each sample of {step:g} s; their times to a fault are too short "
+                "for the joint form of SwitchingPrecision: lengthen time_to_fault, or take joint=False."
             )
         jumping = tuple(q for q, k in enumerate(kinds) if getattr(self.modes[k], "jump", 0.0) > 0)
         becomes = (*range(len(kinds)), *jumping)

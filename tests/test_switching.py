@@ -472,7 +472,10 @@ def test_insurance_costs_nothing_on_healthy_sensors():
         (lambda: DroppedOut(time_to_fault="soon"), "time_to_fault='soon'"),
         (lambda: Unmodelled(scale=0.0), "Unmodelled has scale=0.0"),
         (lambda: Unmodelled(forgetting=1.5), "Unmodelled has forgetting=1.5"),
-        (lambda: Unmodelled(means=(0.0, 0.8)), r"means of Unmodelled has the shape \(2,\); here it must be a vector of 3"),
+        (
+            lambda: Unmodelled(means=(0.0, 0.8)),
+            r"means of Unmodelled has the shape \(2,\); here it must be a vector of 3",
+        ),
         (lambda: Unmodelled(deviations=(3.0, 0.0, 0.3)), "Unmodelled has deviations=0.0"),
         (lambda: SwitchingPrecision(noise_factor=0.5), "noise_factor=0.5"),
         (lambda: SwitchingPrecision(noise_strength=0.0), "noise_strength=0.0"),

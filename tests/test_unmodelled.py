@@ -72,7 +72,9 @@ def test_a_course_has_the_density_of_bayesian_regression(rows, mode, deviation):
     given_, moves, entered = (list(column) for column in zip(*rows, strict=True)) if rows else ([], [], [])
     entered = [1.0, *entered[1:]] if entered else []
     predictions = 20.0 + np.cumsum(moves) * deviation
-    samples = np.array([x + np.nan if e is None else x + e * deviation for e, x in zip(given_, predictions, strict=True)])
+    samples = np.array(
+        [x + np.nan if e is None else x + e * deviation for e, x in zip(given_, predictions, strict=True)]
+    )
     noise = deviation**2
     model = LinearModel([[1.0]], [[0.0]], [[1.0]], 1.0, noise, STEP)
     own, memory, last = np.array(mode.settings(model, 0)), np.concatenate([np.zeros(TRUST), mode.first]), np.nan
