@@ -59,8 +59,8 @@ def freezes(e, present, variance, nominal, change, healthy, memory, at, settings
     another sample with no dither at all; the dither's variance; how many repetitions are expected of how many healthy samples,
     and the most that is believed of their share. A repetition has a probability, to which a density over the resolution
     corresponds: so equal samples tell nothing beyond what a coarse resolution explains, or the share of them while the sensor was
-    not frozen. Own numbers: repetitions and samples so far; whether the last sample was a repetition, was there, or neither (1, 0, -1), for
-    whether it counts is known only after it.
+    not frozen. Own numbers: repetitions and samples so far; whether the last sample was a repetition, was there, or neither
+    (1, 0, -1), for whether it counts is known only after it.
     """
     counts = (1.0 - memory[at + WEIGHT]) * select(memory[at + OWN + 2] > -0.5, 1.0, 0.0)
     repeats = memory[at + OWN] + counts * memory[at + OWN + 2]

@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 
 from bayesftc import controllers, cosim, reproduce
-from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.controllers.precision import keep_nominal
+from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError
 from bayesftc.reproduce import _family, _family_figures, _family_tables
 from bayesftc.reproduce._ensemble import Ensemble
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals

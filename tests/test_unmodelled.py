@@ -10,10 +10,13 @@ from bayesftc.controllers import (
     BayesianController,
     Frozen,
     LinearModel,
+    Modality,
     NoisierProcess,
     Offset,
+    Proportional,
     StateEstimator,
     SwitchingPrecision,
+    UnbiasedActiveInference,
     Unmodelled,
 )
 from bayesftc.controllers._course import misfit
@@ -174,6 +177,19 @@ def test_noise_that_is_believed_twice_too_small_or_large_is_learned(wrong, joint
     assert np.mean(failed, axis=0).max() < 0.02
     learned = np.median(precisions[1500:], axis=0) ** -0.5
     np.testing.assert_allclose(learned, [1.0, 3.0], rtol=0.1)
+
+
+def test_the_lag_of_a_belief_without_covariance_is_no_noise():
+    """Active inference has none: what its belief lags behind a ramp is not the sensors' noise."""
+    speed = Modality("speed", matrix=[[1.0], [1.0]], std=1.0)
+    precision = SwitchingPrecision([Frozen(NEVER, NEVER)])
+    step = UnbiasedActiveInference(
+        speed, Proportional(gain=[[500.0]]), STEP, 10.0, control="law", state_prior="random walk", precision=precision
+    ).online(compiled=False)
+    for k in range(300):
+        out = step(y=[float(k), float(k)], goal=[20.0])
+    assert np.abs(out.innovation).min() > 1.0
+    np.testing.assert_allclose(out.precision, 1.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("joint", [True, False])
