@@ -255,6 +255,19 @@ def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
     assert out.process_mode_probability[1] == pytest.approx(1.0)
 
 
+def test_a_belief_that_fades_is_not_lost_where_no_sensor_sees_it():
+    """Of a position of which only the speed is measured any more: its variance is bounded by that of its sensors."""
+    for mode in (NoisierProcess(1e-15, NEVER, scale=1.0, fading=2.0), *SwitchingPrecision().process_modes[1:]):
+        precision = SwitchingPrecision([Offset(NEVER, NEVER)], process_modes=[mode], noise_factor=1.0)
+        step = StateEstimator(TWO, precision, initial_covariance=0.3).online(compiled=False)
+        rng = np.random.default_rng(5)
+        for k in range(600):
+            y = rng.normal(size=3)
+            y[:2] = np.nan if k >= 100 else y[:2]
+            out = step(y=list(y), u=[0.0])
+        assert out.P[0, 0] < 2 * 100 + 50  # of the more precise sensor, once doubled; and what the model adds by itself
+
+
 def test_both_engines_give_the_same_bits_of_courses_noise_and_fading():
     """In the per-sensor form, and with a course and a fading belief that come and go."""
     process = [NoisierProcess(5.0, 0.1), NoisierProcess(5.0, 0.5, scale=1.0, fading=1.5)]
