@@ -164,7 +164,6 @@ def screening(block: Any, model: LinearModel) -> tuple[dict[str, Any], dict[str,
     """
     m = model.sensors
     doubts = np.zeros((4, m))
-    doubts[LAST] = np.nan
     state = {"heard": np.zeros(m), "doubts": doubts, "widening": 1.0, "reach": 0.0}
     plant = model.states - model.disturbances
     parameters = {

@@ -52,7 +52,7 @@ def make_infer(
         R, used, precision, beta, fault_probability, works, load, x_hat, P,
     ):  # fmt: skip
         start = memory[count] < 0.5
-        pass_time(e, present, A, B, Q, nominal, start, covariance, largest[0], applied, memory, settings)
+        pass_time(e, present, A, B, C, Q, nominal, start, covariance, largest[0], applied, memory, settings)
         weigh(y, e, present, nominal, C, memory, settings)
         conclude(mean, covariance, memory, x_hat, P)
         summarise(memory, settings)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers._bank_kernels import blend, blend_sensor, inflate
+from bayesftc.controllers._bank_kernels import blend, blend_sensor, inflate, measurable
 from bayesftc.controllers._bank_layout import (
     ACTUATOR_SETTINGS,
     BEGIN,
@@ -125,15 +125,15 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
                 receive(memory, at, came, none, -1, 0.0, c, 0.0, settings[own + VARIANCE], 0.0, 0.0)
         return stays
 
-    def arrive_process(sampled, Q, memory, settings, stays):
+    def arrive_process(sampled, C, Q, nominal, memory, settings, stays):
         for q in range(G):
             at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
             came = memory[grow + process + q]
             stays = stays - came
             part = came / (memory[at] + came)
             receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            more, fades = part * settings[own + MORE], part * sampled * settings[own + FADES]
-            inflate(memory, at, n, plant, more, fades, Q)
+            fades = part * sampled * settings[own + FADES] * measurable(memory, at, n, C, nominal)
+            inflate(memory, at, n, plant, part * settings[own + MORE], fades, Q)
         return stays
 
     def go_on(memory, stays, left):
@@ -150,10 +150,16 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
             scale = 1.0 / maximum(rest, 1e-3)
             blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
 
-    def arrive(e, sampled, Q, nominal, applied, memory, settings):
+    def arrive(e, sampled, C, Q, nominal, applied, memory, settings):
         stays, left = arrive_offsets(e, nominal, memory, settings, memory[none], memory[pool])
         stays = arrive_process(
-            sampled, Q, memory, settings, arrive_actuators(applied, memory, settings, arrive_lost(memory, stays))
+            sampled,
+            C,
+            Q,
+            nominal,
+            memory,
+            settings,
+            arrive_actuators(applied, memory, settings, arrive_lost(memory, stays)),
         )
         go_on(memory, maximum(stays, LEAST), maximum(left, LEAST))
 

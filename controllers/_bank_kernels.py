@@ -13,6 +13,9 @@ from bayesftc.cosim.ops import absolute, both, maximum, select, sqrt
 
 PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
 
+FADED = 100.0
+"""Variance of what a sensor reads, in that of its noise, up to which a belief fades: else what no sensor sees would be lost."""
+
 
 def move(memory, at, n, offset, slides, c, cc, cb, bb, walk, A, Q, first, covariance, largest, couples, shift, scratch):
     """Take a hypothesis one sample ahead: the state by the model, the offset by its slope if it ``slides``.
@@ -172,6 +175,22 @@ def inflate(memory, at, n, plant, more, fades, Q):
     for a in range(plant):
         for b in range(plant):
             memory[P + a * N + b] = memory[P + a * N + b] + more * Q[a, b]
+
+
+def measurable(memory, at, n, C, nominal):
+    """Return 1 while no sensor's sample, were there one, would leave hardly anything of a hypothesis, else 0.
+
+    That is up to `FADED` times the variance of its noise.
+    """
+    P, N = at + STATE + n + 2, n + 2
+    fresh = 1.0 + 0.0 * memory[P]
+    for i in range(nominal.shape[0]):
+        variance = 0.0 * fresh
+        for a in range(n):
+            for b in range(n):
+                variance = variance + C[i, a] * memory[P + a * N + b] * C[i, b]
+        fresh = select(variance <= FADED * nominal[i, i], fresh, 0.0)
+    return fresh
 
 
 def expect(memory, at, n, offset, reads, sensor, C, direction):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers._bank_begins import make_arrive, make_begin
-from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, blend_between, inflate, move
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, blend_between, inflate, measurable, move
 from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
@@ -58,7 +58,7 @@ def make_pass_time(
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
     couples, shift, scratch = layout.couples, layout.shift, layout.scratch
 
-    def pass_time(e, present, A, B, Q, nominal, start, covariance, largest, applied, memory, settings):
+    def pass_time(e, present, A, B, C, Q, nominal, start, covariance, largest, applied, memory, settings):
         sampled = 0.0 * memory[none]
         for i in range(m):
             sampled = maximum(sampled, present[i])
@@ -72,8 +72,8 @@ def make_pass_time(
         move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings)
         move_lost(A, Q, start, covariance, largest, memory, settings)
         move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings)
-        move_process(sampled, A, Q, start, covariance, largest, memory, settings)
-        arrive(e, sampled, Q, nominal, applied, memory, settings)
+        move_process(sampled, A, C, Q, nominal, start, covariance, largest, memory, settings)
+        arrive(e, sampled, C, Q, nominal, applied, memory, settings)
 
     return pass_time
 
@@ -207,14 +207,14 @@ def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Call
 def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that moves the hypotheses of the process' modes, and the one that such a mode has ended.
 
-    A belief fades only where a sensor was ``sampled`` (1, else 0): without samples it would grow without bound.
+    A belief fades only where a sensor was ``sampled`` (1, else 0), and while it is `measurable`: it would grow without bound.
     """
     n, plant, m, H, G = layout.n, layout.plant, layout.m, layout.hypotheses, layout.process_modes
     sensor, kept, row_length, process = layout.sensor, layout.kept, layout.row, layout.process
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
     of_process, collect, receive = layout.process_settings, make_collect(layout), make_receive(layout)
 
-    def move_process(sampled, A, Q, start, covariance, largest, memory, settings):
+    def move_process(sampled, A, C, Q, nominal, start, covariance, largest, memory, settings):
         for q in range(H - process):
             at = none + (process + q) * stride
             for i in range(m):
@@ -230,6 +230,7 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
                 ended = memory[at] * settings[own + STOPS]
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-                inflate(memory, at, n, plant, settings[own + MORE], sampled * settings[own + FADES], Q)
+                fades = sampled * settings[own + FADES] * measurable(memory, at, n, C, nominal)
+                inflate(memory, at, n, plant, settings[own + MORE], fades, Q)
 
     return move_process

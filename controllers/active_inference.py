@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from types import FunctionType
 from typing import Any, Literal
@@ -22,6 +22,7 @@ from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
+from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Block, Definition, Floats
@@ -265,7 +266,12 @@ class UnbiasedActiveInference(Block):
         return Px if self.inner_steps > 1 else Px @ (np.eye(len(Px)) - self._prediction()[0])
 
     def _learner(self) -> Learner:
-        return self.precision.apart("UnbiasedActiveInference").learner(self._learned_model())
+        learner = self.precision.apart("UnbiasedActiveInference")
+        if isinstance(
+            learner, SwitchingPrecision
+        ):  # without a covariance the belief's own errors would be learned as noise
+            learner = replace(learner, noise_factor=1.0)
+        return learner.learner(self._learned_model())
 
     def _learned_model(self) -> LinearModel:
         """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""

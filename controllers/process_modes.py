@@ -32,7 +32,8 @@ class NoisierProcess:
         the larger it is, the sooner a plant that is later than its model makes the loop unstable.
     fading : float
         Factor of the predicted covariance of the plant's states at each sample meanwhile (Sorenson and Sacks, Information
-        Sciences 3, 1971); steps without a sample of any sensor do not count.
+        Sciences 3, 1971); steps without a sample of any sensor do not count, nor those at which
+        it reaches a hundred times the variance of a sensor's noise, as that of a state which no sensor sees any more.
 
     Raises
     ------

@@ -91,7 +91,7 @@ class SwitchingPrecision(PrecisionLearner):
         (`Offset`, `Unmodelled`) or process noise the default ones are left out.
     noise_factor : float
         The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
-        less. 1: it is the model's.
+        less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.
     noise_strength : float
         How many samples the belief in the model's standard deviations counts as.
     noise_forgetting : float

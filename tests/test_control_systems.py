@@ -144,8 +144,9 @@ def test_the_state_is_what_is_carried_on_and_nothing_else():
         DT, engine="interpreted"
     ).state_labels == [f"system_x[{i}]" for i in range(3)]
     fixed = brain(controllers.FixedPrecision()).to_control(engine="interpreted")
-    assert fixed.state_labels == ["mean", "covariance", "applied"]
-    assert fixed.initial_state.tolist() == [20.0, 1.0, 0.0]
+    doubts = [f"doubts[{row},{sensor}]" for row in range(4) for sensor in range(2)]  # of absurd samples
+    assert fixed.state_labels == ["mean", "covariance", "applied", *doubts, "widening"]
+    assert fixed.initial_state.tolist() == [20.0, 1.0, 0.0, *[0.0] * 8, 1.0]
     assert cosim.Gain(2.0).to_control(DT, engine="interpreted").nstates == 0
     assert cosim.Gain(2.0).to_control(DT, engine="interpreted")(3.0) == 6.0
     freeze = FAULTS[0].to_control(DT, engine="interpreted")

@@ -63,12 +63,13 @@ def test_a_row_changes_the_settings_that_it_names_and_no_others():
     rows = _beliefs.wrong(controllers.SwitchingPrecision(), 5.0)
     assert list(rows)[:3] == ["unchanged", "to fault x 5", "to fault / 5"]
     assert rows["unchanged"] == controllers.SwitchingPrecision()
-    frozen, offset, _, ramping, noisier, _ = rows["times / 5"].modes
+    frozen, offset, _, ramping, course, noisier, _ = rows["times / 5"].modes
     assert frozen == controllers.Frozen(60.0, 4.0)
     assert offset == controllers.Offset(60.0, 4.0)
-    frozen, offset, _, ramping, noisier, _ = rows["sizes x 5"].modes
-    assert (frozen, noisier) == (controllers.Frozen(), controllers.Noisier())
-    assert offset == controllers.Offset(jump=25.0)
+    assert course == controllers.Unmodelled(60.0, 4.0)
+    frozen, offset, _, ramping, course, noisier, _ = rows["sizes x 5"].modes
+    assert (frozen, course, noisier) == (controllers.Frozen(), controllers.Unmodelled(), controllers.Noisier())
+    assert offset == controllers.Offset(jump=5.0)
     assert ramping == controllers.Ramping(slope=1.5)
     assert rows["recovery x 5"].modes[3] == controllers.Ramping(time_to_recovery=100.0)
     given = controllers.SwitchingPrecision(actuator_modes=(controllers.InputOffset(), controllers.StuckActuator()))
@@ -76,9 +77,11 @@ def test_a_row_changes_the_settings_that_it_names_and_no_others():
     added, stuck = controllers.InputOffset(15_000.0, 100.0), controllers.StuckActuator(15_000.0, 100.0)
     assert rows["times x 5"].actuator_modes == (added, stuck)
     assert rows["sizes x 5"].actuator_modes == (controllers.InputOffset(jump=25.0), controllers.StuckActuator())
-    kick, rough = rows["times x 5"].process_modes
-    assert kick == controllers.NoisierProcess(150_000.0, 0.0)
-    assert rough == controllers.NoisierProcess(150_000.0, 50.0, scale=3.0)
+    assert rows["times x 5"].process_modes == (
+        controllers.NoisierProcess(150_000.0, 0.0),
+        controllers.NoisierProcess(15_000.0, 50.0, scale=1.0, fading=1.3),
+        controllers.NoisierProcess(15_000.0, 50.0, scale=1.0, fading=2.0),
+    )
     assert rows["sizes x 5"].process_modes == given.process_modes
     assert not any(row.joint for row in _beliefs.wrong(controllers.SwitchingPrecision(joint=False), 2.0).values())
 

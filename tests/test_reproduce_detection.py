@@ -31,7 +31,9 @@ SMALL = Detection(
 )
 
 
-FEW = controllers.SwitchingPrecision((controllers.Frozen(), controllers.Offset()), joint=False)
+FEW = controllers.SwitchingPrecision(
+    (controllers.Frozen(healthy_repeats=0), controllers.Offset()), joint=False, noise_factor=1.0
+)
 
 
 class Twin(controllers.GammaPrecision):

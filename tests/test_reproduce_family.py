@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 
 from bayesftc import controllers, cosim, reproduce
-from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.controllers.precision import keep_nominal
+from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError
 from bayesftc.reproduce import _family, _family_figures, _family_tables
 from bayesftc.reproduce._ensemble import Ensemble
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
@@ -106,8 +107,9 @@ def test_what_is_not_as_believed():
     _, _, plant = parts("pendulum: cart 40 % heavier than believed, healthy")
     assert plant.parameters == {"M_cart": pytest.approx(0.7)}
     switching = controllers.SwitchingPrecision()
-    of = {n: family_loop(BY_NAME[n], switching)["controller"].block.precision for n in ("healthy", "turbine: healthy")}
-    assert of == {"healthy": switching, "turbine: healthy": switching.slowed(2.5)}
+    for name, slower in (("healthy", 1.0), ("turbine: healthy", 2.5)):
+        controller = family_loop(BY_NAME[name], switching)["controller"].block
+        assert controller.precision.paced(float(controller.model.step)) == switching.slowed(slower)
 
 
 def test_numbers_are_those_of_the_runs(report):
@@ -169,14 +171,28 @@ def test_the_summary_is_that_of_the_table(report):
         assert summary["behind_the_best"] == [case for case in ratios if ratios[case] > best[case] + 0.05]
 
 
+def gives_up(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+    if np.abs(e).max() > 1e3:
+        raise SimulationError("The learner gives up.")
+    keep_nominal(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+
+
+class GivesUp(controllers.PrecisionLearner):
+    """A learner of a user's that stops the run where a sample is far from what is expected."""
+
+    def learner(self, model):
+        """Return its step function."""
+        return controllers.Learner(gives_up, np.zeros(1), np.array([np.nan]))
+
+
 def test_runs_that_cannot_go_on_are_counted_and_worst():
-    """A gain of a million makes the loop unstable, until the speed is no number; the oracle does not see the sensor."""
-    lost = Case("beyond all numbers", (cosim.GainFault(factor=1e6, start=1.0),))
-    made = small(1, cases=[lost], learners={"fixed": FIXED})
-    cell = made["table"]["beyond all numbers"]["fixed"]
+    """A gain of a thousand is too much for the learner; the oracle does not see that sensor."""
+    lost = Case("beyond all bounds", (cosim.GainFault(factor=1e3, start=1.0),))
+    made = small(1, cases=[lost], learners={"wild": GivesUp()})
+    cell = made["table"]["beyond all bounds"]["wild"]
     assert (cell["lost"], cell["ratio"], cell["n"]) == (2, None, 2)
-    assert made["summary"]["fixed"]["worst"] == {"case": "beyond all numbers", "ratio": None}
-    assert made["summary"]["fixed"]["above_the_bar"] == ["beyond all numbers"]
+    assert made["summary"]["wild"]["worst"] == {"case": "beyond all bounds", "ratio": None}
+    assert made["summary"]["wild"]["above_the_bar"] == ["beyond all bounds"]
     text = shown(made)
     assert "lost 2*" in text
     _family_figures.ratios(made)

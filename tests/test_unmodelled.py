@@ -10,10 +10,13 @@ from bayesftc.controllers import (
     BayesianController,
     Frozen,
     LinearModel,
+    Modality,
     NoisierProcess,
     Offset,
+    Proportional,
     StateEstimator,
     SwitchingPrecision,
+    UnbiasedActiveInference,
     Unmodelled,
 )
 from bayesftc.controllers._course import misfit
@@ -176,6 +179,19 @@ def test_noise_that_is_believed_twice_too_small_or_large_is_learned(wrong, joint
     np.testing.assert_allclose(learned, [1.0, 3.0], rtol=0.1)
 
 
+def test_the_lag_of_a_belief_without_covariance_is_no_noise():
+    """Active inference has none: what its belief lags behind a ramp is not the sensors' noise."""
+    speed = Modality("speed", matrix=[[1.0], [1.0]], std=1.0)
+    precision = SwitchingPrecision([Frozen(NEVER, NEVER)])
+    step = UnbiasedActiveInference(
+        speed, Proportional(gain=[[500.0]]), STEP, 10.0, control="law", state_prior="random walk", precision=precision
+    ).online(compiled=False)
+    for k in range(300):
+        out = step(y=[float(k), float(k)], goal=[20.0])
+    assert np.abs(out.innovation).min() > 1.0
+    np.testing.assert_allclose(out.precision, 1.0, rtol=1e-9)
+
+
 @pytest.mark.parametrize("joint", [True, False])
 def test_repetitions_of_a_coarse_sensor_are_learned(joint):
     """Rounded to their standard deviation healthy sensors repeat themselves in a quarter of the samples; nobody told."""
@@ -237,6 +253,19 @@ def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
         if not next_silent and model.disturbances:
             one.P = grown @ one.P @ grown
     assert out.process_mode_probability[1] == pytest.approx(1.0)
+
+
+def test_a_belief_that_fades_is_not_lost_where_no_sensor_sees_it():
+    """Of a position of which only the speed is measured any more: its variance is bounded by that of its sensors."""
+    for mode in (NoisierProcess(1e-15, NEVER, scale=1.0, fading=2.0), *SwitchingPrecision().process_modes[1:]):
+        precision = SwitchingPrecision([Offset(NEVER, NEVER)], process_modes=[mode], noise_factor=1.0)
+        step = StateEstimator(TWO, precision, initial_covariance=0.3).online(compiled=False)
+        rng = np.random.default_rng(5)
+        for k in range(600):
+            y = rng.normal(size=3)
+            y[:2] = np.nan if k >= 100 else y[:2]
+            out = step(y=list(y), u=[0.0])
+        assert out.P[0, 0] < 2 * 100 + 50  # of the more precise sensor, once doubled; and what the model adds by itself
 
 
 def test_both_engines_give_the_same_bits_of_courses_noise_and_fading():
