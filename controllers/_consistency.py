@@ -31,6 +31,10 @@ ABSURD = 1e6
 """Standard deviations beyond which a sample says nothing of the model."""
 
 
+LEAST_NEW = 1e-200
+"""Where it ends how new an observer is: numbers below the normal ones are slow."""
+
+
 def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the state and the parameters of the check for a model and a belief before the first sample."""
     seers, n, m = observers(model), model.states, model.sensors
@@ -42,17 +46,18 @@ def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], 
     weight = 1.0 / WINDOW
     state = {
         "seer_mean": np.broadcast_to(np.asarray(initial_mean, float), (count, n)).copy(),
-        "seer_age": np.zeros(1),
+        "seer_new": np.ones(1),
         "seer_error": np.zeros(m),
         "seer_white": np.zeros((count, 2, m)),
         "seer_moments": np.concatenate([np.zeros((count, m)), np.ones((count, 1)), np.zeros((count, 1))], axis=1),
     }
-    settings = [weight, (2.0 - weight) / weight, float(size), *limits, 0.0 if seers is None else float(seers.rest)]
+    settled = 1.0 if seers is None else (1.0 - weight) ** (float(seers.rest) - 0.5)
+    settings = [weight, (2.0 - weight) / weight, float(size), *limits, settled]
     return state, {"seer_gain": gain, "seer_whiten": whiten, "seer_settings": settings}
 
 
 def check_consistency(
-    y, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings, model_suspect
+    y, x_hat, C, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings, model_suspect
 ):  # fmt: skip
     """Take the samples in: correct each observer, update its moments, and say how far the least doubtful set disagrees.
 
@@ -60,8 +65,9 @@ def check_consistency(
     """
     m, n = y.shape[0], x_hat.shape[0]
     weight, count, size = seer_settings[0], seer_settings[1], seer_settings[2]
-    counts = select(seer_age[0] >= seer_settings[5], weight, 0.0)
-    seer_age[0] = seer_age[0] + 1.0
+    # What decays has a state at rest, as python-control looks for; a count of samples has none.
+    counts = select(seer_new[0] <= seer_settings[5], weight, 0.0)
+    seer_new[0] = maximum((1.0 - weight) * seer_new[0], LEAST_NEW)
     least = 1e300 + 0.0 * weight
     for s in range(seer_mean.shape[0]):
         there = 0.0 * weight == 0.0

@@ -57,7 +57,7 @@ def _make_step(
         N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
         heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
         u_0, goal_noise, constant,
-        seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+        seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(
@@ -74,7 +74,7 @@ def _make_step(
         report(memory, settings, nominal, first, outputs)
         alarm(doubts, outputs)
         check_consistency(
-            heard, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+            heard, x_hat, C, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
             model_suspect,
         )  # fmt: skip
         seek(

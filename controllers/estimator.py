@@ -44,7 +44,7 @@ def _make_estimate(
         mean, covariance, applied, memory,
         A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
         works, load, heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
-        seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+        seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
     ):  # fmt: skip
         apply(C, mean, expected)
         innovate(
@@ -61,7 +61,7 @@ def _make_estimate(
         report(memory, settings, nominal, first, outputs)
         alarm(doubts, outputs)
         check_consistency(
-            heard, x_hat, C, seer_age, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+            heard, x_hat, C, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
             model_suspect,
         )  # fmt: skip
 

@@ -64,14 +64,14 @@ def test_a_row_changes_the_settings_that_it_names_and_no_others():
     assert list(rows)[:3] == ["unchanged", "to fault x 5", "to fault / 5"]
     assert rows["unchanged"] == controllers.SwitchingPrecision()
     frozen, offset, _, ramping, course, noisier, _ = rows["times / 5"].modes
-    assert frozen == controllers.Frozen(60.0, 4.0)
-    assert offset == controllers.Offset(60.0, 4.0)
-    assert course == controllers.Unmodelled(60.0, 4.0)
+    assert frozen == controllers.Frozen(60.0, 2.0)
+    assert offset == controllers.Offset(60.0, 2.0)
+    assert course == controllers.Unmodelled(60.0, 2.0)
     frozen, offset, _, ramping, course, noisier, _ = rows["sizes x 5"].modes
     assert (frozen, course, noisier) == (controllers.Frozen(), controllers.Unmodelled(), controllers.Noisier())
     assert offset == controllers.Offset(jump=5.0)
     assert ramping == controllers.Ramping(slope=1.5)
-    assert rows["recovery x 5"].modes[3] == controllers.Ramping(time_to_recovery=100.0)
+    assert rows["recovery x 5"].modes[3] == controllers.Ramping(time_to_recovery=50.0)
     given = controllers.SwitchingPrecision(actuator_modes=(controllers.InputOffset(), controllers.StuckActuator()))
     rows = _beliefs.wrong(given, 5.0)
     added, stuck = controllers.InputOffset(15_000.0, 100.0), controllers.StuckActuator(15_000.0, 100.0)
