@@ -171,6 +171,7 @@ class _Campaign:
         return [future for future in self._waiting if future.status != "pending"]
 
     def _taken(self, future: Future[Any], piece: Piece) -> Iterator[Any]:
+        from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
 
         try:
@@ -185,7 +186,7 @@ class _Campaign:
             outcome = self._job.failed(
                 piece, "has ended several workers of the Dask cluster, the last one " + _last(error)
             )
-        except CancelledError as error:
+        except (CancelledError, CommClosedError) as error:  # the latter while the client has not noticed yet
             raise _lost(error) from None
         except OSError as error:
             if self._client.status != "running":
