@@ -73,7 +73,13 @@ def make_weigh(
         len(layout.lost),
         layout.lost or (0,),
     )
-    courses, course, squares, repeated = layout.courses, layout.course, layout.squares, layout.repeated
+    courses, course, squares, repeated, lone = (
+        layout.courses,
+        layout.course,
+        layout.squares,
+        layout.repeated,
+        layout.lone,
+    )
 
     def weigh(y, e, present, nominal, C, memory, settings):
         for i in range(m):
@@ -97,7 +103,7 @@ def make_weigh(
                     correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
                     memory[told + h] = memory[told + h] + density
                     memory[factor + h] = memory[factor + h] * times
-                elif h < first_lost + i * U or h >= first_lost + (i + 1) * U:
+                elif lone[h] != i:
                     spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
@@ -236,13 +242,14 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
         layout.first_lost, len(layout.lost), layout.lost or (0,), layout.courses, layout.course,
     )  # fmt: skip
 
+    lone = layout.lone
+
     def summarise(memory, settings):
         for i in range(m):
             own = i * sensor
             healthy, trust = 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
-                q, u = h - 1 - i * K, h - first_lost - i * U
-                if (q < 0 or q >= K) and (u < 0 or u >= U):
+                if lone[h] != i:
                     at = none + h * stride
                     healthy = healthy + memory[at] * memory[at + kept + own + HEALTHY]
                     trust = trust + memory[at] * memory[at + kept + own + TRUSTED]
@@ -254,18 +261,18 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 size, age = 0.0 * memory[none], 0.0 * memory[none]
                 for h in range(H):
                     at, q, u = none + h * stride, h - 1 - i * K, h - first_lost - i * U
-                    if u >= 0 and u < U:
-                        if lost[u] == k:
-                            size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
-                            age = age + memory[at] * memory[at + OFFSET_AGE]
-                            weight = weight + memory[at]
-                    elif q < 0 or q >= K:
+                    if lone[h] != i:
                         here = at + kept + block
                         part = memory[at] * memory[here + WEIGHT]
                         size = size + part * memory[here + SIZE]
                         age = age + part * memory[here + AGE]
                         trusted = trusted + part * memory[here + TRUST]
                         weight = weight + part
+                    elif h >= first_lost:
+                        if lost[u] == k:
+                            size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
+                            age = age + memory[at] * memory[at + OFFSET_AGE]
+                            weight = weight + memory[at]
                     elif kinds[q] == k:
                         size = size + memory[at] * memory[at + STATE + n]
                         age = age + memory[at] * memory[at + OFFSET_AGE]

@@ -267,9 +267,8 @@ class UnbiasedActiveInference(Block):
 
     def _learner(self) -> Learner:
         learner = self.precision.apart("UnbiasedActiveInference")
-        if isinstance(
-            learner, SwitchingPrecision
-        ):  # without a covariance the belief's own errors would be learned as noise
+        if isinstance(learner, SwitchingPrecision):
+            # The belief has no covariance: its own errors would be learned as noise.
             learner = replace(learner, noise_factor=1.0)
         return learner.learner(self._learned_model())
 

@@ -92,34 +92,23 @@ PLANTS: Mapping[str, float] = {"car": 1.0, "servo": 0.01, "pendulum": 0.005, "tu
 MASS = frozenset({"gain", "dt", "dynamics"})
 """Kinds whose sentences ask for masses and inertias: of a car mass and time scale are one and the same."""
 
+FAR = {"far": frozenset({"nonlinear"})}
+
+MOVED: Mapping[str, frozenset[str]] = {
+    "sign": frozenset({"sign"}),
+    "dt": frozenset({"dt"}),
+    "heavier": MASS,
+    "lighter": MASS,
+    "limit": frozenset({"limit"}),
+    "late": frozenset({"late"}),
+}
+"""What is wrong with the model of a plant that a force moves, and what it may be called."""
+
 WRONG: Mapping[str, Mapping[str, frozenset[str]]] = {
-    "car": {
-        "sign": frozenset({"sign"}),
-        "dt": frozenset({"dt"}),
-        "heavier": MASS,
-        "lighter": MASS,
-        "far": frozenset({"nonlinear"}),
-        "limit": frozenset({"limit"}),
-        "late": frozenset({"late"}),
-    },
-    "servo": {
-        "sign": frozenset({"sign"}),
-        "dt": frozenset({"dt"}),
-        "heavier": MASS,
-        "lighter": MASS,
-        "limit": frozenset({"limit"}),
-        "late": frozenset({"late"}),
-    },
-    "pendulum": {
-        "sign": frozenset({"sign"}),
-        "dt": frozenset({"dt"}),
-        "heavier": MASS,
-        "lighter": MASS,
-        "far": frozenset({"nonlinear"}),
-        "limit": frozenset({"limit"}),
-        "late": frozenset({"late"}),
-    },
-    "turbine": {"far": frozenset({"nonlinear"})},
+    "car": {**MOVED, **FAR},
+    "servo": MOVED,
+    "pendulum": {**MOVED, **FAR},
+    "turbine": FAR,
 }
 """What is wrong with each plant's model, and what it may be called."""
 
