@@ -31,6 +31,7 @@ from bayesftc.controllers._switching_kernels import (
     MODE_ARRIVES,
     MODE_MISSING,
     NOISE,
+    NOISE_SHAPE,
     OWN_SETTINGS,
     TRUSTED,
     held,
@@ -92,6 +93,7 @@ def make_weigh(
             offset = 1 if (h > 0 and h < first_lost) or (h >= first_actuator and h < process) else 0
             for i in range(m):
                 variance, row = nominal[i, i] * memory[i * sensor + NOISE], i * row_length
+                doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
                 q = h - 1 - i * K  # which kind of offset this sensor has, if it has one
                 if q >= 0 and q < K:
                     spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
@@ -103,6 +105,8 @@ def make_weigh(
                     correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
                     memory[told + h] = memory[told + h] + density
                     memory[factor + h] = memory[factor + h] * times
+                    part = variance / total
+                    memory[squares + h * m + i] = part * (part * error * error + spread)
                 elif lone[h] != i:
                     spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                     total = spread + variance
@@ -110,11 +114,13 @@ def make_weigh(
                     own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
                     if h == 0:
                         density = weigh_alone(
-                            error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row
+                            error, present[i], total, variance, doubt, change, memory[repeated + i], memory, own,
+                            settings, row
                         )
                     else:
                         density = weigh_other(
-                            error, present[i], total, variance, change, memory[repeated + i], memory, own, settings, row
+                            error, present[i], total, variance, doubt, change, memory[repeated + i], memory, own,
+                            settings, row
                         )
                     memory[told + h] = memory[told + h] + density
                     memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
@@ -158,7 +164,7 @@ def make_weigh(
 def make_listen(layout: Layout) -> Callable[..., None]:
     """Return the step function that learns each sensor's noise and repetitions, from the hypotheses in which it is healthy."""
     m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
-    sensor, row, squares, lone = layout.sensor, layout.row, layout.squares, layout.lone
+    sensor, row, squares, lone, first_lost = layout.sensor, layout.row, layout.squares, layout.lone, layout.first_lost
 
     def listen(y, present, nominal, memory, settings):
         for i in range(m):
@@ -169,10 +175,13 @@ def make_listen(layout: Layout) -> Callable[..., None]:
                     part = memory[at] * memory[at + kept + i * sensor + HEALTHY]
                     sound = sound + part
                     squared = squared + part * memory[squares + h * m + i]
+                elif h < first_lost:
+                    sound = sound + memory[none + h * stride]
+                    squared = squared + memory[none + h * stride] * memory[squares + h * m + i]
             squared = minimum(squared / (sound * nominal[i, i]), FURTHEST)
             learn_noise(squared, present[i] * sound, memory, i * sensor, settings, i * row)
             change = y[i] - memory[i * sensor + LAST]
-            learn_repeats(change, present[i] * sound, memory, i * sensor, settings, i * row)
+            learn_repeats(change, present[i] * memory[i * sensor + HEALTHY], memory, i * sensor, settings, i * row)
             memory[i * sensor + LAST] = select(present[i] > 0.5, y[i], memory[i * sensor + LAST])
 
     return listen

@@ -25,7 +25,7 @@ _PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings,
 
 _WEIGH = """
 sound = log_density(e * e, variance)
-told = select(present > 0.5, sound, 0.0)
+told = select(present > 0.5, sound + wider(e * e, variance, nominal, doubt), 0.0)
 {modes}
 most = {most}
 healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], settings[row + MISSING]) * share_of(told, most)
@@ -56,7 +56,8 @@ for i in range(y.shape[0]):
     change = y[i] - memory[at + LAST]
     error = held(e[i], variance)
     repeats = repetition(change, nominal[i, i], memory, at, settings, row)
-    told = told + weigh(error, present[i], variance, noise, change, repeats, memory, at, settings, row)
+    doubt = 0.5 / memory[at + NOISE_SHAPE]
+    told = told + weigh(error, present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
     told = told + log(memory[at + DENSITY])
     part = noise / variance
     squared = part * (part * error * error + spread[i, i])
@@ -82,7 +83,7 @@ report_process(memory, PROCESS, STRIDE, PROCESS_MODES, first + PROCESS_OUTPUTS, 
 """
 
 _OF_TIME = ("memory", "at", "settings", "row")
-_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "change", "repeats", *_OF_TIME)
+_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "doubt", "change", "repeats", *_OF_TIME)
 
 Evidence = tuple[Callable[..., float], ...]
 
