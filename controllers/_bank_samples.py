@@ -18,7 +18,7 @@ from bayesftc.controllers._bank_layout import (
     WORKS,
     Layout,
 )  # fmt: skip
-from bayesftc.controllers._course import follow, misfit
+from bayesftc.controllers._course import follow, misfit, repeats_share
 from bayesftc.controllers._mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT, log_density
 from bayesftc.controllers._switching_kernels import (
     DENSITY,
@@ -34,6 +34,7 @@ from bayesftc.controllers._switching_kernels import (
     NOISE_SHAPE,
     OWN_SETTINGS,
     TRUSTED,
+    WIDTH,
     held,
     learn_noise,
     learn_repeats,
@@ -41,7 +42,7 @@ from bayesftc.controllers._switching_kernels import (
     share_of,
 )  # fmt: skip
 from bayesftc.controllers.precision import NAN
-from bayesftc.cosim.ops import both, log, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
 
 ABSURD = 1e12
 """Largest variance of an innovation, in the sensor's own, up to which a larger innovation is learned from: beyond it hypotheses
@@ -112,15 +113,14 @@ def make_weigh(
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
                     own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
+                    repeats = memory[repeated + i]
                     if h == 0:
                         density = weigh_alone(
-                            error, present[i], total, variance, doubt, change, memory[repeated + i], memory, own,
-                            settings, row
+                            error, present[i], total, variance, doubt, change, repeats, memory, own, settings, row
                         )
                     else:
                         density = weigh_other(
-                            error, present[i], total, variance, doubt, change, memory[repeated + i], memory, own,
-                            settings, row
+                            error, present[i], total, variance, doubt, change, repeats, memory, own, settings, row
                         )
                     memory[told + h] = memory[told + h] + density
                     memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
@@ -143,8 +143,13 @@ def make_weigh(
                     error / deviation, change / deviation, present[i], memory[begun], memory, begun + 1, scratch,
                     settings, own + OWN_SETTINGS,
                 ) - log(deviation)  # fmt: skip
-                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
-                memory[told + h] = memory[told + h] + select(present[i] > 0.5, density, 0.0)
+                width = settings[i * row_length + WIDTH]
+                equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)
+                share = repeats_share(equal, present[i], memory[begun], memory, begun + 1, settings, own + OWN_SETTINGS)
+                likely = select(equal > 0.5, share * memory[repeated + i] / width, 1.0 - share)
+                density = select(both(present[i] > 0.5, equal < 0.5), density, 0.0)
+                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES] * likely, settings[own + MODE_MISSING])
+                memory[told + h] = memory[told + h] + density
                 memory[factor + h] = memory[factor + h] * times
         most = memory[told]
         for h in range(1, H):

@@ -17,17 +17,17 @@ from bayesftc.cosim.ops import log, maximum, select, sqrt
 ORDER = 3
 """How many regressors there are."""
 
-WEIGHTS, PULLS, SHAPE, RATE, LAST_ERROR, LEVEL, COURSE = 0, 9, 12, 13, 14, 15, 16
+WEIGHTS, PULLS, SHAPE, RATE, LAST_ERROR, LEVEL, EQUALS, COUNTED, COURSE = 0, 9, 12, 13, 14, 15, 16, 17, 18
 """Places in what is kept: the coefficients' precision (lower triangle of a table), its product with their mean, shape and rate of
-the noise's precision, where the rate is that for coefficients of zero; the last innovation; the prediction without its slow part.
-Last, how many numbers these are."""
+the noise's precision, where the rate is that for coefficients of zero; the last innovation; the prediction without its slow part;
+how many samples repeated their predecessor, of how many. Last, how many numbers these are."""
 
 ROOT, REGRESSORS, SOLVED, REACHED, COURSE_SCRATCH = 0, 9, 12, 15, 18
 """Places in the scratch space: the Cholesky factor of the precision, the regressors, both solved for; and its length."""
 
-FORGETTING, FADING, SHAPE0, RATE0, MEANS, WEIGHTS0, COURSE_SETTINGS = 0, 1, 2, 3, 4, 7, 10
+FORGETTING, FADING, SHAPE0, RATE0, MEANS, WEIGHTS0, EQUALS0, COUNTED0 = 0, 1, 2, 3, 4, 7, 10, 11
 """Places in the settings: the forgetting factor of the regression and of the level, the prior's shape and rate, the coefficients'
-means and precisions; and how many there are."""
+means and precisions; how many repetitions of how many samples are expected."""
 
 LOG_2_PI = 1.8378770664093453
 
@@ -99,6 +99,21 @@ def follow(r, change, present, entered, memory, at, scratch, settings, first):
     memory[at + LAST_ERROR] = select(present > 0.5, r, memory[at + LAST_ERROR])
     memory[at + LEVEL] = select(present > 0.5, level, memory[at + LEVEL])
     return told - 0.5 * LOG_2_PI
+
+
+def repeats_share(equal, present, entered, memory, at, settings, first):
+    """Return which share of the samples repeats its predecessor exactly on this course, and count this one (``equal``: 1 or 0).
+
+    So a sensor that sticks now and then, as one that clips, is on one course all the while. The share is
+    beta distributed, and forgotten like the regression.
+    """
+    kept = (1.0 - entered) * settings[first + FORGETTING]
+    fresh = 1.0 - kept
+    equals = kept * memory[at + EQUALS] + fresh * settings[first + EQUALS0]
+    counted = kept * memory[at + COUNTED] + fresh * settings[first + COUNTED0]
+    memory[at + EQUALS] = equals + present * equal
+    memory[at + COUNTED] = counted + present
+    return equals / counted
 
 
 def misfit(memory, at):

@@ -294,7 +294,8 @@ class Unmodelled(FaultMode):
     """The sensor has failed in a way that has no mode of its own; how its samples then go is learned.
 
     Its innovations are a linear regression on a constant, on their predecessor and on the prediction, with noise of any scale.
-    That fits a sensor that is frozen with a dither, filtered, late, swapped, oscillating or of another gain. In the joint form
+    That fits a sensor that is frozen with a dither, filtered, late, swapped, oscillating or of another gain; and a share of its
+    samples repeats exactly, as of one that clips. In the joint form
     the state is inferred without this sensor meanwhile, in a hypothesis for each sensor. The fault's size is the root mean
     square of the innovations, in nominal standard deviations.
 
@@ -312,6 +313,10 @@ class Unmodelled(FaultMode):
     means, deviations : sequence of float
         Means and standard deviations of the three coefficients at the onset: of the constant, of the last innovation, of the
         prediction. The latter are in those of the regression's noise.
+    repeats : float
+        Share of the samples that repeat exactly, between 0 and 1, as expected at the onset; it is learned (in the joint form).
+    repeats_strength : float
+        How many samples that share counts as.
     """
 
     scale: float = 1.0
@@ -320,14 +325,17 @@ class Unmodelled(FaultMode):
     fading: float = 0.99
     means: Sequence[float] = (0.0, 0.8, 0.0)
     deviations: Sequence[float] = (3.0, 0.5, 0.3)
+    repeats: float = 0.1
+    repeats_strength: float = 5.0
 
     own_hypothesis: ClassVar[bool] = True
     evidence: ClassVar[Callable[..., float]] = kernels.goes_its_way
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("scale", "shape"):
+        for name in ("scale", "shape", "repeats_strength"):
             check_number(self, name, above=0)
+        check_number(self, "repeats", above=0, below=1)
         for name in ("forgetting", "fading"):
             check_number(self, name, above=0, most=1)
         for name in ("means", "deviations"):
@@ -346,7 +354,8 @@ class Unmodelled(FaultMode):
         weights = [deviation**-2 for deviation in self.deviations]
         explained = sum(weight * mean**2 for weight, mean in zip(weights, self.means, strict=True))
         rate = self.shape * self.scale**2 + 0.5 * explained
-        return self.forgetting, self.fading, self.shape, rate, *self.means, *weights
+        repeats = self.repeats * self.repeats_strength, self.repeats_strength
+        return self.forgetting, self.fading, self.shape, rate, *self.means, *weights, *repeats
 
 
 @dataclass(frozen=True)

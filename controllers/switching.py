@@ -260,9 +260,9 @@ class SwitchingPrecision(PrecisionLearner):
         return tuple(int(mode.is_fault) for mode in self.modes)
 
     def _repeats(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
-        """Return what is expected of the repetitions of a healthy sensor; without a mode that repeats samples nothing."""
-        frozen = next((mode for mode in self.modes if isinstance(mode, Frozen)), None)
-        return (0.0, 0.0, 1.0, 0.0) if frozen is None else frozen.healthy(model, sensor)
+        """Return what is expected of the repetitions of a healthy sensor; without a mode that repeats samples the usual."""
+        frozen = next((mode for mode in self.modes if isinstance(mode, Frozen)), Frozen())
+        return frozen.healthy(model, sensor)
 
     @property
     def _kinds(self) -> tuple[int, ...]:
