@@ -41,6 +41,7 @@ def make_begin(layout: Layout) -> Callable[..., None]:
     none, grow, first_actuator, process = layout.first, layout.grow, layout.first_actuator, layout.process
     of_actuators, of_process, witnessed = layout.actuator_settings, layout.process_settings, make_witnessed(layout)
     first_lost, U, lost = layout.first_lost, len(layout.lost), layout.lost or (0,)
+    groups, first_common, of_groups = len(layout.groups), layout.first_common, layout.common_settings
 
     def begin_all(memory, settings):
         for i in range(m):
@@ -56,6 +57,8 @@ def make_begin(layout: Layout) -> Callable[..., None]:
                 memory[grow + first_lost + i * U + u] = (
                     memory[none] * memory[none + kept + i * sensor + HEALTHY] * begin
                 )
+        for g in range(groups):
+            memory[grow + first_common + g] = memory[none] * settings[of_groups + g]
         for j in range(p):
             for q in range(L):
                 begin = settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
@@ -79,7 +82,9 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
     row_length, width, width_of_settings, sensor = layout.row, layout.width, layout.width_of_settings, layout.sensor
     none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
     first_actuator, process, first_lost, U = layout.first_actuator, layout.process, layout.first_lost, len(layout.lost)
-    courses, course = layout.courses, layout.course
+    courses, course, first_common = layout.courses, layout.course, layout.first_common
+    groups, firsts = len(layout.groups), tuple(group[0] for group in layout.groups) or (0,)
+    kick = layout.process_settings + layout.kick * PROCESS_SETTINGS
     of_actuators, of_process, receive = layout.actuator_settings, layout.process_settings, make_receive(layout)
 
     def arrive_offsets(e, nominal, memory, settings, stays, left):
@@ -112,6 +117,18 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
                 stays = stays - came
                 memory[courses + (i * U + u) * course] = came / (memory[at] + came)
                 receive(memory, at, came, none, i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return stays
+
+    def arrive_common(C, Q, memory, settings, stays):
+        """Return what stays; an offset of all sensors of a group is as large as what a kick does to their readings."""
+        for g in range(groups):
+            at, came = none + (first_common + g) * stride, memory[grow + first_common + g]
+            stays = stays - came
+            i, total = firsts[g], 0.0 * came
+            for a in range(plant):
+                for b in range(plant):
+                    total = total + C[i, a] * Q[a, b] * C[i, b]
+            receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, settings[kick + MORE] * total, 0.0, 0.0)
         return stays
 
     def arrive_actuators(applied, memory, settings, stays):
@@ -152,15 +169,9 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
 
     def arrive(e, sampled, C, Q, nominal, applied, memory, settings):
         stays, left = arrive_offsets(e, nominal, memory, settings, memory[none], memory[pool])
-        stays = arrive_process(
-            sampled,
-            C,
-            Q,
-            nominal,
-            memory,
-            settings,
-            arrive_actuators(applied, memory, settings, arrive_lost(memory, stays)),
-        )
+        stays = arrive_common(C, Q, memory, settings, arrive_lost(memory, stays))
+        stays = arrive_actuators(applied, memory, settings, stays)
+        stays = arrive_process(sampled, C, Q, nominal, memory, settings, stays)
         go_on(memory, maximum(stays, LEAST), maximum(left, LEAST))
 
     return arrive

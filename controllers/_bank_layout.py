@@ -23,15 +23,19 @@ WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)
 """What is kept of an actuator: how much of the control arrives and what is added to it, on average; the same as the control
 counts on it; then of each mode probability and size."""
 
+BY_MODES, BY_COURSE = -1, -2
+"""How a hypothesis judges a sensor that has no offset there."""
+
 
 @dataclass(frozen=True)
 class Layout:
     """The numbers of a bank.
 
     The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
-    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each mode
-    of each actuator; each of the process, and that one of those has ended), the pool, what is kept of these courses, and scratch
-    space. The settings are those of the per-sensor form, then those of each mode of each actuator and of the process.
+    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each group
+    of sensors with the same offset; each mode of each actuator; each of the process, and that one of those has ended), the pool,
+    what is kept of the courses, and scratch space. The settings are those of the per-sensor form, then those of each mode of each
+    actuator and of the process, then of each group.
 
     An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
     nothing has contradicted so far, it would hardly be one that jumps.
@@ -50,6 +54,12 @@ class Layout:
         For each of these, whether other sensors must bear witness (1 or 0).
     lost : tuple of int
         Which of the sensors' modes are courses of their own, of which the state is inferred without that sensor.
+    groups : tuple of tuple of int
+        The sensors that read the same, of which all may have the same offset.
+    common : int
+        Which of the sensors' modes such an offset is.
+    kick : int
+        Which of the process' modes is as probable a reason, and moves what these sensors read as far.
     alone, other : tuple of int
         For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
         takes no part.
@@ -71,6 +81,9 @@ class Layout:
     becomes: tuple[int, ...]
     slow: tuple[int, ...]
     lost: tuple[int, ...]
+    groups: tuple[tuple[int, ...], ...]
+    common: int
+    kick: int
     alone: tuple[int, ...]
     other: tuple[int, ...]
     faults: tuple[int, ...]
@@ -85,11 +98,27 @@ class Layout:
         return tuple(self.becomes[q] != q for q in range(len(self.kinds)))
 
     @property
-    def lone(self) -> tuple[int, ...]:
-        """For each hypothesis which sensor it is that has an offset or a course of its own; -1 if none."""
-        offsets = [i for i in range(self.m) for _ in self.kinds]
-        courses = [i for i in range(self.m) for _ in self.lost]
-        return (-1, *offsets, *courses, *[-1] * (self.hypotheses - self.first_actuator))
+    def judged(self) -> tuple[int, ...]:
+        """For each hypothesis, for each sensor: by which mode's offset, estimated with the state, the sensor is judged.
+
+        `BY_MODES` if by its own modes, `BY_COURSE` if by a course of its own.
+        """
+        table = np.full((self.hypotheses, self.m), BY_MODES)
+        for i in range(self.m):
+            first = 1 + i * len(self.kinds)
+            table[first : first + len(self.kinds), i] = self.kinds
+            first = self.first_lost + i * len(self.lost)
+            table[first : first + len(self.lost), i] = BY_COURSE
+        for g, group in enumerate(self.groups):
+            table[self.first_common + g, list(group)] = self.common
+        return tuple(table.ravel().tolist())
+
+    @property
+    def has_offset(self) -> tuple[bool, ...]:
+        """For each hypothesis whether an offset is estimated with the state: of a sensor, a group or an actuator."""
+        with_offset = (*range(1, self.first_lost), *range(self.first_common, self.first_ended))
+        with_offset += tuple(range(self.first_actuator, self.process))
+        return tuple(h in with_offset for h in range(self.hypotheses))
 
     @property
     def begins_here(self) -> tuple[bool, ...]:
@@ -122,6 +151,11 @@ class Layout:
         return self.actuator_settings + self.p * self.actuator_modes * ACTUATOR_SETTINGS
 
     @property
+    def common_settings(self) -> int:
+        """Where in the settings it stands how probable it is that all sensors of a group jump, for each group."""
+        return self.process_settings + self.process_modes * PROCESS_SETTINGS
+
+    @property
     def actuator(self) -> int:
         """How many numbers are kept of an actuator."""
         return OF_MODES + 2 * self.actuator_modes
@@ -137,9 +171,19 @@ class Layout:
         return 1 + self.m * len(self.kinds)
 
     @property
+    def first_common(self) -> int:
+        """Which hypothesis is the first one that all sensors of a group have the same offset."""
+        return self.first_lost + self.m * len(self.lost)
+
+    @property
+    def first_ended(self) -> int:
+        """Which hypothesis is the first one that such an offset has ended with this sample."""
+        return self.first_common + len(self.groups)
+
+    @property
     def first_actuator(self) -> int:
         """Which hypothesis is the first one of a mode of an actuator."""
-        return self.first_lost + self.m * len(self.lost)
+        return self.first_ended + len(self.groups)
 
     @property
     def process(self) -> int:

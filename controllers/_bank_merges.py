@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers._bank_kernels import OFFSET_AGE, blend, blend_healthy, blend_sensor
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, blend, blend_between, blend_healthy, blend_sensor
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._switching_kernels import FIRST, HEALTHY, LEAST
 from bayesftc.cosim.ops import maximum, minimum
@@ -50,6 +50,24 @@ def make_receive(layout: Layout) -> Callable[..., None]:
                 blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0, FIRST, width, other)
 
     return receive
+
+
+@cache
+def make_become(layout: Layout) -> Callable[..., None]:
+    """Return the step function that merges all of a hypothesis into another one with an offset, of sensor ``i`` if it is one."""
+    n, N, receive = layout.n, layout.n + 2, make_receive(layout)
+
+    def become(memory, at, source, i):
+        c, cc, came = source + STATE + n, source + STATE + N + n * N + n, memory[source]
+        part = came / (memory[at] + came)
+        receive(
+            memory, at, came, source, i, memory[source + OFFSET_AGE], memory[c], memory[c + 1],
+            memory[cc], memory[cc + 1], memory[cc + N + 1],
+        )  # fmt: skip
+        blend_between(memory, at, part, source, n)
+        memory[source] = LEAST + 0.0 * came
+
+    return become
 
 
 @cache

@@ -9,6 +9,8 @@ from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, correct, expec
 from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
+    BY_COURSE,
+    BY_MODES,
     LOAD,
     OF_MODES,
     PUSHES,
@@ -65,23 +67,12 @@ def make_weigh(
     weigh_alone, weigh_other : function
         Weighing of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
-    n, m, H, K, process = layout.n, layout.m, layout.hypotheses, len(layout.kinds), layout.process
-    kinds, sensor, row_length = layout.kinds or (0,), layout.sensor, layout.row
-    width_of_settings, none, stride, kept = layout.width_of_settings, layout.first, layout.length, layout.kept
+    n, m, H, judged, has_offset = layout.n, layout.m, layout.hypotheses, layout.judged, layout.has_offset
+    sensor, row_length, width_of_settings = layout.sensor, layout.row, layout.width_of_settings
+    none, stride, kept, first_lost = layout.first, layout.length, layout.kept, layout.first_lost
     told, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
-    first_lost, first_actuator, U, lost = (
-        layout.first_lost,
-        layout.first_actuator,
-        len(layout.lost),
-        layout.lost or (0,),
-    )
-    courses, course, squares, repeated, lone = (
-        layout.courses,
-        layout.course,
-        layout.squares,
-        layout.repeated,
-        layout.lone,
-    )
+    U, lost = len(layout.lost), layout.lost or (0,)
+    courses, course, squares, repeated = layout.courses, layout.course, layout.squares, layout.repeated
 
     def weigh(y, e, present, nominal, C, memory, settings):
         for i in range(m):
@@ -91,16 +82,16 @@ def make_weigh(
             at = none + h * stride
             memory[told + h] = 0.0 * memory[none]
             memory[factor + h] = memory[at]
-            offset = 1 if (h > 0 and h < first_lost) or (h >= first_actuator and h < process) else 0
+            offset = 1 if has_offset[h] else 0
             for i in range(m):
                 variance, row = nominal[i, i] * memory[i * sensor + NOISE], i * row_length
                 doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
-                q = h - 1 - i * K  # which kind of offset this sensor has, if it has one
-                if q >= 0 and q < K:
+                by = judged[h * m + i]
+                if by >= 0:
                     spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
-                    own = row + FIRST_SETTINGS + kinds[q] * width_of_settings
+                    own = row + FIRST_SETTINGS + by * width_of_settings
                     density = select(present[i] > 0.5, log_density(error * error, total), 0.0)
                     times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
                     correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
@@ -108,7 +99,7 @@ def make_weigh(
                     memory[factor + h] = memory[factor + h] * times
                     part = variance / total
                     memory[squares + h * m + i] = part * (part * error * error + spread)
-                elif lone[h] != i:
+                elif by == BY_MODES:
                     spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                     total = spread + variance
                     error = held(e[i] - expected, minimum(total, ABSURD * variance))
@@ -167,22 +158,24 @@ def make_weigh(
 
 @cache
 def make_listen(layout: Layout) -> Callable[..., None]:
-    """Return the step function that learns each sensor's noise and repetitions, from the hypotheses in which it is healthy."""
+    """Return the step function that learns each sensor's noise and repetitions, from hypotheses in which it is healthy.
+
+    Noise is around an offset what it is without one.
+    """
     m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
-    sensor, row, squares, lone, first_lost = layout.sensor, layout.row, layout.squares, layout.lone, layout.first_lost
+    sensor, row, squares, judged = layout.sensor, layout.row, layout.squares, layout.judged
 
     def listen(y, present, nominal, memory, settings):
         for i in range(m):
             sound, squared = LEAST + 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
-                if lone[h] != i:
-                    at = none + h * stride
-                    part = memory[at] * memory[at + kept + i * sensor + HEALTHY]
+                at, by = none + h * stride, judged[h * m + i]
+                if by != BY_COURSE:
+                    part = memory[at]
+                    if by == BY_MODES:
+                        part = part * memory[at + kept + i * sensor + HEALTHY]
                     sound = sound + part
                     squared = squared + part * memory[squares + h * m + i]
-                elif h < first_lost:
-                    sound = sound + memory[none + h * stride]
-                    squared = squared + memory[none + h * stride] * memory[squares + h * m + i]
             squared = minimum(squared / (sound * nominal[i, i]), FURTHEST)
             learn_noise(squared, present[i] * sound, memory, i * sensor, settings, i * row)
             change = y[i] - memory[i * sensor + LAST]
@@ -196,16 +189,28 @@ def make_listen(layout: Layout) -> Callable[..., None]:
 def make_conclude(layout: Layout) -> Callable[..., None]:
     """Return the step function that says what all hypotheses make together of the state.
 
-    Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays.
+    Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays. That all sensors
+    of a group have the same offset counts as far as it is more probable than not: an estimate halfway between a plant that moved
+    and sensors that failed would be wrong in both cases, and plants move more often.
     """
     n, H, N = layout.n, layout.hypotheses, layout.n + 2
-    none, stride, scratch = layout.first, layout.length, layout.couples
+    none, stride, scratch, counts = layout.first, layout.length, layout.couples, layout.grow + layout.hypotheses
+    first_common, first_ended = layout.first_common, layout.first_ended
 
     def conclude(mean, covariance, memory, x_hat, P):
+        whole = 1.0 + 0.0 * memory[none]
+        for h in range(H):
+            memory[counts + h] = memory[none + h * stride]
+        for h in range(first_common, first_ended):
+            p = memory[none + h * stride]
+            memory[counts + h] = maximum(2.0 * p - 1.0, 0.0)
+            whole = whole - p + memory[counts + h]
+        for h in range(H):
+            memory[counts + h] = memory[counts + h] / whole
         for a in range(n):
             total = 0.0 * mean[a]
             for h in range(H):
-                total = total + memory[none + h * stride] * memory[none + h * stride + STATE + a]
+                total = total + memory[counts + h] * memory[none + h * stride + STATE + a]
             memory[scratch + a] = total
             x_hat[a] = mean[a] + total
         for h in range(H):
@@ -218,7 +223,7 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
                 for h in range(H):
                     z = none + h * stride + STATE
                     apart = memory[z + a] * memory[z + b]
-                    total = total + memory[none + h * stride] * (memory[z + N + a * N + b] + apart)
+                    total = total + memory[counts + h] * (memory[z + N + a * N + b] + apart)
                 P[a, b] = total
         good = x_hat[0] - x_hat[0] == 0.0
         for a in range(n):
@@ -242,28 +247,21 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
     expected squared distance from the goal is least: there a hypothesis counts as far as it lets the control through, so that
     nothing is asked of an actuator that is stuck.
     """
-    n, m, p, H, K, L = layout.n, layout.m, layout.p, layout.hypotheses, len(layout.kinds), layout.actuator_modes
-    kinds, sensor, modes, width = layout.kinds or (0,), layout.sensor, layout.modes, layout.width
-    none, stride, kept, N, first_actuator = (
-        layout.first,
-        layout.length,
-        layout.kept,
-        layout.n + 2,
-        layout.first_actuator,
-    )
-    actuators, actuator, of_actuators = layout.actuators, layout.actuator, layout.actuator_settings
+    n, m, p, H, L, judged = layout.n, layout.m, layout.p, layout.hypotheses, layout.actuator_modes, layout.judged
+    sensor, modes, width = layout.sensor, layout.modes, layout.width
+    none, stride, kept, N = layout.first, layout.length, layout.kept, layout.n + 2
     first_lost, U, lost, courses, course = (
         layout.first_lost, len(layout.lost), layout.lost or (0,), layout.courses, layout.course,
     )  # fmt: skip
-
-    lone = layout.lone
+    actuators, actuator, of_actuators = layout.actuators, layout.actuator, layout.actuator_settings
+    first_actuator = layout.first_actuator
 
     def summarise(memory, settings):
         for i in range(m):
             own = i * sensor
             healthy, trust = 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
-                if lone[h] != i:
+                if judged[h * m + i] == BY_MODES:
                     at = none + h * stride
                     healthy = healthy + memory[at] * memory[at + kept + own + HEALTHY]
                     trust = trust + memory[at] * memory[at + kept + own + TRUSTED]
@@ -274,20 +272,20 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 weight, trusted = 0.0 * memory[none], 0.0 * memory[none]
                 size, age = 0.0 * memory[none], 0.0 * memory[none]
                 for h in range(H):
-                    at, q, u = none + h * stride, h - 1 - i * K, h - first_lost - i * U
-                    if lone[h] != i:
+                    at, u, by = none + h * stride, h - first_lost - i * U, judged[h * m + i]
+                    if by == BY_MODES:
                         here = at + kept + block
                         part = memory[at] * memory[here + WEIGHT]
                         size = size + part * memory[here + SIZE]
                         age = age + part * memory[here + AGE]
                         trusted = trusted + part * memory[here + TRUST]
                         weight = weight + part
-                    elif h >= first_lost:
+                    elif by == BY_COURSE:
                         if lost[u] == k:
                             size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
                             age = age + memory[at] * memory[at + OFFSET_AGE]
                             weight = weight + memory[at]
-                    elif kinds[q] == k:
+                    elif by == k:
                         size = size + memory[at] * memory[at + STATE + n]
                         age = age + memory[at] * memory[at + OFFSET_AGE]
                         weight = weight + memory[at]

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers._bank_begins import make_arrive, make_begin
-from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, blend_between, inflate, measurable, move
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, inflate, measurable, move
 from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
+    BY_MODES,
     END,
     FADES,
     FOLLOWS,
@@ -25,10 +26,10 @@ from bayesftc.controllers._bank_layout import (
     WORKS,
     Layout,
 )  # fmt: skip
-from bayesftc.controllers._bank_merges import make_collect, make_receive, make_witnessed
+from bayesftc.controllers._bank_merges import make_become, make_collect, make_receive, make_witnessed
 from bayesftc.controllers._mode_kernels import expected_jump
 from bayesftc.controllers._switching_kernels import ENDS, FIRST_SETTINGS, LEAST, OWN_SETTINGS, held
-from bayesftc.cosim.ops import maximum, minimum
+from bayesftc.cosim.ops import maximum, minimum, select
 
 EXPIRES = 0.02
 """Probability per sample with which a drift ends that no other sensor bears witness to: it may as well be the state's motion."""
@@ -36,6 +37,9 @@ EXPIRES = 0.02
 SETTLES = 0.02
 """Probability per sample with which a mode of the process that has ended is taken for over: until then that it was there is a
 hypothesis of its own, for often only the samples after a kick tell of it."""
+
+TELLING = 9.0
+"""Squared offset of all sensors of a group, in its variance, from which on it is one."""
 
 
 @cache
@@ -54,7 +58,7 @@ def make_pass_time(
     begin, set_out = make_begin(layout), make_set_out(layout)
     move_offsets, move_actuators = make_move_offsets(layout, pass_other), make_move_actuators(layout, pass_other)
     move_process, arrive = make_move_process(layout, pass_other), make_arrive(layout)
-    move_lost = make_move_lost(layout, pass_other)
+    move_lost, move_common = make_move_lost(layout, pass_other), make_move_common(layout, pass_other)
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
     couples, shift, scratch = layout.couples, layout.shift, layout.scratch
 
@@ -71,6 +75,7 @@ def make_pass_time(
         )  # fmt: skip
         move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings)
         move_lost(A, Q, start, covariance, largest, memory, settings)
+        move_common(A, Q, nominal, start, covariance, largest, memory, settings)
         move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings)
         move_process(sampled, A, C, Q, nominal, start, covariance, largest, memory, settings)
         arrive(e, sampled, C, Q, nominal, applied, memory, settings)
@@ -103,23 +108,12 @@ def make_set_out(layout: Layout) -> Callable[..., None]:
 @cache
 def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh."""
-    n, m, K, N = layout.n, layout.m, len(layout.kinds), layout.n + 2
+    n, m, K = layout.n, layout.m, len(layout.kinds)
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
     fresh = layout.fresh or (False,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
-    witnessed, collect, receive = make_witnessed(layout), make_collect(layout), make_receive(layout)
-
-    def become(memory, at, source, i):
-        """Merge all of a hypothesis into another one with an offset of the same sensor."""
-        c, cc, came = source + STATE + n, source + STATE + N + n * N + n, memory[source]
-        part = came / (memory[at] + came)
-        receive(
-            memory, at, came, source, i, memory[source + OFFSET_AGE], memory[c], memory[c + 1],
-            memory[cc], memory[cc + 1], memory[cc + N + 1],
-        )  # fmt: skip
-        blend_between(memory, at, part, source, n)
-        memory[source] = LEAST + 0.0 * came
+    witnessed, collect, become = make_witnessed(layout), make_collect(layout), make_become(layout)
 
     def move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings):
         for i in range(m):
@@ -170,6 +164,47 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
                 collect(memory, at, settings[row + ENDS], i)
 
     return move_lost
+
+
+@cache
+def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that moves the hypotheses that all sensors of a group have the same offset, of which some end.
+
+    That one ends with this sample is a hypothesis of its own: merged at once with that of a plant that was kicked, whose state
+    is another one, it would spoil that. An offset that is not `TELLING` is forgotten, or it would be merged with one that jumps.
+    """
+    n, m, groups, judged = layout.n, layout.m, len(layout.groups), layout.judged
+    first_common, first_ended = layout.first_common, layout.first_ended
+    firsts = tuple(group[0] for group in layout.groups) or (0,)
+    row_length, sensor, kept, N = layout.row, layout.sensor, layout.kept, layout.n + 2
+    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    common = FIRST_SETTINGS + layout.common * layout.width_of_settings
+    collect, receive = make_collect(layout), make_receive(layout)
+
+    def move_common(A, Q, nominal, start, covariance, largest, memory, settings):
+        for g in range(groups):
+            i, h = firsts[g], first_common + g
+            at, row = none + h * stride, i * row_length + common
+            for j in range(m):
+                if judged[h * m + j] == BY_MODES:
+                    pass_other(memory, at + kept + j * sensor, settings, j * row_length)
+            walk = settings[row + OWN_SETTINGS + 2] * nominal[i, i]
+            move(
+                memory, at, n, 1, 0, 0.0, 0.0, 0.0, 0.0, walk, A, Q, start, covariance, largest, couples, shift, scratch
+            )  # fmt: skip
+            memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
+            after = none + (first_ended + g) * stride
+            move(
+                memory, after, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
+            )  # fmt: skip
+            collect(memory, after, 1.0, -1)
+            c, cc = memory[at + STATE + n], memory[at + STATE + N + n * N + n]
+            collect(memory, at, select(c * c > TELLING * cc, 0.0, 1.0), -1)
+            ended = memory[at] * settings[row + ENDS]
+            memory[at] = maximum(memory[at] - ended, LEAST)
+            receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    return move_common
 
 
 @cache

@@ -69,11 +69,8 @@ def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = Non
     """
     if sets is not None:
         return _of_sets(model, sets)
-    groups: dict[bytes, list[int]] = {}
-    for i, row in enumerate(model.quantities):
-        groups.setdefault((row + 0.0).tobytes(), []).append(i)
-    for count in range(min(MOST_SETS, max(map(len, groups.values()))), 0, -1):
-        chosen = tuple(tuple(sorted(i for group in groups.values() for i in group[k::count])) for k in range(count))
+    for count in range(min(MOST_SETS, max(map(len, model.alike))), 0, -1):
+        chosen = tuple(tuple(sorted(i for group in model.alike for i in group[k::count])) for k in range(count))
         if (found := _of_sets(model, chosen)) is not None:
             return found
     return None

@@ -115,6 +115,14 @@ class LinearModel:
         return frozen(rows)
 
     @property
+    def alike(self) -> tuple[tuple[int, ...], ...]:
+        """The sensors in groups of those that read the same quantity."""
+        groups: dict[bytes, list[int]] = {}
+        for i, row in enumerate(self.quantities):
+            groups.setdefault((row + 0.0).tobytes(), []).append(i)  # 0 and -0 are the same
+        return tuple(tuple(group) for group in groups.values())
+
+    @property
     def moving(self) -> LinearModel:
         """The model without its constant: that of deviations."""
         if not self.constant:

@@ -89,6 +89,10 @@ class SwitchingPrecision(PrecisionLearner):
         of all of them. A part of the joint form, which then has the output ``process_mode_probability`` (2 + modes: healthy
         first; last that one has ended, as far as that is not settled). Without the joint form, a mode with hypotheses of its own
         (`Offset`, `Unmodelled`) or process noise the default ones are left out.
+    alike : float
+        Probability, from 0 to below 1, that a jump which all sensors of a quantity show alike is theirs and not the plant's,
+        as far as a kick (a process mode with a `scale`) explains it: that cannot be known but by how it goes on. The estimate
+        follows them unless a fault is the more probable. A part of the joint form, for offsets that jump.
     noise_factor : float
         The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
         less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.
@@ -109,12 +113,14 @@ class SwitchingPrecision(PrecisionLearner):
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
+    alike: float = 0.45
     noise_factor: float = 3.0
     noise_strength: float = 5.0
     noise_forgetting: float = 0.9998
 
     def __post_init__(self) -> None:
         check_flags(self, "joint")
+        check_number(self, "alike", least=0, below=1)
         check_number(self, "noise_factor", least=1, most=1e3)
         check_number(self, "noise_strength", above=0)
         check_number(self, "noise_forgetting", above=0, most=1)
@@ -231,6 +237,7 @@ class SwitchingPrecision(PrecisionLearner):
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
         settings += [step, *actuator_settings(self.actuator_modes, model)]
         settings += [value for mode in process_modes for value in mode.settings(step)]
+        settings += [self._jumps_alike(process_modes[layout.kick], step) for _ in layout.groups]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
@@ -312,6 +319,11 @@ class SwitchingPrecision(PrecisionLearner):
         begins += model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in self._lost)
         begins += model.controls * sum(chance(mode, "time_to_fault", step) for mode in actuator_modes)
         begins += sum(mode.settings(step)[0] for mode in process_modes)
+        kick = next((q for q, mode in enumerate(process_modes) if mode.scale > 1), -1)
+        common = next((k for k in kinds if getattr(self.modes[k], "jump", 0.0) > 0), -1)
+        known = self.alike > 0 and min(kick, common) >= 0
+        groups = tuple(group for group in model.alike if len(group) > 1) if known else ()
+        begins += sum(self._jumps_alike(process_modes[kick], step) for _ in groups)
         if begins >= 1:
             raise ModelError(
                 f"The offsets and unmodelled faults of {model.sensors} sensors, the actuators' faults and process modes begin "
@@ -328,9 +340,14 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
-            becomes=becomes, slow=slow, lost=self._lost, alone=spans[0], other=spans[1], faults=self._faults,
-            actuator_modes=len(actuator_modes), process_modes=len(process_modes), width=width, width_of_settings=settings,
+            becomes=becomes, slow=slow, lost=self._lost, groups=groups, common=common, kick=kick, alone=spans[0],
+            other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
+            width=width, width_of_settings=settings,
         )  # fmt: skip
+
+    def _jumps_alike(self, kick: NoisierProcess, step: float) -> float:
+        """Return the probability per sample that all sensors of a quantity jump alike: that of a kick, by the odds."""
+        return kick.settings(step)[0] * self.alike / (1.0 - self.alike)
 
     def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return the modes that are judged sensor by sensor where no sensor has an offset, and of the others where one has.

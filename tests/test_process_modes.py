@@ -27,7 +27,7 @@ def filtered(model, mode, steps, noise, left=1.0):
     """
     n, m = model.states, model.sensors
     A, B, C, Q = (model.matrix(name) for name in ("A", "B", "C", "process_covariance"))
-    precision = SwitchingPrecision([Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], noise_factor=1.0)
+    precision = SwitchingPrecision([Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], alike=0.0, noise_factor=1.0)
     step = StateEstimator(model, precision, initial_covariance=0.3).online(compiled=False)
     one = KalmanFilter(n, m, 1)
     one.x, one.P = np.zeros((n, 1)), 0.3 * np.eye(n) + noise  # it begins with the first sample
@@ -96,7 +96,7 @@ def error(precision, **events):
 @pytest.mark.parametrize(("kick", "scale"), [(2.0, 50.0), (7.0, 50.0), (20.0, 300.0)])
 def test_a_kick_is_no_fault_of_the_sensors(kick, scale):
     """A small one is told by the samples after it, one of four times the standard deviation that is expected at once."""
-    precision = SwitchingPrecision(process_modes=[NoisierProcess(scale=scale)])
+    precision = SwitchingPrecision(process_modes=[NoisierProcess(scale=scale)], alike=0.0)
     outs, _ = zip(*drive(precision, kick=kick), strict=True)
     moved = [out.process_mode_probability[1:].sum() for out in outs]
     assert max(moved[200:220]) > 0.5 > 0.1 > max(moved[:200])

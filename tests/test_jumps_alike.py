@@ -1,0 +1,65 @@
+"""All sensors of a quantity jump alike: the plant was kicked, or they all failed; only how it goes on can tell."""
+
+import numpy as np
+import pytest
+
+from bayesftc.controllers import LinearModel, SwitchingPrecision
+from bayesftc.controllers.estimator import StateEstimator
+from bayesftc.cosim.errors import ModelError
+from bayesftc.reproduce._family import chosen_cases
+from bayesftc.reproduce._family_loop import family_loop
+
+
+def jumped(sensors, jump, precision, samples=100, seed=0, others=0):
+    """Return the last output of an estimator of a random walk, of which some sensors jump alike 10 samples before the end."""
+    n = 2 if others else 1
+    C = np.zeros((sensors + others, n))
+    C[:sensors, 0], C[sensors:, -1] = 1.0, 1.0
+    model = LinearModel(np.eye(n), np.zeros((n, 1)), C, 0.001 * np.eye(n), np.eye(sensors + others), 0.02)
+    step = StateEstimator(model, precision, initial_covariance=1.0).online()
+    rng = np.random.default_rng(seed)
+    for k in range(samples):
+        y = rng.normal(size=sensors + others)
+        y[:sensors] += jump * (k >= samples - 10)
+        out = step(y=list(y), u=[0.0])
+    return out
+
+
+@pytest.mark.parametrize("sensors", [2, 3, 5])
+@pytest.mark.parametrize("jump", [4.0, 6.0, -5.0])
+def test_nobody_can_tell_a_kick_of_a_random_walk_from_sensors_that_jump_alike(sensors, jump):
+    """Whatever the jump and the number of sensors, what is told beforehand is what remains."""
+    for alike in (0.2, 0.45):
+        outs = [jumped(sensors, jump, SwitchingPrecision(alike=alike), seed=seed) for seed in range(5)]
+        told = np.mean([out.fault_probability for out in outs], axis=0)
+        np.testing.assert_allclose(told, alike, atol=0.06)
+        assert np.abs(np.median([out.x_hat[0] for out in outs]) - jump) < 0.6, "the estimate follows the sensors"
+
+
+def test_it_can_be_left_out():
+    out = jumped(2, 5.0, SwitchingPrecision(alike=0.0))
+    assert out.fault_probability.max() < 0.05
+    single = jumped(1, 5.0, SwitchingPrecision(), others=1)  # no two read the same
+    np.testing.assert_array_equal(single.x_hat, jumped(1, 5.0, SwitchingPrecision(alike=0.0), others=1).x_hat)
+
+
+def test_only_the_sensors_of_one_quantity_are_meant():
+    out = jumped(2, 5.0, SwitchingPrecision(), others=2)
+    assert out.fault_probability[:2].min() > 0.3 > 0.05 > out.fault_probability[2:].max()
+
+
+def test_a_plant_that_does_not_follow_tells_in_time():
+    """The force that holds a car at its speed does not fit the speed that both sensors show."""
+    (case,) = chosen_cases("both sensors: injections of +5 sd")
+    loop = family_loop(case, SwitchingPrecision())
+    result = loop.simulate(14.5, seed=3)
+    p, at = result["controller.fault_probability"], np.searchsorted(result.time, [5.9, 6.3, 13.9, 14.4])
+    assert p[at[0]].max() < 0.1 and np.all((p[at[1]] > 0.3) & (p[at[1]] < 0.6))
+    assert p[at[2]].min() > 0.75, "both have failed"
+    assert p[at[3]].max() < 0.1, "both are well again"
+
+
+@pytest.mark.parametrize("alike", [-0.1, 1.0, float("nan"), "half"])
+def test_what_cannot_be_a_probability(alike):
+    with pytest.raises(ModelError, match="alike"):
+        SwitchingPrecision(alike=alike)
