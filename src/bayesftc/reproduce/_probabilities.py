@@ -17,7 +17,7 @@ import numpy as np
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.metrics import without_nan
+from bayesftc.cosim.metrics import NAN, without_nan
 from bayesftc.cosim.statistics import calibration
 from bayesftc.reproduce import _exact_cases
 from bayesftc.reproduce._car import closed_loop, model
@@ -197,9 +197,6 @@ def judged(settings: Probabilities, runs: Sequence[Run], kinds: Sequence[str]) -
         [r.probability for r in runs], [r.faulty for r in runs], bins=settings.bins, equal="widths"
     )  # fmt: skip
     samples, gaps = _gaps(settings, runs)
-    enough = samples.sum(axis=0) >= settings.enough
-    of_bins = _distance(gaps.sum(axis=0), samples.sum(axis=0))
-    worst = int(np.argmax(np.where(enough, of_bins, -1.0)))
     each = {kind: np.array([k == kind for k in kinds]) for kind in dict.fromkeys(name for name, *_ in settings.kinds)}
     pooled, bins = found.pooled, []
     for b in range(settings.bins):
@@ -217,11 +214,7 @@ def judged(settings: Probabilities, runs: Sequence[Run], kinds: Sequence[str]) -
         )
     return {
         "bins": bins,
-        "largest": {
-            "bin": worst,
-            "distance": float(of_bins[worst]),
-            "ci": _bootstrapped(samples, gaps, enough),
-        },
+        "largest": _largest(samples, gaps, samples.sum(axis=0) >= settings.enough),
         "brier": pooled.brier,
         "brier_ci": list(found.brier_interval),
         "ece": pooled.calibration_error,
@@ -246,10 +239,21 @@ def _distance(gaps: Floats, samples: Floats) -> Floats:
     return distance
 
 
-def _bootstrapped(samples: Floats, gaps: Floats, enough: np.ndarray[Any, np.dtype[np.bool_]]) -> list[float]:
-    """Return the interval of the largest distance from the diagonal over the bins that have enough, by drawing runs."""
-    rng, runs, largest = np.random.default_rng(0), len(samples), []
+def _largest(samples: Floats, gaps: Floats, enough: np.ndarray[Any, np.dtype[np.bool_]]) -> dict[str, Any]:
+    """Return the largest distance from the diagonal over the bins that have enough samples, its bin, and its interval.
+
+    The interval is that of the bootstrap over runs.
+    """
+    if not enough.any():
+        return {"bin": None, "distance": NAN, "ci": [NAN, NAN]}
+    rng, runs, drawn = np.random.default_rng(0), len(samples), []
     for _ in range(RESAMPLES):
         weights = np.bincount(rng.integers(runs, size=runs), minlength=runs).astype(np.float64)
-        largest.append(_distance(weights @ gaps, weights @ samples)[enough].max())
-    return [float(v) for v in np.quantile(largest, [0.025, 0.975])]
+        drawn.append(_distance(weights @ gaps, weights @ samples)[enough].max())
+    distance = np.where(enough, _distance(gaps.sum(axis=0), samples.sum(axis=0)), -1.0)
+    worst = int(np.argmax(distance))
+    return {
+        "bin": worst,
+        "distance": float(distance[worst]),
+        "ci": [float(v) for v in np.quantile(drawn, [0.025, 0.975])],
+    }

@@ -53,6 +53,8 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
 
 def _summary(settings: Mapping[str, Any], of: Mapping[str, Any]) -> list[str]:
     worst = of["largest"]
+    if worst["bin"] is None:
+        return ["", "", "", f"{of['ece']:.4f}", f"{of['brier']:.4f}"]
     low, high = worst["ci"]
     return [
         f"{worst['distance']:.3f}",
