@@ -213,7 +213,6 @@ def test_the_differences_are_no_larger_than_the_page_says(name, monkeypatch):
     monkeypatch.setattr(_exact_cases, "paces", lambda settings, row: {OFTEN: PACES(settings, row)[OFTEN]})
     found = _exact_cases.distances(settings, model(Car()), Tracking.constant, Ensemble(0))[name][OFTEN]
     told = table()[name]
-    assert found["between"] > 0
     for form in (JOINT, PER_SENSOR):
         if form in found:
             assert found[form]["largest"] <= float(told[OFTEN, form]) + 0.0005

@@ -24,31 +24,33 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         rows = {name: _summary(settings, of) for name, of in learners.items()}
         bins = f"largest distance from the diagonal of a bin with {settings['enough']} samples"
         yield table(f"{faults}: {bins}", heads, rows, corner="learner")
-        heads = [_bin(settings, b) for b in range(settings["bins"])]
-        rows = {name: [_observed(settings, b) for b in of["bins"]] for name, of in learners.items()}
-        yield table(f"{faults}: share of faulty samples, by what is said (too few samples: in brackets)", heads, rows)
+        rows = {
+            _bin(settings, b): [_observed(settings, of["bins"][b]) for of in learners.values()]
+            for b in range(settings["bins"])
+        }
+        few = f"in brackets of less than {settings['enough']} samples"
+        yield table(f"{faults}: share of faulty samples ({few})", list(learners), rows, corner="said to be")
         for name, of in learners.items():
             yield _causes(settings, name, of)
-    paces = list(next(iter(report["exact"].values())))
-    for pace in paces:
-        rows = {
-            name: [_difference(of[pace].get(form)) for form in (JOINT, PER_SENSOR)]
-            for name, of in report["exact"].items()
-        }
+    for pace in next(iter(report["exact"].values())):
+        cells = {name: of[pace] for name, of in report["exact"].items()}
         shape = (
             f"{settings['samples']} samples of two sensors, one mode, {settings['sequences']} sequences of each size"
         )
-        heads = [f"{form}:\nlargest (RMS)" for form in (JOINT, PER_SENSOR)]
-        yield table(f"{pace}: difference from the exact fault probability ({shape})", heads, rows, corner="mode")
+        heads = [f"{form}:\nlargest (RMS)" for form in (JOINT, PER_SENSOR)] + ["exact\n.05 to .95"]
         rows = {
-            f"{name}, {form}": [f"{size}: {found['largest']:.3f}" for size, found in of[pace][form]["by_size"].items()]
-            for name, of in report["exact"].items()
-            for form in (JOINT, PER_SENSOR)
-            if form in of[pace]
+            name: [*(_difference(of.get(form)) for form in (JOINT, PER_SENSOR)), f"{of['between']:.0%}"]
+            for name, of in cells.items()
         }
-        widest = max(map(len, rows.values()))
-        rows = {name: [*cells, *[""] * (widest - len(cells))] for name, cells in rows.items()}
-        yield table(f"{pace}: largest difference by the fault's size (0: no fault)", [""] * widest, rows, corner="mode")
+        yield table(f"{pace}: difference from the exact fault probability ({shape})", heads, rows, corner="mode")
+        each = {name: of[JOINT]["by_size"] for name, of in cells.items()}
+        widest = max(map(len, each.values()))
+        rows = {
+            name: [*(f"{size}: {of['largest']:.2f}" for size, of in sizes.items()), *[""] * (widest - len(sizes))]
+            for name, sizes in each.items()
+        }
+        title = f"{pace}, {JOINT}: largest difference by the fault's size (0: no fault)"
+        yield table(title, [""] * widest, rows, corner="mode")
 
 
 def _summary(settings: Mapping[str, Any], of: Mapping[str, Any]) -> list[str]:
