@@ -28,7 +28,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             _bin(settings, b): [_observed(settings, of["bins"][b]) for of in learners.values()]
             for b in range(settings["bins"])
         }
-        few = f"in brackets of less than {settings['enough']} samples"
+        few = f"in brackets: of fewer than {settings['enough']}"
         yield table(f"{faults}: share of faulty samples ({few})", list(learners), rows, corner="said to be")
         for name, of in learners.items():
             yield _causes(settings, name, of)
