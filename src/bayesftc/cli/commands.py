@@ -53,13 +53,14 @@ class Executor(StrEnum):
 EXPERIMENTS = """Run the paper's experiments, with our numbers beside its own, and ours beyond it.
 
 \b
-arm        A robot arm with a frozen encoder (the paper's table 1).
-tracking   A car whose speed sensor fails: tracking errors (table 2).
-detection  Sensors that fail at random: which residual tells (table 3).
-bound      Beyond the paper: how good could a detector be at best?
-models     Beyond the paper: learners where the model is wrong.
-beliefs    Beyond the paper: fault modes whose settings are wrong.
-family     Beyond the paper: every learner in faults that none expects.
+arm            A robot arm with a frozen encoder (the paper's table 1).
+tracking       A car whose speed sensor fails: tracking errors (table 2).
+detection      Sensors that fail at random: which residual tells (table 3).
+bound          Beyond the paper: how good could a detector be at best?
+models         Beyond the paper: learners where the model is wrong.
+beliefs        Beyond the paper: fault modes whose settings are wrong.
+probabilities  Beyond the paper: are fault probabilities true?
+family         Beyond the paper: every learner in faults that none expects.
 """
 """Help of ``bayesftc reproduce``; lines after a backspace are not joined."""
 

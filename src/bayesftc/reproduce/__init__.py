@@ -2,9 +2,9 @@
 
 ``reproduce.arm`` is experiment 1, ``reproduce.tracking`` experiment 2, ``reproduce.detection`` experiment 3;
 ``reproduce.bound`` has the best that a detector could do there, ``reproduce.models`` asks what wrong models do, and
-``reproduce.beliefs`` how wrong the settings of fault modes may be. Each returns what its JSON file holds, as plain data:
-``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons stand in `bayesftc.reproduce.settings`, the paper's own numbers
-in `bayesftc.reproduce.paper`.
+``reproduce.beliefs`` how wrong the settings of fault modes may be; ``reproduce.probabilities`` asks whether fault probabilities
+are true. Each returns what its JSON file holds, as plain data: ``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons
+stand in `bayesftc.reproduce.settings`, the paper's own numbers in `bayesftc.reproduce.paper`.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from bayesftc.reproduce._detection import run as detection
     from bayesftc.reproduce._family import run as family
     from bayesftc.reproduce._models import run as models
+    from bayesftc.reproduce._probabilities import run as probabilities
     from bayesftc.reproduce._tracking import run as tracking
 
-__all__ = ["arm", "beliefs", "bound", "detection", "family", "models", "tracking"]
+__all__ = ["arm", "beliefs", "bound", "detection", "family", "models", "probabilities", "tracking"]
 
 
 def __getattr__(name: str) -> Any:

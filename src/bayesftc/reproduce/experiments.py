@@ -38,6 +38,9 @@ from bayesftc.reproduce import (
     _models,
     _models_figures,
     _models_tables,
+    _probabilities,
+    _probabilities_figures,
+    _probabilities_tables,
     _tracking,
     _tracking_figures,
     _tracking_tables,
@@ -73,6 +76,13 @@ EXPERIMENTS = {
         Experiment("bound", _bound.run, _bound_tables.show, _bound_figures.FIGURES, beyond=True),
         Experiment("models", _models.run, _models_tables.show, _models_figures.FIGURES, beyond=True),
         Experiment("beliefs", _beliefs.run, _beliefs_tables.show, {}, beyond=True),
+        Experiment(
+            "probabilities",
+            _probabilities.run,
+            _probabilities_tables.show,
+            _probabilities_figures.FIGURES,
+            beyond=True,
+        ),
         Experiment("family", _family.run, _family_tables.show, _family_figures.FIGURES, beyond=True, filtered=True),
     )
 }
