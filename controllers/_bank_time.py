@@ -171,20 +171,19 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
     """Return the step function that moves the hypotheses that all sensors of a group have the same offset, of which some end.
 
     That one ends with this sample is a hypothesis of its own: merged at once with that of a plant that was kicked, whose state
-    is another one, it would spoil that. An offset that is not `TELLING` is forgotten, or it would be merged with one that jumps.
+    is another one, it would spoil that. An offset that is not `TELLING` ends, too, or it would be merged with one that jumps.
     """
     n, m, groups, judged = layout.n, layout.m, len(layout.groups), layout.judged
     first_common, first_ended = layout.first_common, layout.first_ended
     firsts = tuple(group[0] for group in layout.groups) or (0,)
     row_length, sensor, kept, N = layout.row, layout.sensor, layout.kept, layout.n + 2
-    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
-    common = FIRST_SETTINGS + layout.common * layout.width_of_settings
-    collect, receive = make_collect(layout), make_receive(layout)
+    none, length, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    common, collect = FIRST_SETTINGS + layout.common * layout.width_of_settings, make_collect(layout)
 
     def move_common(A, Q, nominal, start, covariance, largest, memory, settings):
         for g in range(groups):
             i, h = firsts[g], first_common + g
-            at, row = none + h * stride, i * row_length + common
+            at, after, row = none + h * length, none + (first_ended + g) * length, i * row_length + common
             for j in range(m):
                 if judged[h * m + j] == BY_MODES:
                     pass_other(memory, at + kept + j * sensor, settings, j * row_length)
@@ -193,16 +192,16 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
                 memory, at, n, 1, 0, 0.0, 0.0, 0.0, 0.0, walk, A, Q, start, covariance, largest, couples, shift, scratch
             )  # fmt: skip
             memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-            after = none + (first_ended + g) * stride
             move(
                 memory, after, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
             )  # fmt: skip
             collect(memory, after, 1.0, -1)
             c, cc = memory[at + STATE + n], memory[at + STATE + N + n * N + n]
-            collect(memory, at, select(c * c > TELLING * cc, 0.0, 1.0), -1)
-            ended = memory[at] * settings[row + ENDS]
-            memory[at] = maximum(memory[at] - ended, LEAST)
-            receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            ends = select(c * c > TELLING * cc, settings[row + ENDS], 1.0)
+            for a in range(length):
+                memory[after + a] = memory[at + a]
+            memory[after] = maximum(memory[at] * ends, LEAST)
+            memory[at] = maximum(memory[at] - memory[at] * ends, LEAST)
 
     return move_common
 
