@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
 
 
+KNOWN = 1e12
+"""Shape of the gamma distribution of a precision that is not learned: there is no doubt about it."""
+
+
 @dataclass(frozen=True)
 class SwitchingPrecision(PrecisionLearner):
     """For each sensor a hidden Markov model over being healthy and failing in one of several ways.
@@ -204,10 +208,11 @@ class SwitchingPrecision(PrecisionLearner):
         first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
         width = TRUST + max(map(len, first))
         settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in own for values in of_sensor)
+        shape = 0.5 * self.noise_strength if self.noise_factor > 1 else KNOWN
         settings = []
         for i in range(m):
             loss = float(losses[i])
-            settings += [1.0 - loss, loss, self.noise_forgetting, 0.5 * self.noise_strength]
+            settings += [1.0 - loss, loss, self.noise_forgetting, shape]
             settings += [self.noise_factor**-2, self.noise_factor**2, *self._repeats(model, i)]
             for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
@@ -215,7 +220,7 @@ class SwitchingPrecision(PrecisionLearner):
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):
-            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, 0.5 * self.noise_strength, 0.5 * self.noise_strength, 0.0, 0.0]
+            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, shape, shape, 0.0, 0.0]
             for values in first:
                 block = [kernels.LEAST, 0.0, 1.0, 0.0, *values]
                 memory += block + [0.0] * (width - len(block))
