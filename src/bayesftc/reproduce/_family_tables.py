@@ -53,8 +53,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
 def _ratio(cell: dict[str, Any], bar: float) -> str:
     if cell["lost"]:
         return f"lost {cell['lost']}{MARK}"
-    form = ".2f" if cell["ratio"] < 100.0 else ".0f"
-    return f"{cell['ratio']:{form}}{MARK if cell['ratio'] > bar else ' '}"
+    return f"{shown_ratio(cell['ratio'])}{MARK if cell['ratio'] > bar else ' '}"
 
 
 def _mean(figures: Figures) -> str:
@@ -62,7 +61,12 @@ def _mean(figures: Figures) -> str:
 
 
 def _worst(figures: Figures) -> str:
-    return f"lost {figures.lost}" if figures.lost else f"{figures.worst:.2f}"
+    return f"lost {figures.lost}" if figures.lost else shown_ratio(figures.worst)
+
+
+def shown_ratio(ratio: float) -> str:
+    """Return a ratio with as many digits as are worth reading."""
+    return f"{ratio:{'.2f' if ratio < 100.0 else '.0f'}}"
 
 
 def _false(figures: Figures) -> str:

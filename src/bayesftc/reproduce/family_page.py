@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesftc.reproduce._family_groups import Figures, by_group, figures
+from bayesftc.reproduce._family_tables import shown_ratio
 from bayesftc.reproduce._tables import sentence_list
 
 BEGIN, END = "<!-- family -->", "<!-- end of family -->"
@@ -32,7 +33,7 @@ def results(report: Mapping[str, Any]) -> str:
 
 
 def _cell(of: Figures) -> str:
-    return f"{of.lost} runs lost" if of.lost else f"{of.mean:.2f} / {of.worst:.2f}"
+    return f"{of.lost} runs lost" if of.lost else f"{of.mean:.2f} / {shown_ratio(of.worst)}"
 
 
 def _losses(table: Mapping[str, Mapping[str, Any]], name: str) -> str:
