@@ -397,3 +397,28 @@ def test_what_says_whether_a_loop_is_stable_is_found_once_for_a_model_and_its_pr
     for changed in ({"goal_covariance": 4.0}, {"control_covariance": 99.0}, {"belief": "joint"}):
         other = controllers.BayesianController(model, **{**settings, **changed})
         assert not np.allclose(other.closed_loop_poles(), first.closed_loop_poles(), rtol=1e-9)
+
+
+def test_the_default_learner_and_its_form():
+    """It is joint wherever that is possible; where it is not, nobody has to choose."""
+    default = controllers.SwitchingPrecision()
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, 0.02)
+    correlated = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, [[1.0, 0.5], [0.5, 1.0]], 0.02)
+    nonlinear = controllers.NonlinearModel.from_linear(model)
+    forms = {
+        BayesianController(model): True,
+        controllers.LQGController(model): True,
+        BayesianController(correlated): False,
+        BayesianController(model, belief="joint"): False,
+        controllers.NonlinearBayesianController(nonlinear): False,
+    }
+    for controller, joint in forms.items():
+        assert controller.precision == default
+        assert (controller._learner().infer is not None) is joint
+    assert controllers.StateEstimator(model).precision == default
+    uaic = controllers.UnbiasedActiveInference((), controllers.Proportional([[1.0]]), control="law", model=model)
+    assert uaic.precision == FixedPrecision()
+    with pytest.raises(ModelError, match="faults of actuators cannot be told; take a BayesianController"):
+        controllers.NonlinearBayesianController(
+            nonlinear, controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
+        )
