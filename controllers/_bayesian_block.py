@@ -21,7 +21,8 @@ from bayesftc.controllers._checks import (
 )
 from bayesftc.controllers._free_energy import log_normaliser
 from bayesftc.controllers._ports import port
-from bayesftc.controllers.precision import FixedPrecision, Learner, PrecisionLearner
+from bayesftc.controllers.precision import Learner, PrecisionLearner
+from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Floats
 from bayesftc.cosim.errors import ModelError
@@ -59,7 +60,7 @@ class BayesianBlock(Block, ABC):
     """
 
     model: Any
-    precision: PrecisionLearner = field(default_factory=FixedPrecision)
+    precision: PrecisionLearner = field(default_factory=SwitchingPrecision)
     goal_on: Literal["states", "outputs"] | Matrix = "states"
     goal_covariance: Matrix = 1.0
     control_covariance: Matrix | None = None
@@ -78,7 +79,9 @@ class BayesianBlock(Block, ABC):
     def _check_settings(self) -> None:
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
         if not isinstance(self.precision, PrecisionLearner):
-            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
+            raise ModelError(
+                f"precision must be a precision learner such as SwitchingPrecision(), not {self.precision!r}."
+            )
         check_choice(self, "belief", "filtered", "joint")
         check_flags(self, "posterior_outputs")
         n, p = self.model.states, self.model.controls

@@ -97,7 +97,8 @@ class UnbiasedActiveInference(Block):
     state_precision, control_precision : number, vector or matrix
         P_x and P_u.
     precision : PrecisionLearner
-        How sensor precisions are learned; by default they are fixed.
+        How sensor precisions are learned. By default they are fixed, unlike in the other controllers: what a belief lags behind
+        the plant, by how its rates are set, looks like faulty sensors.
     initial_mean : number or vector
         Belief before the first sample.
     sizes : tuple of three ints, optional

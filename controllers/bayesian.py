@@ -143,7 +143,7 @@ class BayesianController(BayesianBlock):
     model : LinearModel
         What the controller believes about plant and sensors.
     precision : PrecisionLearner
-        How sensor precisions are learned; by default they are fixed.
+        How far each sensor is trusted; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
     goal_on : {"states", "outputs"} or matrix
         What the goal is given for: all states (disturbances excluded), one value for each distinct output (row of C), or
         ``G x`` for a matrix G with a column for each state.

@@ -42,8 +42,8 @@ class CalibrationReport:
 
     Attributes
     ----------
-    calibration : Calibration
-        What the learner takes.
+    calibration : Calibration or None
+        What the learner takes; None for one that gives a probability itself.
     auc : float
         Area under the receiver operating characteristic: 0.5 is guessing.
     brier, brier_of_constant : float
@@ -56,7 +56,7 @@ class CalibrationReport:
         Number of samples judged.
     """
 
-    calibration: Calibration
+    calibration: Calibration | None
     auc: float
     brier: float
     brier_of_constant: float
@@ -114,7 +114,8 @@ def calibrate(
     Raises
     ------
     ModelError
-        If the learner has no rate, the loop is unstable, or the run is too short or without faults.
+        If the learner has no rate, the loop is unstable, or the run is too short or without faults. What the probability is worth
+        of a learner that gives one itself, `judge_own_probability` says.
     """
     from sklearn.linear_model import LogisticRegression
 
@@ -129,45 +130,96 @@ def calibrate(
             f"give it a learner with one: {known}."
         )
     learner: RateLearner = replace(chosen, calibration=None)  # type: ignore[call-arg]
-    if steps < 5_000:
-        raise ModelError(f"calibrate got steps={steps}; it needs at least 5000 to see enough faults.")
-    x, faulty = _features(model, hazards, magnitudes or {}, learner, reference, steps, seed, controller, feature)
+    beta, faulty = _simulated("beta", model, hazards, magnitudes or {}, learner, reference, steps, seed, controller)
+    ratio = beta / learner.prior_rates(model)
+    x = np.log(ratio) if feature == "log" else ratio
     cut = int(TRAINING_SHARE * len(x))
     train, test = (x[:cut].ravel(), faulty[:cut].ravel()), (x[cut:].ravel(), faulty[cut:].ravel())
-    if not 0 < train[1].mean() < 1 or not 0 < test[1].mean() < 1:
-        raise ModelError("The simulated run has no faults, or nothing but faults; take more steps or other hazards.")
+    _check_labels(train[1], test[1])
     classifier = FaultClassifier(LogisticRegression(C=np.inf, max_iter=1000)).fit(train[0].reshape(-1, 1), train[1])
     return judge(replace(classifier.calibration(), feature=feature), *test)
 
 
 def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]) -> CalibrationReport:
     """Return how a map does on features `x` (log or linear, as the map says) with known labels."""
+    return _judged(calibration, x, 1.0 / (1.0 + np.exp(-(calibration.slope * x + calibration.intercept))), faulty)
+
+
+def judge_own_probability(
+    model: LinearModel,
+    hazards: tuple[float, float] = Hazards(),
+    magnitudes: Mapping[str, float] | None = None,
+    *,
+    precision: PrecisionLearner,
+    reference: Block | float | Sequence[Block | float] | None = None,
+    steps: int = 80_000,
+    seed: int = 0,
+    **controller: Any,
+) -> CalibrationReport:
+    """Return how a learner does that gives a probability itself, on the last part of the run on which `calibrate` fits its map.
+
+    Parameters
+    ----------
+    model, hazards, magnitudes, reference, steps, seed, **controller
+        See `calibrate`.
+    precision : PrecisionLearner
+        One whose ``why_no_probability`` is None.
+
+    Returns
+    -------
+    CalibrationReport
+        Its ``calibration`` is None.
+
+    Raises
+    ------
+    ModelError
+        If the loop is unstable, or the run is too short or without faults.
+    """
+    told, faulty = _simulated(
+        "fault_probability", model, hazards, magnitudes or {}, precision, reference, steps, seed, controller
+    )
+    cut = int(TRAINING_SHARE * len(told))
+    probability, faulty = told[cut:].ravel(), faulty[cut:].ravel()
+    _check_labels(faulty)
+    return _judged(None, probability, probability, faulty)
+
+
+def _check_labels(*parts: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
+    if not all(0 < faulty.mean() < 1 for faulty in parts):
+        raise ModelError("The simulated run has no faults, or nothing but faults; take more steps or other hazards.")
+
+
+def _judged(
+    calibration: Calibration | None, score: Floats, probability: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]
+) -> CalibrationReport:
     from sklearn.metrics import roc_auc_score
 
-    probability = 1.0 / (1.0 + np.exp(-(calibration.slope * x + calibration.intercept)))
     found = reliability(probability, faulty)
     return CalibrationReport(
         calibration=calibration,
-        auc=float(roc_auc_score(faulty, x)),
+        auc=float(roc_auc_score(faulty, score)),
         brier=found.brier,
         brier_of_constant=found.brier_of_constant,
         calibration_error=found.calibration_error,
         fault_share=float(faulty.mean()),
-        samples=len(x),
+        samples=len(probability),
     )
 
 
-def _features(
+def _simulated(
+    output: str,
     model: LinearModel,
     hazards: tuple[float, float],
     magnitudes: Mapping[str, float],
-    learner: RateLearner,
+    learner: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None,
     steps: int,
     seed: int,
     controller: Mapping[str, Any],
-    feature: str,
 ) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Return an output of the controller for each sensor, and whether the sensor was faulty, of a simulated run."""
+    if steps < 5_000:
+        raise ModelError(f"calibrate got steps={steps}; it needs at least 5000 to see enough faults.")
     unknown = set(magnitudes) - {"injection", "drift"}
     if unknown:
         raise ModelError(
@@ -176,18 +228,17 @@ def _features(
     deviation = float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
     sizes = {"injection": 3 * deviation, "drift": 5 * deviation, **magnitudes}
     loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
-    record = ["controller.beta", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
+    record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
     result = loop.simulate(steps * model.step, seed=seed, record=record)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
-    ratio = result["controller.beta"][SKIPPED:] / learner.prior_rates(model)
-    return (np.log(ratio) if feature == "log" else ratio), faulty
+    return result[record[0]][SKIPPED:], faulty
 
 
 def _loop(
     model: LinearModel,
     hazards: tuple[float, float],
     sizes: Mapping[str, float],
-    learner: RateLearner,
+    learner: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None,
     deviation: float,
     settings: Mapping[str, Any],

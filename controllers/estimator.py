@@ -18,7 +18,8 @@ from bayesftc.controllers._filter import innovate, predict, restore
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
+from bayesftc.controllers.precision import PrecisionLearner
+from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
@@ -94,7 +95,7 @@ class StateEstimator(Block):
     model : LinearModel
         What is believed about plant and sensors.
     precision : PrecisionLearner
-        How sensor precisions are learned; by default they are fixed.
+        How far each sensor is trusted; by default `SwitchingPrecision`. With `FixedPrecision` it is a Kalman filter.
     initial_mean : number or vector
         Belief before the first sample; where it is given for the plant's states alone, estimated disturbances begin at 0.
     initial_covariance : number, vector, matrix or None
@@ -110,7 +111,7 @@ class StateEstimator(Block):
     """
 
     model: LinearModel
-    precision: PrecisionLearner = field(default_factory=FixedPrecision)
+    precision: PrecisionLearner = field(default_factory=SwitchingPrecision)
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix | None = None
     invalid: Invalid = field(default=(), kw_only=True)
@@ -119,7 +120,9 @@ class StateEstimator(Block):
         if not isinstance(self.model, LinearModel):
             raise ModelError(f"StateEstimator needs a LinearModel, not {self.model!r}; see LinearModel.from_control.")
         if not isinstance(self.precision, PrecisionLearner):
-            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
+            raise ModelError(
+                f"precision must be a precision learner such as SwitchingPrecision(), not {self.precision!r}."
+            )
         n = self.model.states
         object.__setattr__(self, "initial_mean", as_vector("The initial_mean", self._extended(self.initial_mean), n))
         start = self._start() if self.initial_covariance is None else self.initial_covariance

@@ -85,7 +85,7 @@ class LQGController(BayesianController):
     model : LinearModel
         What the controller believes about plant and sensors.
     precision : PrecisionLearner
-        How sensor precisions are learned; by default they are fixed.
+        How far each sensor is trusted; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
     goal_on : "outputs" or matrix
         What the goal is given for: each distinct output (row of C), or ``H x`` for a matrix H with a column for each state.
     goal_covariance : number, vector or matrix

@@ -202,7 +202,7 @@ class NonlinearBayesianController(BayesianBlock):
     model : NonlinearModel or LinearModel
         What the controller believes about plant and sensors.
     precision : PrecisionLearner
-        How sensor precisions are learned; by default they are fixed.
+        How far each sensor is trusted; by default `SwitchingPrecision`, here always in its per-sensor form.
     goal_on : "states" or matrix
         What the goal is given for: all states, or ``G x`` for a matrix G with a column for each state.
     goal_covariance : number, vector or matrix

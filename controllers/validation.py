@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from bayesftc.controllers._checks import as_covariance
 from bayesftc.controllers._filterpy import reference_filter, update_by_ser
+from bayesftc.controllers._recorded import estimate
 from bayesftc.controllers.baselines import SERFDI
+from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 
 if TYPE_CHECKING:
     from bayesftc.controllers.bayesian import BayesianController
+
+
+INTERPRETED = 10_000
+"""Steps up to which the per-sensor form is not worth the seconds that compiling takes."""
 
 
 @dataclass(frozen=True)
@@ -143,11 +149,7 @@ def check_kalman(
         The largest differences. With ``belief="filtered"`` they are rounding; with ``"joint"`` they need not be.
     """
     source = f"{name}.y" if y is None else y
-    for needed in (source, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R"))):
-        if needed not in signals:
-            raise UnknownNameError(
-                f"The Kalman check needs the signal {needed!r}, which was not recorded; add it to record=[...]."
-            )
+    _check_recorded(signals, source, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The Kalman check needs every step; run with decimation=1.")
     learner = controller.precision
@@ -165,6 +167,52 @@ def check_kalman(
         initial_covariance=controller.initial_covariance,
     )
     return compare(signals[f"{name}.x_hat"][:most], signals[f"{name}.P"][:most], reference)
+
+
+def sensor_by_sensor(
+    signals: Mapping[str, Any], controller: BayesianController, *, y: str | None = None, name: str = "controller"
+) -> tuple[dict[str, Any], BayesianController]:
+    """Return what the per-sensor form of a controller's learner makes of the samples and controls of a run.
+
+    A learner that infers state and faults together has no belief of a Kalman filter's; this form has.
+
+    Parameters
+    ----------
+    signals : Result
+        Must hold the samples, and ``u`` of the controller, at every step.
+    controller, y, name
+        See `check_kalman`.
+
+    Returns
+    -------
+    dict
+        The signals that `check_kalman` needs.
+    BayesianController
+        The controller with that form.
+
+    Raises
+    ------
+    ModelError
+        If the learner has no such form.
+    """
+    source, ports = f"{name}.y" if y is None else y, ("x_hat", "P", "R", "innovation")
+    _check_recorded(signals, source, f"{name}.u")
+    learner = controller.precision.apart("The Kalman check")
+    estimator = StateEstimator(
+        controller.model, learner, controller.initial_mean, controller.initial_covariance, invalid=controller.invalid
+    )
+    samples, u = np.asarray(signals[source]), np.asarray(signals[f"{name}.u"])
+    found = estimate(estimator, samples, u, ports, compiled=len(samples) > INTERPRETED)
+    known = {f"{name}.{port}": values for port, values in found.items()} | {source: samples, f"{name}.u": u}
+    return known, replace(controller, precision=learner)
+
+
+def _check_recorded(signals: Mapping[str, Any], *names: str) -> None:
+    for needed in names:
+        if needed not in signals:
+            raise UnknownNameError(
+                f"The Kalman check needs the signal {needed!r}, which was not recorded; add it to record=[...]."
+            )
 
 
 def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:

@@ -31,7 +31,7 @@ LEARNERS = [
 CONTROLLERS = [
     controllers.BayesianController(MODEL, GammaPrecision(), initial_mean=20.0),
     controllers.BayesianController(MODEL, GammaPrecision(), belief="joint", initial_mean=20.0),
-    controllers.LQGController(MODEL, initial_mean=20.0),
+    controllers.LQGController(MODEL, controllers.FixedPrecision(), initial_mean=20.0),
     controllers.NonlinearBayesianController(MODEL, GammaPrecision(), initial_mean=20.0, iterations=5),
     controllers.UnbiasedActiveInference(
         model=MODEL,
@@ -195,7 +195,7 @@ def test_the_state_is_found_again_and_disturbances_do_not_take_part_in_it():
     rng = np.random.default_rng(4)
     x = np.stack([1e7 + 3.0 * np.arange(300) * 0.01, np.full(300, 3.0)], axis=1)
     y = x @ np.array([[1, 1, 0], [0, 0, 1]]) + rng.normal(size=(300, 3)) * [1.0, 1.0, 0.1]
-    step = StateEstimator(servo, initial_mean=[0.0, 3.0]).online(compiled=False)
+    step = StateEstimator(servo, FixedPrecision(), initial_mean=[0.0, 3.0]).online(compiled=False)
     outs = [step(y=row, u=3.0) for row in y]
     found = np.array([out.x_hat for out in outs])
     assert np.abs(found[60:, 0] - x[60:, 0]).max() < 4.0

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 from bayesftc import controllers
-from bayesftc.controllers import BayesianController, LinearModel, _steady
+from bayesftc.controllers import BayesianController, FixedPrecision, LinearModel, _steady
 from bayesftc.cosim.errors import ModelError
 
 
@@ -46,6 +46,7 @@ def test_control_and_joint_belief_are_the_dense_posteriors(n, p, m, outputs):
     mean, goal, y = rng.normal(size=n), rng.normal(size=len(G)), rng.normal(size=m)
     cov = 0.5 * np.eye(n)
     priors = {"control_covariance": 2.0, "control_mean": 0.3, "goal_covariance": 0.2, "goal_on": G}
+    priors["precision"] = FixedPrecision()
     for belief in ("filtered", "joint"):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
@@ -66,17 +67,21 @@ def test_control_and_joint_belief_are_the_dense_posteriors(n, p, m, outputs):
 def test_closed_form_of_the_cruise_control():
     a, B, Vg, Vu, Q = 1 - 5 / 100 * 0.02, 0.02 / 100, 0.5, 1e5, 0.001
     model = LinearModel([[a]], [[B]], [[1.0], [1.0]], Q, 1.0, 0.02)
-    controller = BayesianController(model, goal_covariance=Vg, control_covariance=Vu, initial_mean=18.0)
+    controller = BayesianController(
+        model, FixedPrecision(), goal_covariance=Vg, control_covariance=Vu, initial_mean=18.0
+    )
     out = controller.online(compiled=False)(y=[18.4, 17.9], goal=[20.0])
     mu, P = out.x_hat[0], out.P[0, 0]
     assert out.u[0] == pytest.approx(B * Vu * (20.0 - a * mu) / (B * B * Vu + Vg + Q + a * a * P), rel=1e-12)
-    deadbeat = BayesianController(model, initial_mean=18.0).online(compiled=False)(y=[18.4, 17.9], goal=[20.0])
+    deadbeat = BayesianController(model, FixedPrecision(), initial_mean=18.0).online(compiled=False)(
+        y=[18.4, 17.9], goal=[20.0]
+    )
     assert deadbeat.u[0] == pytest.approx((20.0 - a * deadbeat.x_hat[0]) / B, rel=1e-12)
 
 
 def test_goals_on_outputs_take_each_distinct_output_once():
     model = LinearModel(np.diag([0.9, 0.8]), np.eye(2), [[1.0, 1.0], [1.0, 1.0], [0.0, 1.0]], 0.1, 1.0, 0.1)
-    controller = BayesianController(model, goal_on="outputs")
+    controller = BayesianController(model, FixedPrecision(), goal_on="outputs")
     assert controller.goals == 2
     out = controller.online(compiled=False)(y=[0.0, 0.0, 0.0], goal=[3.0, 1.0])
     next_state = model.matrix("A") @ out.x_hat + out.u
@@ -89,7 +94,7 @@ def test_limits_hold_and_the_prediction_uses_the_applied_control():
         [[1.0]], [[1.0]], [[1.0]], 1e-9, 1e9, 0.5
     )  # the sensor tells nothing: the belief is the prediction
     controller = BayesianController(
-        model, u_min=-1.0, u_max=2.0, u_rate=2.0, initial_mean=0.0, initial_covariance=1e-12
+        model, FixedPrecision(), u_min=-1.0, u_max=2.0, u_rate=2.0, initial_mean=0.0, initial_covariance=1e-12
     )
     step = controller.online(compiled=False)
     out = [step(y=[0.0], goal=[10.0]) for _ in range(4)]
@@ -101,7 +106,7 @@ def test_limits_hold_and_the_prediction_uses_the_applied_control():
 
 def test_limits_win_over_the_rate():
     model = LinearModel([[1.0]], [[1.0]], [[1.0]], 0.1, 1.0, 0.02)
-    step = BayesianController(model, u_min=-100.0, u_max=-10.0, u_rate=1.0).online(compiled=False)
+    step = BayesianController(model, FixedPrecision(), u_min=-100.0, u_max=-10.0, u_rate=1.0).online(compiled=False)
     assert [step(y=[0.0], goal=[5.0]).u[0] for _ in range(3)] == [-10.0, -10.0, -10.0]
 
 
@@ -109,7 +114,9 @@ def test_limits_win_over_the_rate():
 @pytest.mark.parametrize("limit", [np.inf, 1000.0])
 def test_a_missing_goal_holds_the_control_under_a_flat_prior(belief, limit):
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, 0.02)
-    step = BayesianController(model, belief=belief, u_min=-limit, u_max=limit, initial_mean=20.0).online(compiled=False)
+    step = BayesianController(
+        model, FixedPrecision(), belief=belief, u_min=-limit, u_max=limit, initial_mean=20.0
+    ).online(compiled=False)
     before = step(y=[20.0, 20.0], goal=[20.0])
     for missing in (np.nan, np.inf):
         out = step(y=[20.0, 20.0], goal=[missing])
@@ -132,6 +139,7 @@ def test_a_singular_belief_is_conditioned_on_the_goal_where_it_is_not_certain():
     """One state is known exactly: the joint belief moves the other one only, and equals the limit of ever surer beliefs."""
     model = LinearModel(np.diag([0.9, 0.8]), [[1.0], [0.5]], np.eye(2), 0.01, 1.0, 0.1)
     options = {"belief": "joint", "control_covariance": 1.0, "goal_covariance": 0.1, "initial_mean": [1.0, 2.0]}
+    options["precision"] = FixedPrecision()
 
     def belief(covariance):
         with warnings.catch_warnings():
@@ -152,7 +160,7 @@ def test_a_singular_belief_is_conditioned_on_the_goal_where_it_is_not_certain():
 def test_an_unstable_plant_is_found_again_after_a_blackout(scales):
     """Thousands of steps without a sample: the belief knows nothing then, and is right again after one sample."""
     model = LinearModel([[1.2, 0.3], [0.0, 0.9]], np.eye(2), np.eye(2), 0.01, scales, 0.1)
-    step = BayesianController(model).online(compiled=False)
+    step = BayesianController(model, FixedPrecision()).online(compiled=False)
     for blackout in (150, 1000, 5000):
         for _ in range(blackout):
             out = step(y=[None, None], goal=[0.0, 0.0])
@@ -174,7 +182,9 @@ def test_the_poles_are_those_of_plant_and_belief_together(belief):
         model = random_model(rng, n, p, m)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
-            controller = BayesianController(model, belief=belief, control_covariance=0.5, goal_covariance=0.1)
+            controller = BayesianController(
+                model, FixedPrecision(), belief=belief, control_covariance=0.5, goal_covariance=0.1
+            )
         A, B, C = (model.matrix(name) for name in "ABC")
 
         def settled(controller=controller, model=model):
@@ -198,20 +208,20 @@ def test_a_pole_on_the_circle_is_warned_about():
     """Position alone, met exactly at each sample: the velocity flips its sign for ever (the sampled zero at -1)."""
     servo = LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]], 1e-4, 1e-2, 0.1)
     with pytest.warns(controllers.UnstableLoopWarning, match=r"poles are -1, "):
-        BayesianController(servo, goal_on="outputs")
+        BayesianController(servo, FixedPrecision(), goal_on="outputs")
 
 
 def test_a_constant_that_no_control_moves_is_no_reason_to_warn():
     biased = LinearModel(np.diag([0.9, 1.0]), [[0.1], [0.0]], [[1.0, 0.0], [1.0, 1.0]], 0.01, 1.0, 0.1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        BayesianController(biased, goal_on=[[1.0, 0.0]])
+        BayesianController(biased, FixedPrecision(), goal_on=[[1.0, 0.0]])
 
 
 def test_a_blackout_makes_no_false_certainty():
     """Two unstable states, unseen for long: seeing one of them afterwards says nothing of the other."""
     model = LinearModel([[1.2, 0.3], [0.0, 1.1]], np.eye(2), np.eye(2), 0.01, 1.0, 0.1)
-    step = BayesianController(model).online(compiled=False)
+    step = BayesianController(model, FixedPrecision()).online(compiled=False)
     for _ in range(1000):
         step(y=[None, None], goal=[0.0, 0.0])
     out = step(y=[0.0, None], goal=[0.0, 0.0])
@@ -227,7 +237,7 @@ def test_an_undetermined_control_is_held_whatever_the_rounding():
         B = rng.normal(size=(2, 2))
         model = LinearModel(0.5 * np.eye(2), B, np.eye(2), 0.1, 1.0, 0.1)
         for belief in ("filtered", "joint"):
-            step = BayesianController(model, belief=belief).online(compiled=False)
+            step = BayesianController(model, FixedPrecision(), belief=belief).online(compiled=False)
             before = step(y=[1.0, 2.0], goal=[2.0, 1.0])
             out = step(y=[1.0, 2.0], goal=[2.0, np.nan])
             np.testing.assert_array_equal(out.u, before.u)
@@ -237,7 +247,7 @@ def test_an_undetermined_control_is_held_whatever_the_rounding():
 def test_an_unstable_mode_that_no_sensor_sees_is_warned_about():
     model = LinearModel([[1.1, 0.0], [0.0, 0.5]], np.eye(2), [[0.0, 1.0]], 0.1, 1.0, 0.1)
     with pytest.warns(controllers.UnstableLoopWarning, match="no sensor sees"):
-        BayesianController(model)
+        BayesianController(model, FixedPrecision())
 
 
 def simulate_with_load(controller, load, steps=4000):
@@ -253,10 +263,10 @@ def simulate_with_load(controller, load, steps=4000):
 
 def test_an_estimated_disturbance_leaves_no_steady_error():
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-5, 0.01, 0.02)
-    without = simulate_with_load(BayesianController(model, initial_mean=20.0), load=-200.0)
+    without = simulate_with_load(BayesianController(model, FixedPrecision(), initial_mean=20.0), load=-200.0)
     extended = model.with_disturbance(100.0)
     assert (extended.states, extended.disturbances) == (2, 1)
-    controller = BayesianController(extended, initial_mean=20.0)
+    controller = BayesianController(extended, FixedPrecision(), initial_mean=20.0)
     assert controller.goals == 1
     with_estimate = simulate_with_load(controller, load=-200.0)
     assert abs(without) > 0.1
@@ -266,10 +276,10 @@ def test_an_estimated_disturbance_leaves_no_steady_error():
 def test_a_short_sighted_goal_is_warned_about_with_its_poles():
     servo = LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]], 1e-4, 1e-2, 0.1)
     with pytest.warns(controllers.UnstableLoopWarning, match=r"poles are .*magnitude 1\.05"):
-        controller = BayesianController(servo, goal_covariance=1e-4)
+        controller = BayesianController(servo, FixedPrecision(), goal_covariance=1e-4)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        BayesianController(servo, goal_covariance=1.0)
+        BayesianController(servo, FixedPrecision(), goal_covariance=1.0)
     # The poles are those of the loop: with goals met exactly, the error obeys A - B L.
     poles = controller.closed_loop_poles()
     step = controller.online(compiled=False)
@@ -336,9 +346,9 @@ def test_controllers_that_cannot_be_right(settings, words):
 
 def test_variances_of_very_different_sizes_are_fine():
     model = LinearModel(**{**MODEL, "C": [[1.0], [1.0]], "sensor_covariance": [1e10, 1e-8]})
-    assert BayesianController(model).online(compiled=False)(y=[1e5, 1.0], goal=[0.0]).x_hat[0] == pytest.approx(
-        1.0, abs=1e-3
-    )
+    assert BayesianController(model, FixedPrecision()).online(compiled=False)(y=[1e5, 1.0], goal=[0.0]).x_hat[
+        0
+    ] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_from_control():
@@ -387,3 +397,28 @@ def test_what_says_whether_a_loop_is_stable_is_found_once_for_a_model_and_its_pr
     for changed in ({"goal_covariance": 4.0}, {"control_covariance": 99.0}, {"belief": "joint"}):
         other = controllers.BayesianController(model, **{**settings, **changed})
         assert not np.allclose(other.closed_loop_poles(), first.closed_loop_poles(), rtol=1e-9)
+
+
+def test_the_default_learner_and_its_form():
+    """It is joint wherever that is possible; where it is not, nobody has to choose."""
+    default = controllers.SwitchingPrecision()
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, 0.02)
+    correlated = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, [[1.0, 0.5], [0.5, 1.0]], 0.02)
+    nonlinear = controllers.NonlinearModel.from_linear(model)
+    forms = {
+        BayesianController(model): True,
+        controllers.LQGController(model): True,
+        BayesianController(correlated): False,
+        BayesianController(model, belief="joint"): False,
+        controllers.NonlinearBayesianController(nonlinear): False,
+    }
+    for controller, joint in forms.items():
+        assert controller.precision == default
+        assert (controller._learner().infer is not None) is joint
+    assert controllers.StateEstimator(model).precision == default
+    uaic = controllers.UnbiasedActiveInference((), controllers.Proportional([[1.0]]), control="law", model=model)
+    assert uaic.precision == FixedPrecision()
+    with pytest.raises(ModelError, match="faults of actuators cannot be told; take a BayesianController"):
+        controllers.NonlinearBayesianController(
+            nonlinear, controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
+        )

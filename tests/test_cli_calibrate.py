@@ -3,45 +3,63 @@
 import json
 import re
 
+import pytest
 from typer.testing import CliRunner
 
 from bayesftc.cli import app
 from bayesftc.scenario import load_scenario
 
 RUNNER = CliRunner()
+SHIPPED = load_scenario("cruise_control").path.read_text(encoding="utf-8")
 
 
-def test_the_shipped_map_is_what_the_command_in_its_comment_prints():
-    scenario = load_scenario("cruise_control")
-    text = scenario.path.read_text(encoding="utf-8")
-    command = re.search(r"^#\s+bayesftc (calibrate .*)$", text, re.M)
+@pytest.fixture
+def with_learner(tmp_path):
+    """Write the shipped scenario with another learner, a line of TOML or more, and return its file."""
+
+    def write(lines):
+        file = tmp_path / "car.toml"
+        file.write_text(re.sub(r"^kind = \"SwitchingPrecision\".*$", lines, SHIPPED, flags=re.M), encoding="utf-8")
+        return str(file)
+
+    return write
+
+
+def test_the_shipped_map_is_what_the_command_in_its_comment_prints(with_learner):
+    command = re.search(r"^#\s+bayesftc calibrate car.toml (.*)$", SHIPPED, re.M)
+    lines = re.findall(r"^# ((?:kind|forgetting) = .*)$", SHIPPED, re.M)
     assert command
-    done = RUNNER.invoke(app, command.group(1).split())
+    assert lines == ['kind = "GammaPrecision"', "forgetting = 0.95"]
+    done = RUNNER.invoke(app, ["calibrate", with_learner("\n".join(lines)), *command.group(1).split()])
     assert done.exit_code == 0, done.output
-    assert done.output.strip().splitlines()[-1] in text.splitlines()
+    assert f"# {done.output.strip().splitlines()[-1]}" in SHIPPED.splitlines()
 
 
-def test_json_and_options():
-    done = RUNNER.invoke(
-        app, ["calibrate", "cruise_control", "--steps", "6000", "--injection", "8", "--seed", "3", "--json"]
-    )
+def test_json_and_options(with_learner):
+    file = with_learner('kind = "GammaPrecision"')
+    done = RUNNER.invoke(app, ["calibrate", file, "--steps", "6000", "--injection", "8", "--seed", "3", "--json"])
     assert done.exit_code == 0, done.output
     report = json.loads(done.output)
     assert report["calibration"]["feature"] == "log"
     assert 0.5 < report["auc"] <= 1.0
 
 
-def test_only_learners_with_a_rate_are_calibrated(tmp_path):
-    text = load_scenario("cruise_control").path.read_text(encoding="utf-8")
-    other = tmp_path / "ser.toml"
-    other.write_text(re.sub(r'kind = "GammaPrecision"[\s\S]*', 'kind = "SERFDI"\n', text), encoding="utf-8")
-    done = RUNNER.invoke(app, ["calibrate", str(other)])
+def test_a_learner_without_rate_and_probability_is_refused(with_learner):
+    file = with_learner('kind = "FixedPrecision"')
+    done = RUNNER.invoke(app, ["calibrate", file])
     assert done.exit_code == 9
-    for words in (str(other), "cannot calibrate SERFDI", "has no rate", "GammaPrecision"):
+    for words in (file, "cannot calibrate FixedPrecision", "has no rate", "GammaPrecision"):
         assert words in done.output
-    other.write_text(re.sub(r'kind = "GammaPrecision"[\s\S]*', 'kind = "SwitchingPrecision"\n', text), encoding="utf-8")
-    said = " ".join(RUNNER.invoke(app, ["calibrate", str(other)]).output.split())
-    assert (
-        "cannot calibrate SwitchingPrecision, which has no rate and gives a fault probability itself; give it" in said
-    )
-    assert "modes" not in said
+
+
+def test_of_a_learner_that_gives_a_probability_it_is_said_how_good_it_is():
+    options = ["calibrate", "cruise_control", "--steps", "6000", "--seed", "3"]
+    done = RUNNER.invoke(app, [*options, "--json"])
+    assert done.exit_code == 0, done.output
+    report = json.loads(done.output)
+    assert report["calibration"] is None
+    assert report["brier"] < 0.7 * report["brier_of_constant"]
+    assert report["auc"] > 0.8
+    said = " ".join(RUNNER.invoke(app, options).output.split())
+    assert f"AUC {report['auc']:.3f}, Brier score {report['brier']:.4f}" in said
+    assert "SwitchingPrecision gives a fault probability itself, so there is no map to fit" in said

@@ -10,10 +10,11 @@ from bayesftc.scenario import shipped_scenarios
 
 @pytest.fixture(scope="module")
 def scenarios(tmp_path_factory):
-    """Return the shipped car, run in plain Python, and the same with another learner."""
+    """Return the shipped car with gamma learning, which is short in C, run in plain Python, and the same with another setting."""
     folder = tmp_path_factory.mktemp("scenarios")
     text = shipped_scenarios()["cruise_control"].read_text().replace("seed = 1", 'seed = 1\nengine = "interpreted"')
-    files = {"car": text, "other": text.replace("forgetting = 0.95", "forgetting = 0.9")}
+    learners = {"car": '"GammaPrecision"', "other": '"GammaPrecision"\nforgetting = 0.9'}
+    files = {name: text.replace('"SwitchingPrecision"', learner) for name, learner in learners.items()}
     assert len(set(files.values())) == 2
     for name, content in files.items():
         (folder / f"{name}.toml").write_text(content)

@@ -22,7 +22,7 @@ def run(*arguments, folder, **options):
         (4, '"CruiseControl"', '"gone.fmu"', "gone.fmu cannot be read"),
         (5, '"force"', '"forces"', "did you mean 'force'?"),
         (8, "duration = 20.0", "duration = 20.01", "no whole number of steps"),
-        (9, "forgetting = 0.95", "forgetting = 1.5", "'controller.precision'"),
+        (9, '"SwitchingPrecision"', '"SwitchingPrecision"\nnoise_factor = 0.5', "'controller.precision'"),
         (11, "v0 = 20.0", "m = 1e-320, v0 = 20.0", "plant.v came out infinite"),
     ],
 )

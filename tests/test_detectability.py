@@ -126,7 +126,7 @@ def test_smallest_fault_is_found_as_often_as_asked_and_what_a_result_says_fits_t
 
 def test_response_is_the_filters_own():
     """The mean innovations of the package's Kalman filter when the same offset is added to one of its sensors."""
-    filter_ = controllers.StateEstimator(CART, initial_covariance=steady_covariance(CART))
+    filter_ = controllers.StateEstimator(CART, controllers.FixedPrecision(), initial_covariance=steady_covariance(CART))
     for sensor in range(3):
         step, ours = filter_.online(compiled=False), response(CART, sensor).offset(40)
         y = np.eye(3)[sensor]
@@ -211,7 +211,7 @@ def test_what_cannot_be_answered():
     ):
         with pytest.raises(ModelError, match=sentence):
             detectability(**options)
-    joint = controllers.BayesianController(CAR, belief="joint", control_covariance=1e6)
+    joint = controllers.BayesianController(CAR, controllers.FixedPrecision(), belief="joint", control_covariance=1e6)
     with pytest.raises(ModelError, match="belief='filtered'"):
         detectability(model=joint)
     result = detectability(GammaPrecision(forgetting=0.5), within=10)

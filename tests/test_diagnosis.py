@@ -138,14 +138,14 @@ def test_model_suspect_does_not_depend_on_the_learner_but_by_the_control():
 def test_a_model_that_no_observer_can_follow_is_not_checked():
     model = controllers.LinearModel([[1.02, 0], [0, 0.9]], [[0.0], [1.0]], [[0, 1]], [1e-3, 1e-3], 1.0, dt=0.1)
     assert observers(model) is None
-    step = controllers.StateEstimator(model).online()
+    step = controllers.StateEstimator(model, controllers.FixedPrecision()).online()
     assert np.isnan(step(y=[0.0], u=[0.0]).model_suspect)
 
 
 def test_a_missing_and_an_absurd_sample_raise_nothing():
     case = Case("car", "right")
     model = parts(case, LEARNERS["fixed"])[1].model
-    step = controllers.StateEstimator(model, initial_mean=20.0).online()
+    step = controllers.StateEstimator(model, controllers.FixedPrecision(), initial_mean=20.0).online()
     draws = np.random.default_rng(1).normal(20.0, 1.0, (600, 2))
     draws[300:320] = np.nan
     draws[400] = 1e20

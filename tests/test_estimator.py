@@ -44,7 +44,7 @@ def samples(model, steps, seed=0):
 def test_with_fixed_precision_it_is_filterpys_kalman_filter():
     model = WHEELS
     y, u = samples(model, 300)
-    estimator = StateEstimator(model, initial_mean=3.0)
+    estimator = StateEstimator(model, FixedPrecision(), initial_mean=3.0)
     reference = KalmanFilter(model.states, 1, dim_u=1)
     reference.F, reference.B, reference.Q = model.matrix("A"), model.matrix("B"), model.matrix("process_covariance")
     reference.x, reference.P = np.array(estimator.initial_mean)[:, None], np.array(estimator.initial_covariance)
@@ -98,7 +98,7 @@ def test_its_belief_may_drive_the_plant_without_an_algebraic_loop_and_both_engin
 
 def test_a_missing_input_goes_on_and_an_unconnected_one_is_zero():
     def beliefs(*inputs):
-        step = StateEstimator(CAR, initial_mean=1.0).online(compiled=False)
+        step = StateEstimator(CAR, FixedPrecision(), 1.0).online(compiled=False)
         return [float(step(y=[np.nan, np.nan], **given).x_hat[0]) for given in inputs]
 
     held = {"u": [500.0]}
@@ -133,7 +133,9 @@ def test_sensor_errors_keep_their_variance_and_forget_in_their_time():
 def test_a_bias_and_a_coloured_noise_are_estimated():
     """Three sensors of a still quantity, one with a bias: what the model says of biases shares it out by Bayes' rule."""
     plain = LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-12, 0.01, 0.01)
-    estimator = StateEstimator(plain.with_sensor_errors(0.5, 1e6), initial_covariance=[100.0, 0.25, 0.25, 0.25])
+    estimator = StateEstimator(
+        plain.with_sensor_errors(0.5, 1e6), FixedPrecision(), initial_covariance=[100.0, 0.25, 0.25, 0.25]
+    )
     step = estimator.online(compiled=False)
     for _ in range(200):
         out = step(y=[10.0, 10.0, 10.6])

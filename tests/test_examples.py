@@ -39,8 +39,8 @@ def test_no_example_is_forgotten():
 def test_learned_precision_keeps_the_car_on_the_road(capsys):
     errors = cruise_control.main()
     assert errors["GammaPrecision"] < errors["SERFDI"] < errors["FixedPrecision"]
-    assert errors["FixedPrecision"] > 10 * errors["GammaPrecision"]
-    assert len(capsys.readouterr().out.splitlines()) == 5
+    assert errors["FixedPrecision"] > 10 * errors["GammaPrecision"] > 11 * errors["SwitchingPrecision"]
+    assert len(capsys.readouterr().out.splitlines()) == 6
 
 
 def test_learned_precision_helps_on_a_sine_and_hurts_on_a_constant(capsys):
@@ -48,6 +48,8 @@ def test_learned_precision_helps_on_a_sine_and_hurts_on_a_constant(capsys):
     table = where_it_helps.main(runs=20)
     assert table["freeze", "sine"]["GammaPrecision"] < 0.2 * table["freeze", "sine"]["FixedPrecision"]
     assert table["freeze", "constant"]["GammaPrecision"] > 1.3 * table["freeze", "constant"]["FixedPrecision"]
+    for row in table.values():
+        assert row["SwitchingPrecision"] < 1.02 * min(row.values())
     assert len(capsys.readouterr().out.splitlines()) == 7
 
 

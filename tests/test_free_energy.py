@@ -138,7 +138,10 @@ def test_compiled_has_the_same_bits():
 
 
 def test_they_are_outputs_only_where_they_are_asked_for_and_change_nothing_else():
-    plain, more = (controllers.BayesianController(CAR, posterior_outputs=asked) for asked in (False, True))
+    plain, more = (
+        controllers.BayesianController(CAR, controllers.FixedPrecision(), posterior_outputs=asked)
+        for asked in (False, True)
+    )
     names = [[port.name for port in c.outputs] for c in (plain, more)]
     assert [n for n in names[1] if n not in names[0]] == ["u_covariance", "u_state_covariance", "free_energy"]
     steps = [c.online(compiled=False) for c in (plain, more)]
@@ -158,8 +161,8 @@ def test_states_without_uncertainty_have_no_density():
         [[0.9, 0.1], [0.0, 1.0]], [[1.0], [0.0]], [[1.0, 0.0], [1.0, 1.0]], [0.2, 0.0], 0.5, 0.1
     )
     controller = controllers.BayesianController(
-        model, goal_on=[[1.0, 0.0]], control_covariance=2.0, control_mean=0.3, initial_mean=[0.0, 1.0],
-        initial_covariance=[1.0, 0.0], posterior_outputs=True,
+        model, controllers.FixedPrecision(), goal_on=[[1.0, 0.0]], control_covariance=2.0, control_mean=0.3,
+        initial_mean=[0.0, 1.0], initial_covariance=[1.0, 0.0], posterior_outputs=True,
     )  # fmt: skip
     y, goal = np.array([0.7, 1.9]), np.array([2.0])
     out = controller.online(compiled=False)(y=y, goal=goal)
@@ -187,7 +190,9 @@ def test_states_without_uncertainty_have_no_density():
 
 
 def test_without_a_goal_a_flat_prior_leaves_the_control_undetermined():
-    step = controllers.BayesianController(CAR, posterior_outputs=True).online(compiled=False)
+    step = controllers.BayesianController(CAR, controllers.FixedPrecision(), posterior_outputs=True).online(
+        compiled=False
+    )
     out = step(y=[0.0, 0.1], goal=[np.nan])
     assert np.isnan(out.u_covariance).all()
     assert np.isnan(out.u_state_covariance).all()
@@ -227,8 +232,8 @@ def test_of_a_nonlinear_model_they_are_scipys_least_value_and_curvature():
         swing, look, 2, 1, 2, process_covariance=[0.01, 0.02], sensor_covariance=[0.05, 0.1], dt=0.1
     )
     controller = controllers.NonlinearBayesianController(
-        model, goal_covariance=[0.1, 0.2], control_covariance=3.0, control_mean=0.2, initial_mean=[0.3, -0.1],
-        initial_covariance=[0.4, 0.2], posterior_outputs=True,
+        model, controllers.FixedPrecision(), goal_covariance=[0.1, 0.2], control_covariance=3.0, control_mean=0.2,
+        initial_mean=[0.3, -0.1], initial_covariance=[0.4, 0.2], posterior_outputs=True,
     )  # fmt: skip
     y, goal = np.array([0.8, 0.5]), np.array([0.4, 0.9])
     plain, compiled = (controller.online(compiled=c)(y=y, goal=goal) for c in (False, True))

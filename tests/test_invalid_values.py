@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus, monitoring
-from bayesftc.controllers import EFFDI, BayesianController, GammaPrecision, Proportional, StateEstimator
+from bayesftc.controllers import (
+    EFFDI,
+    BayesianController,
+    FixedPrecision,
+    GammaPrecision,
+    Proportional,
+    StateEstimator,
+)
 from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.scenario import load_scenario
 
 MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], 0.02)
 READERS = [
     BayesianController(MODEL, EFFDI(), initial_mean=20.0),
-    controllers.LQGController(MODEL, initial_mean=20.0),
+    controllers.LQGController(MODEL, controllers.FixedPrecision(), initial_mean=20.0),
     controllers.NonlinearBayesianController(MODEL, GammaPrecision(), initial_mean=20.0, iterations=3),
     controllers.UnbiasedActiveInference(model=MODEL, law=Proportional(1.0), control="law", initial_mean=20.0),
     StateEstimator(MODEL, controllers.SwitchingPrecision(joint=False), initial_mean=20.0),
@@ -73,7 +80,7 @@ def loop(controller, invalid):
 
 
 def test_sensors_of_a_loop_give_them_to_the_controller():
-    own = BayesianController(MODEL, initial_mean=20.0, invalid=[65535])
+    own = BayesianController(MODEL, FixedPrecision(), initial_mean=20.0, invalid=[65535])
     results = [
         loop(controller, invalid).simulate(6.0, seed=1, engine="interpreted")
         for controller, invalid in ((replace(own, invalid=()), [65535]), (own, ()), (own, [65535]))

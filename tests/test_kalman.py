@@ -72,7 +72,7 @@ def test_belief_is_filterpys_for_every_goal_and_control_prior(problem):
     model, priors, missing, rng = problem
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
-        controller = controllers.BayesianController(model, **priors)
+        controller = controllers.BayesianController(model, controllers.FixedPrecision(), **priors)
     y, u, x_hat, P = record(controller, rng, missing, STEPS)
     check = compare(x_hat, P, ser_reference(model, y, u))
     assert check.steps == STEPS
@@ -91,7 +91,7 @@ def largest_difference(controller):
 
 
 def test_joint_belief_is_kalmans_only_with_a_flat_prior_and_enough_controls():
-    flat = {"belief": "joint", "goal_covariance": 0.1}
+    flat = {"precision": controllers.FixedPrecision(), "belief": "joint", "goal_covariance": 0.1}
     assert largest_difference(controllers.BayesianController(two_states(2), **flat)) < 1e-9
     # Fewer controls than states: the goal leaks into the belief where no control can explain it away.
     assert largest_difference(controllers.BayesianController(two_states(1), **flat)) > 0.1
@@ -99,13 +99,15 @@ def test_joint_belief_is_kalmans_only_with_a_flat_prior_and_enough_controls():
     assert largest_difference(controllers.BayesianController(two_states(2), control_covariance=1.0, **flat)) > 1e-4
     # The filtered belief is Kalman's in all three.
     for controls, prior in ((2, None), (1, None), (2, 1.0)):
-        controller = controllers.BayesianController(two_states(controls), goal_covariance=0.1, control_covariance=prior)
+        controller = controllers.BayesianController(
+            two_states(controls), controllers.FixedPrecision(), goal_covariance=0.1, control_covariance=prior
+        )
         assert largest_difference(controller) < 1e-9
 
 
 def test_the_check_sees_a_wrong_filter():
     """The comparison can fail: a model with other noise than the controller's differs at once."""
-    controller = controllers.BayesianController(two_states(2))
+    controller = controllers.BayesianController(two_states(2), controllers.FixedPrecision())
     y, u, x_hat, P = record(controller, np.random.default_rng(4), 0.0, 50)
     other = controllers.LinearModel([[0.9, 0.1], [-0.2, 0.8]], np.eye(2), np.eye(2), 0.11, 0.5, 0.1)
     check = compare(x_hat, P, ser_reference(other, y, u))

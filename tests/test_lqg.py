@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers import BayesianController, LinearModel, LQGController
+from bayesftc.controllers import BayesianController, FixedPrecision, LinearModel, LQGController
 from bayesftc.cosim.errors import ModelError
 
 
@@ -55,7 +55,7 @@ PLANTS = {
 def test_the_one_step_posterior_is_the_regulators_law(name):
     model, goals = PLANTS[name]
     A, B, H = model.matrix("A"), model.matrix("B"), model.matrix("C")[goals]
-    controller = LQGController(model, goal_on=H, goal_covariance=0.04, control_covariance=0.5)
+    controller = LQGController(model, FixedPrecision(), goal_on=H, goal_covariance=0.04, control_covariance=0.5)
     gain, cost, poles = control.dlqr(A, B, H.T @ H / 0.04, np.eye(1) / 0.5)
     step, rng = controller.online(compiled=False), np.random.default_rng(1)
     steady = np.linalg.solve(np.block([[np.eye(len(A)) - A, -B], [H, np.zeros((1, 1))]]), np.eye(len(A) + 1)[:, -1])
@@ -80,7 +80,9 @@ def test_poles_that_are_shown_are_those_of_control_and_filter(name, belief):
     """Apart, each by a Riccati equation of its own; and of the loop as it runs, whose steps tell its matrix."""
     model, goals = PLANTS[name]
     A, B, C = (model.matrix(name) for name in "ABC")
-    controller = LQGController(model, goal_on=C[goals], goal_covariance=0.04, control_covariance=0.5, belief=belief)
+    controller = LQGController(
+        model, FixedPrecision(), goal_on=C[goals], goal_covariance=0.04, control_covariance=0.5, belief=belief
+    )
     P = solve_discrete_are(A.T, C.T, model.matrix("process_covariance"), model.matrix("sensor_covariance"))
     gain = np.linalg.solve(C @ P @ C.T + model.matrix("sensor_covariance"), C @ P).T
     known = np.append(np.linalg.eigvals(A - B @ controller.regulator.gain), np.linalg.eigvals(A - A @ gain @ C))
@@ -124,7 +126,12 @@ def test_the_law_of_random_plants_in_any_units(seed):
     covariances = rng.uniform(0.01, 1.0, r), rng.uniform(0.1, 10.0, p)
     belief = "joint" if seed % 2 else "filtered"
     controller = LQGController(
-        model, goal_on=H, goal_covariance=covariances[0], control_covariance=covariances[1], belief=belief
+        model,
+        FixedPrecision(),
+        goal_on=H,
+        goal_covariance=covariances[0],
+        control_covariance=covariances[1],
+        belief=belief,
     )
     cost = H.T @ np.diag(1 / covariances[0]) @ H
     gain, _, _ = control.dlqr(A, B, (cost + cost.T) / 2, np.diag(1 / covariances[1]))
@@ -146,7 +153,9 @@ def test_a_goal_on_the_speed_alone_leaves_the_position_to_itself():
     A, B, C = [[0, 1, 0], [0, -0.05, 0.5], [0, 0, -2.0]], [[0], [0], [2.0]], [[1, 0, 0], [0, 1, 0]]
     model = sampled(A, B, C, 0.1)
     speed = control.sample_system(control.ss(np.array(A)[1:, 1:], B[1:], [[1, 0]], 0), 0.1)
-    controller = LQGController(model, goal_on=[[0, 1, 0]], goal_covariance=0.04, control_covariance=0.5)
+    controller = LQGController(
+        model, FixedPrecision(), goal_on=[[0, 1, 0]], goal_covariance=0.04, control_covariance=0.5
+    )
     gain, cost, poles = control.dlqr(speed.A, speed.B, speed.C.T @ speed.C / 0.04, np.eye(1) / 0.5)
     np.testing.assert_allclose(controller.regulator.gain, np.hstack([[[0.0]], gain]), rtol=1e-9)
     np.testing.assert_allclose(controller.regulator.cost_to_go[1:, 1:], cost, rtol=1e-9)
@@ -181,7 +190,9 @@ def test_integrators_that_no_goal_sees_in_any_units(seed):
     model = LinearModel(
         whole, T @ np.vstack([np.zeros((k, p)), B]), back, 1e-4 * T @ T.T, 1e-4, dt=0.1
     )  # fmt: skip
-    controller = LQGController(model, goal_on=np.hstack([np.zeros((1, k)), H]) @ back, goal_covariance=0.04)
+    controller = LQGController(
+        model, FixedPrecision(), goal_on=np.hstack([np.zeros((1, k)), H]) @ back, goal_covariance=0.04
+    )
     assert controller.regulator.drifting == k
     gain, _, poles = control.dlqr(A, B, H.T @ H / 0.04, np.eye(p))
     np.testing.assert_allclose(
@@ -216,7 +227,9 @@ def test_the_goal_changes_during_a_run_in_both_engines(run_both):
     """On the model itself: the output is led to each goal, also beside a second control that is not needed for it."""
     A, B = [[0.9, 0.1], [0.0, 0.8]], [[0.0, 0.2], [0.1, 0.0]]
     model = LinearModel(A, B, np.eye(2), 1e-6, 1e-4, dt=0.1)
-    controller = LQGController(model, goal_on=[[1, 0]], goal_covariance=0.01, control_covariance=[1.0, 4.0])
+    controller = LQGController(
+        model, FixedPrecision(), goal_on=[[1, 0]], goal_covariance=0.01, control_covariance=[1.0, 4.0]
+    )
     loop = cosim.closed_loop(
         cosim.StateSpace(control.ss(A, B, np.eye(2), 0, 0.1)),
         controller,
@@ -238,10 +251,17 @@ def test_an_operating_point_is_a_constant_of_the_model():
     """Deviations plus their origin, by hand, against the controller of values."""
     model = servo()
     x, u, y = np.array([0.3, 0.0, 0.0]), [2.0], [10.3, 10.3]
-    deviations = LQGController(model, goal_on=[[1, 0, 0]], goal_covariance=0.01, initial_covariance=1e-3)
+    deviations = LQGController(
+        model, FixedPrecision(), goal_on=[[1, 0, 0]], goal_covariance=0.01, initial_covariance=1e-3
+    )
     about = model.about(x, u, y)
     values = LQGController(
-        about, goal_on=about.quantities[:1], goal_covariance=0.01, initial_covariance=1e-3, initial_mean=x
+        about,
+        FixedPrecision(),
+        goal_on=about.quantities[:1],
+        goal_covariance=0.01,
+        initial_covariance=1e-3,
+        initial_mean=x,
     )
     assert "1.000" not in values.describe().splitlines()[1]  # the constant is none of the poles
     one, two = deviations.online(compiled=False), values.online(compiled=False)
@@ -257,7 +277,9 @@ def test_an_operating_point_is_a_constant_of_the_model():
 
 def test_a_constant_load_leaves_no_steady_error():
     model = servo().with_disturbance(1e-4)
-    controller = LQGController(model, goal_on="outputs", goal_covariance=1e-3, initial_covariance=1e-4)
+    controller = LQGController(
+        model, FixedPrecision(), goal_on="outputs", goal_covariance=1e-3, initial_covariance=1e-4
+    )
     A, B, C = (servo().matrix(name) for name in "ABC")
     step, x, u = controller.online(compiled=False), np.zeros(3), np.zeros(1)
     for _ in range(800):
@@ -314,7 +336,7 @@ def test_a_mode_that_is_gone_within_a_sample_does_not_hide_another(dt):
     """Of 1 / (s (s + 1)) a sample of a minute leaves exp(-60) of one mode; the other is moved and seen as ever."""
     whole = np.array([[1, -np.expm1(-dt), dt + np.expm1(-dt)], [0, np.exp(-dt), -np.expm1(-dt)]])
     model = LinearModel(whole[:, :2], whole[:, 2:], [[1, 0]], 1e-6, 1e-4, dt=dt)
-    assert np.abs(LQGController(model, goal_covariance=0.01).closed_loop_poles()).max() < 1
+    assert np.abs(LQGController(model, FixedPrecision(), goal_covariance=0.01).closed_loop_poles()).max() < 1
     with pytest.raises(ModelError, match="no control moves"):
         LQGController(LinearModel(whole[:, :2], [[0], [0]], [[1, 0]], 1e-6, 1e-4, dt=dt))
 

@@ -230,7 +230,7 @@ def two_outputs(**sensors):
     rows = np.asarray(sensors["matrix"]) if "matrix" in sensors else np.eye(2)[[0, 1, 0, 1]]
     model = controllers.LinearModel(system.A, system.B, rows, 1e-4, 0.01, 0.1)
     controller = controllers.BayesianController(
-        model, goal_on=[[1.0, 0.0]], control_covariance=10.0, goal_covariance=0.1
+        model, controllers.FixedPrecision(), goal_on=[[1.0, 0.0]], control_covariance=10.0, goal_covariance=0.1
     )
     return cosim.closed_loop(
         plant=cosim.StateSpace(system, initial=[0.0, 1.0]),

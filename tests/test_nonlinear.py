@@ -198,6 +198,7 @@ def random_problem(seed):
     step_functions = as_step_functions(*(tuple(map(tuple, a.tolist())) for a in (A, B, W, S, Z, C, V, E)))
     controller = NonlinearBayesianController(
         NonlinearModel(*step_functions, n, p, m, 0.05 * np.eye(n) + 0.02, R, 0.1),
+        FixedPrecision(),
         goal_covariance=float(rng.choice([0.1, 1.0])),
         control_covariance=float(rng.choice([0.3, 3.0, 100.0])),
         control_mean=rng.normal(size=p),
@@ -283,7 +284,7 @@ def test_every_search_converges_and_how_often_a_better_minimum_lies_elsewhere(pr
 
 def test_disturbances_of_a_linear_model_are_no_goals():
     model = LinearModel([[0.9]], [[0.5]], [[1.0]], 0.01, 0.1, 0.1).with_disturbance(1e-3)
-    options = {"initial_mean": 0.5, "initial_covariance": 1.0}
+    options = {"precision": FixedPrecision(), "initial_mean": 0.5, "initial_covariance": 1.0}
     closed, searched = (kind(model, **options) for kind in (BayesianController, NonlinearBayesianController))
     assert searched.goals == closed.goals == 1
     outs = [c.online(compiled=False)(y=[0.7], goal=[1.0]) for c in (closed, searched)]
@@ -308,7 +309,9 @@ def test_one_step_is_an_extended_kalman_filters():
         look_jacobian(mean, C)
         look(mean, reading)
         ekf.update(y.copy(), lambda x, C=C: C, lambda x, reading=reading: reading)
-        controller = NonlinearBayesianController(PENDULUM, iterations=1, initial_mean=mean, **SETTINGS)
+        controller = NonlinearBayesianController(
+            PENDULUM, FixedPrecision(), iterations=1, initial_mean=mean, **SETTINGS
+        )
         out = controller.online(compiled=False)(y=y, goal=[0.0, 0.0])
         np.testing.assert_allclose(out.x_hat, ekf.x, rtol=1e-9, atol=1e-12)
 
@@ -322,7 +325,7 @@ def test_with_linear_sensors_a_run_is_an_extended_kalman_filters():
     from filterpy.kalman import ExtendedKalmanFilter
 
     model = NonlinearModel(swing, encoders, 2, 1, 2, [1e-8, 1e-5], [1e-4, 4e-4], STEP)
-    step = NonlinearBayesianController(model, **SETTINGS).online(compiled=False)
+    step = NonlinearBayesianController(model, FixedPrecision(), **SETTINGS).online(compiled=False)
     ekf, rng = ExtendedKalmanFilter(2, 2), np.random.default_rng(1)
     ekf.x, ekf.P, ekf.R, ekf.Q = np.zeros(2), 0.01 * np.eye(2), np.diag([1e-4, 4e-4]), np.diag([1e-8, 1e-5])
     C, F, B = np.array([[1.0, 0.0], [1.0, 0.0]]), np.empty((2, 2)), np.empty((2, 1))
@@ -339,7 +342,7 @@ def test_with_linear_sensors_a_run_is_an_extended_kalman_filters():
 
 
 def test_the_covariance_is_that_of_the_model_linearised_at_the_estimate():
-    controller = NonlinearBayesianController(PENDULUM, initial_mean=[1.2, 0.0], **SETTINGS)
+    controller = NonlinearBayesianController(PENDULUM, FixedPrecision(), initial_mean=[1.2, 0.0], **SETTINGS)
     out = controller.online(compiled=False)(y=[1.0, 1.01, 0.42], goal=[1.0, 0.0])
     C = np.empty((3, 2))
     look_jacobian(out.x_hat, C)
@@ -348,7 +351,7 @@ def test_the_covariance_is_that_of_the_model_linearised_at_the_estimate():
 
 
 def test_a_random_walk_predicts_the_belief_itself():
-    options = {"initial_mean": [0.3, 1.0], **SETTINGS, "prediction": "random walk"}
+    options = {"precision": FixedPrecision(), "initial_mean": [0.3, 1.0], **SETTINGS, "prediction": "random walk"}
     step = NonlinearBayesianController(PENDULUM, **options).online(compiled=False)
     first = step(y=[0.3, 0.31, 0.15], goal=[0.5, 0.0])
     second = step(y=[0.32, 0.33, 0.16], goal=[0.5, 0.0])
@@ -359,8 +362,10 @@ def test_a_random_walk_predicts_the_belief_itself():
     linear = NonlinearModel(swing, encoders, 2, 1, 2, [1e-8, 1e-5], 1e-4, STEP)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", controllers.UnstableLoopWarning)
-        kalman = BayesianController(model, control_covariance=1.0, **SETTINGS).online(compiled=False)
-    walk = NonlinearBayesianController(linear, prediction="random walk", **SETTINGS).online(compiled=False)
+        kalman = BayesianController(model, FixedPrecision(), control_covariance=1.0, **SETTINGS).online(compiled=False)
+    walk = NonlinearBayesianController(linear, FixedPrecision(), prediction="random walk", **SETTINGS).online(
+        compiled=False
+    )
     for y in ([0.1, 0.2], [None, 0.3], [0.2, 0.1]):
         a, b = kalman(y=y, goal=[0.0, 0.0]), walk(y=y, goal=[0.0, 0.0])
         np.testing.assert_allclose(b.x_hat, a.x_hat, rtol=1e-9)
@@ -490,9 +495,9 @@ def escape(x, u, x_next):
 def test_a_belief_that_is_lost_begins_anew(f, far):
     """Sent to where squares, or the model itself, are no numbers, it is back after one step."""
     model = NonlinearModel(f, encoders, 1, 1, 2, 1e-3, 0.01, 0.1)
-    step = NonlinearBayesianController(model, control_covariance=1e6, initial_mean=0.1, u_min=-1.0, u_max=1.0).online(
-        compiled=False
-    )
+    step = NonlinearBayesianController(
+        model, FixedPrecision(), control_covariance=1e6, initial_mean=0.1, u_min=-1.0, u_max=1.0
+    ).online(compiled=False)
     step(y=[0.1, 0.1], goal=[0.1])
     step._view("mean")[0] = far
     for _ in range(2):
@@ -528,7 +533,8 @@ def test_a_long_run_of_absurd_samples_leaves_covariances_positive_definite(make_
 def test_it_says_what_each_sensor_reads_of_the_state():
     """By it `bayesftc run` finds the tracking error and the belief's; the camera is no linear function."""
     np.testing.assert_array_equal(
-        NonlinearBayesianController(PENDULUM).measurement_matrix, [[1.0, 0.0], [1.0, 0.0], [np.nan, np.nan]]
+        NonlinearBayesianController(PENDULUM, FixedPrecision()).measurement_matrix,
+        [[1.0, 0.0], [1.0, 0.0], [np.nan, np.nan]],
     )
     model, options = linear_problem(np.random.default_rng(2))
     read = NonlinearBayesianController(model, **options).measurement_matrix

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from rich.console import Console
 from bayesftc import controllers, cosim, reproduce
 from bayesftc.controllers.precision import keep_nominal
 from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError
-from bayesftc.reproduce import _family, _family_figures, _family_tables
+from bayesftc.reproduce import _family, _family_figures, _family_tables, family_page
 from bayesftc.reproduce._ensemble import Ensemble
+from bayesftc.reproduce._family_groups import by_group
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
-from bayesftc.reproduce.family_cases import CASES, PLANTS, Case
+from bayesftc.reproduce.family_cases import CASES, GROUPS, PLANTS, Case
 from bayesftc.reproduce.settings import Family, Tracking
 
 BY_NAME = {case.name: case for case in CASES}
@@ -220,6 +222,77 @@ def test_what_is_printed_and_drawn(report):
 
 
 FEW_IN_ORDER = [case.name for case in CASES if case.name in FEW]
+
+
+@pytest.mark.parametrize(
+    ("group", "cases"),
+    {
+        "healthy sensors": ["healthy, 5 sensors", "unequal noise, healthy", "arm: healthy"],
+        "freezes": ["freeze", "freeze on and off every second", "pendulum: freeze"],
+        "offsets and drifts": ["injection of 1 sd", "bias of 3 sd from the first step", "servo: drift of 2 sd per second"],
+        "dithers, gains, oscillations": [
+            "freeze with dither of 0.3 sd", "gain of 0.7, 3 sensors", "oscillation of 5 sd, period 1 s",
+            "reads the negated speed",
+        ],
+        "noise, spikes, dropout": ["noise 2 times", "dropout", "spikes of 10 sd in 5 % of samples"],
+        "filtered, late, clipped, rounded, stuck": [
+            "low-pass of 2 s", "delay of 0.5 s", "clips above the mean speed", "stuck at 0",
+        ],
+        "two sensors at once, or swapped": ["both sensors: freeze", "arm: a sensor of q2 reads q1"],
+        "plant not as believed": ["car 40 % heavier than believed, healthy"],
+        "noise or resolution not as believed": [
+            "sensors 2 times noisier than believed, freeze", "resolution of 1 sd untold, freeze",
+        ],
+    }.items(),
+)  # fmt: skip
+def test_each_case_is_in_a_group(group, cases):
+    assert group in GROUPS
+    assert {BY_NAME[name].group for name in cases} == {group}
+    assert {case.group for case in CASES} == set(GROUPS)
+    walk = Case("a walk", (cosim.NoiseGrowth(slope=1.0, sensor=0),))
+    assert walk.group == "other faults"
+
+
+def test_groups_are_those_of_the_table(report):
+    found = by_group(report)
+    assert list(found) == ["healthy sensors", "offsets and drifts", "two sensors at once, or swapped"]
+    for case, group in zip(("healthy", *FEW[:2]), found, strict=True):  # each has one case
+        for name, figures in found[group].items():
+            cell = report["table"][case][name]
+            assert figures.mean == pytest.approx(cell["ratio"])
+            assert (figures.worst, figures.lost, figures.false_share) == (cell["ratio"], 0, cell["false_share"])
+    doubled = {**report, "groups": dict.fromkeys(FEW, "all")}
+    ratios = [cells["gamma"]["ratio"] for cells in report["table"].values()]
+    assert by_group(doubled)["all"]["gamma"].mean == pytest.approx(report["summary"]["gamma"]["mean"])
+    assert by_group(doubled)["all"]["gamma"].worst == max(ratios)
+
+
+def test_the_page_gets_the_table_between_its_marks(report, tmp_path):
+    page, file = tmp_path / "page.md", tmp_path / "family.json"
+    file.write_text(json.dumps(report))
+    page.write_text(f"before\n{family_page.BEGIN}\nold\n{family_page.END}\nafter\n")
+    for _ in range(2):  # a second time changes nothing
+        family_page.main([str(file), str(page)])
+        text = page.read_text()
+    assert text.startswith(f"before\n{family_page.BEGIN}\n2 runs of each of 3 cases, seed 5.\n")
+    assert text.endswith(f"{family_page.END}\nafter\n")
+    assert "old" not in text
+    rows = {line.split(" | ")[0]: line.split(" | ")[1:] for line in text.splitlines() if line.startswith("| `")}
+    cell = report["table"]["healthy"]["gamma"]["ratio"]
+    assert rows["| `gamma`"][1] == f"{cell:.2f} / {cell:.2f}"
+    above = [case for case, cells in report["table"].items() if cells["explicit"]["ratio"] > family_page.BAR]
+    assert f"`explicit` is above 1.10 in {len(above)}: " in text
+    page.write_text("no marks")
+    with pytest.raises(SystemExit, match="lacks the lines"):
+        family_page.main([str(file), str(page)])
+
+
+def test_the_page_on_learners_has_the_familys_marks():
+    page = Path(__file__).resolve().parents[1] / "docs" / "which-learner.md"
+    text = page.read_text(encoding="utf-8")
+    assert text.index(family_page.BEGIN) < text.index(family_page.END)
+    for name in _family.all_learners():
+        assert f"| `{name}` |" in text
 
 
 def test_the_report_is_the_same_for_any_number_of_jobs_and_says_why(report):

@@ -56,7 +56,12 @@ def test_the_shipped_scenario_is_the_loop_of_the_python_example(same_bits):
     np.testing.assert_allclose(result["plant.v"], other["plant.v"], rtol=1e-12)
     assert scenario.simulation.duration == 20.0
     assert [(f.sensor, f.start, f.stop) for f in scenario.faults] == [(0, 6.0, 14.0)]
-    assert scenario.controller.precision.forgetting == 0.95
+    assert scenario.controller.precision == controllers.SwitchingPrecision()
+
+
+def test_without_a_learner_it_is_the_default(write):
+    text = CAR[: CAR.index("[controller.precision]")]
+    assert load_scenario(write(text=text)).controller.precision == controllers.SwitchingPrecision()
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
@@ -225,7 +230,10 @@ def test_options_stand_above_the_file(write):
 
 WRONG = {
     "unknown key": (("std = 1.0", "sdt = 1.0"), ScenarioError, ["'sensors'", "'sdt'", "did you mean 'std'"]),
-    "unknown nested key": (("{ slope =", "{ slop ="), ScenarioError, ["controller.precision.calibration", "'slope'"]),
+    "unknown nested key": (
+        ('"SwitchingPrecision"', '"GammaPrecision"\ncalibration = { slop = 1.0, intercept = 0.0 }'),
+        ScenarioError, ["controller.precision.calibration", "'slope'"],
+    ),
     "unknown section": (("[sensors]", "[sensor]"), ScenarioError, ["section 'sensor'", "'sensors'"]),
     "text for number": (("start = 6.0", "start = 'six'"), ScenarioError, ["faults[0].start", "'six'", "a number"]),
     "bool for number": (("start = 6.0", "start = true"), ScenarioError, ["faults[0].start", "true", "a number"]),
@@ -237,7 +245,8 @@ WRONG = {
     "no section": (("[reference]", "[model.x]"), ScenarioError, ["lacks the section [reference]"]),
     "no model": (("[model]", "[noise.model]"), ScenarioError, ["lacks the section [model]", "BayesianController needs"]),
     "text for settings": (
-        ("calibration = {", "calibration = 'mine' # {"), ScenarioError, ["precision.calibration", "a table with the settings of"],
+        ('"SwitchingPrecision"', '"GammaPrecision"\ncalibration = "mine"'),
+        ScenarioError, ["precision.calibration", "a table with the settings of"],
     ),
     "text for list": (
         ('kind = "Freeze"', 'kind = "RandomFaults"\nkinds = ["drift"] #'), ScenarioError, ["kinds", '[{ kind = "Drift" }]'],
@@ -265,7 +274,9 @@ WRONG = {
     "sensor count": (("C = [[1.0], [1.0]]", "C = [[1.0]]"), ConnectionError, ["1 sensors", "2"]),
     "duration": (("duration = 20.0", "duration = '20 s'"), StepSizeError, ["'simulation'", "'20 s'"]),
     "dt": (("dt = 0.02", "dt = 'x'"), StepSizeError, ["'model'", "'x'"]),
-    "setting": (("forgetting = 0.95", "forgetting = 1.5"), ModelError, ["controller.precision", "forgetting=1.5"]),
+    "setting": (
+        ('"SwitchingPrecision"', '"GammaPrecision"\nforgetting = 1.5'), ModelError, ["controller.precision", "forgetting=1.5"],
+    ),
     "window": (("stop = 14.0", "stop = 4.0"), ModelError, ["faults[0]", "stop=4.0"]),
     "matrix": (("A = [[0.999]]", "A = [[0.999, 1.0]]"), ModelError, ["'model'", "square"]),
 }  # fmt: skip

@@ -15,7 +15,6 @@ B, M, DT = 5.0, 100.0, 0.02
 
 controller = controllers.BayesianController(
     controllers.LinearModel([[1 - B / M * DT]], [[DT / M]], [[1], [1]], 0.001, 1.0, DT),
-    precision=controllers.GammaPrecision(forgetting=0.95),
     initial_mean=20.0,
 )
 

@@ -54,10 +54,7 @@ def main(argv: Sequence[str] | None = None) -> cosim.Result:
     loop = cosim.closed_loop(
         plant=plant,
         # An estimated disturbance takes up what the line does not say: a constant load, a working point.
-        controller=controllers.BayesianController(
-            model.with_disturbance((0.01 * arguments.noise / b) ** 2),
-            precision=controllers.GammaPrecision(forgetting=0.95),
-        ),
+        controller=controllers.BayesianController(model.with_disturbance((0.01 * arguments.noise / b) ** 2)),
         control=arguments.control,
         measured=arguments.measured,
         sensors=cosim.Sensors(count=2, std=arguments.noise),

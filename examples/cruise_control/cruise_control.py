@@ -1,17 +1,18 @@
-"""A car under cruise control, one of whose two speed sensors freezes: four ways to decide how far to trust each sensor.
+"""A car under cruise control, one of whose two speed sensors freezes: five ways to decide how far to trust each sensor.
 
-Run it with ``python -m bayesftc.examples.cruise_control.cruise_control [seconds]``. All four controllers get the same noise,
+Run it with ``python -m bayesftc.examples.cruise_control.cruise_control [seconds]``. All controllers get the same noise,
 sample by sample, so whatever differs between the rows is their own doing.
 """
 
 import sys
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers import EFFDI, SERFDI, FixedPrecision, GammaPrecision
+from bayesftc.controllers import EFFDI, SERFDI, FixedPrecision, GammaPrecision, SwitchingPrecision
 from bayesftc.cosim.metrics import figures
 from bayesftc.cosim.roles import loop_signals
 
-LEARNERS = (FixedPrecision(), EFFDI(), SERFDI(), GammaPrecision(forgetting=0.95))
+LEARNERS = (FixedPrecision(), EFFDI(), SERFDI(), GammaPrecision(forgetting=0.95), SwitchingPrecision())
+"""The last one is the default."""
 
 
 FREEZE = cosim.Freeze(sensor=0, start=6.0, stop=14.0)

@@ -1,8 +1,8 @@
 """Where learning precisions helps and where it hurts: tracking errors over many runs, by fault and reference.
 
 Run it with ``python -m bayesftc.examples.cruise_control.where_it_helps [runs]``. Every technique sees the same noise. A frozen
-sensor on a constant reference is the learner's bad case: its samples agree with each other and with the model better than a
-healthy sensor's, so it is trusted more, and the car drifts with it.
+sensor on a constant reference is the bad case of `GammaPrecision`: its samples agree with each other and with the model better
+than a healthy sensor's, so it is trusted more, and the car drifts with it.
 """
 
 import sys
@@ -33,12 +33,12 @@ def errors(loop: cosim.Diagram, runs: int) -> np.ndarray[tuple[int], np.dtype[np
 def main(runs: int = 100) -> dict[tuple[str, str], dict[str, float]]:
     """Print mean error and half the width of its 95 % interval for every case and technique; return the means."""
     names = [type(learner).__name__ for learner in LEARNERS]
-    print(f"{'RMSE while faulty (m/s)':32}" + "".join(f"{name:>18}" for name in names))
+    print(f"{'RMSE while faulty (m/s)':32}" + "".join(f"{name:>20}" for name in names))
     table: dict[tuple[str, str], dict[str, float]] = {}
     for fault_name, fault in FAULTS.items():
         for reference_name, reference in REFERENCES.items():
             cells = [errors(cruise_control(learner, fault, reference), runs) for learner in LEARNERS]
-            shown = "".join(f"{cell.mean():11.3f} ± {1.96 * cell.std(ddof=1) / runs**0.5:4.2f}" for cell in cells)
+            shown = "".join(f"{cell.mean():13.3f} ± {1.96 * cell.std(ddof=1) / runs**0.5:4.2f}" for cell in cells)
             print(f"{fault_name + ', ' + reference_name:32}{shown}")
             table[fault_name, reference_name] = {n: float(c.mean()) for n, c in zip(names, cells, strict=True)}
     return table

@@ -39,9 +39,7 @@ def pi_controller() -> list[control.InputOutputSystem]:
 def bayesian_controller() -> list[control.InputOutputSystem]:
     """Return the Bayesian controller, which listens to both sensors."""
     model = controllers.LinearModel([[1 - B / M * DT]], [[DT / M]], [[1], [1]], 1e-3, 1.0, DT)
-    block = controllers.BayesianController(
-        model, precision=controllers.GammaPrecision(forgetting=0.95), control_covariance=1e7
-    )
+    block = controllers.BayesianController(model, control_covariance=1e7)
     return [block.to_control(inputs={"y": "samples", "goal[0]": "goal"}, outputs={"u[0]": "force"})]
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import stdtrit
 from sklearn.metrics import roc_auc_score
 
-from bayesftc.controllers import Burst, StateEstimator
+from bayesftc.controllers import Burst, FixedPrecision, StateEstimator
 from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.examples.redundant_speed_sensors.command import at_least, sentences
 from bayesftc.monitoring import Monitor, Monitored, Recording, Signal, align, default_precision, load_monitor
@@ -168,7 +168,7 @@ def otherwise(monitor: Monitor, recording: Recording) -> dict[str, Monitor]:
 def _variances(monitor: Monitor) -> dict[str, float]:
     """Return the variance of each sensor's errors altogether."""
     model = monitor.model
-    covariance = np.asarray(StateEstimator(model).initial_covariance)
+    covariance = np.asarray(StateEstimator(model, FixedPrecision()).initial_covariance)
     # The last states: what comes before, the plant's states and the inputs' errors, is no error of a sensor.
     count = sum(1 if e.common else len(e.sensors or monitor.sensors) for e in monitor.errors)
     first = model.states - count

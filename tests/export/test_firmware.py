@@ -26,9 +26,9 @@ def run(*command, folder):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with the C of the cruise controller and of one with a bank of modes, and the example's."""
+    """Return a folder with the C of the cruise controller, of one with the paper's learner, and the example's."""
     folder = tmp_path_factory.mktemp("firmware")
-    for name, learner in (("controller", controllers.GammaPrecision()), ("bank", controllers.SwitchingPrecision())):
+    for name, learner in (("controller", controllers.SwitchingPrecision()), ("paper", controllers.GammaPrecision())):
         file = write_c(program_of(cruise_control(learner), blocks=["controller"], name=name))
         (folder / f"{name}.h").write_text(file.header)
         (folder / f"{name}.c").write_text(file.source)
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["controller", "bank"])
+@pytest.mark.parametrize("name", ["controller", "paper"])
 @pytest.mark.parametrize("dialect", ["c99", "c11", "c++11"])
 def test_no_warning_in_any_dialect(folder, c_compiler, name, dialect):
     language = ["-x", "c++"] if "+" in dialect else []
@@ -44,7 +44,7 @@ def test_no_warning_in_any_dialect(folder, c_compiler, name, dialect):
 
 
 def test_it_needs_nothing_but_mathematics(folder):
-    source = (folder / "bank.c").read_text()
+    source = (folder / "controller.c").read_text()
     assert set(re.findall(r"#include <(.*)>", source)) == {"math.h", "stddef.h", "stdint.h"}
     assert not re.search(r"\b(malloc|calloc|realloc|free|alloca|printf|memset|memcpy|goto)\b", source)
 

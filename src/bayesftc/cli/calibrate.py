@@ -1,4 +1,4 @@
-"""``bayesftc calibrate``: from a scenario to the logistic map that its precision learner needs for a fault probability."""
+"""``bayesftc calibrate``: from a scenario to the logistic map that beta needs, or to how good the learner's probability is."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.controllers import BayesianController, Hazards, calibrate
+from bayesftc.controllers._rate import RateLearner
+from bayesftc.controllers.calibration import judge_own_probability
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._place import Place
@@ -18,6 +20,8 @@ def calibrate_scenario(
     path: str, hazards: Hazards, magnitudes: Mapping[str, float], *, steps: int, seed: int, json: bool
 ) -> None:
     """Fit the map for a scenario's model, learner, controller and reference, and print it as a line of TOML.
+
+    A learner that gives a probability itself needs none: then it is said how good that probability is.
 
     Parameters
     ----------
@@ -37,8 +41,10 @@ def calibrate_scenario(
     if not isinstance(controller, BayesianController):
         raise ModelError(f"{path}: calibrate simulates a BayesianController, not a {type(controller).__name__}.")
     own = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
+    learner = controller.precision
+    tells = not isinstance(learner, RateLearner) and learner.why_no_probability is None
     with Place(path).named():
-        report = calibrate(
+        report = (judge_own_probability if tells else calibrate)(
             controller.model, hazards, magnitudes, reference=scenario.reference, steps=steps, seed=seed, **own
         )
     if json:
@@ -48,6 +54,13 @@ def calibrate_scenario(
     typer.echo(
         f"On {report.samples} samples that were not fitted, {report.fault_share:.1%} of them in fault: AUC {report.auc:.3f}, "
         f"Brier score {report.brier:.4f} (a constant: {report.brier_of_constant:.4f}), calibration error "
-        f"{report.calibration_error:.3f}.\nFor [controller.precision]:\n"
+        f"{report.calibration_error:.3f}."
     )
+    if c is None:
+        typer.echo(
+            f"{type(learner).__name__} gives a fault probability itself, so there is no map to fit. For a map of the residual "
+            'beta write kind = "GammaPrecision" in [controller.precision].'
+        )
+        return
+    typer.echo("For [controller.precision]:\n")
     typer.echo(f'calibration = {{ slope = {c.slope:.4g}, intercept = {c.intercept:.4g}, feature = "{c.feature}" }}')

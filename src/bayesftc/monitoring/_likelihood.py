@@ -8,6 +8,7 @@ from bayesftc.controllers._checks import Matrix
 from bayesftc.controllers._recorded import estimate, innovation_covariances
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.precision import FixedPrecision
 from bayesftc.monitoring._recording import Recording
 
 
@@ -35,7 +36,7 @@ def log_likelihood(
     compiled : bool, optional
         As of `monitor_recording`.
     """
-    estimator = StateEstimator(model, initial_mean=initial_mean, initial_covariance=initial_covariance)
+    estimator = StateEstimator(model, FixedPrecision(), initial_mean, initial_covariance)
     found = estimate(estimator, recording.y, recording.u, ("innovation", "P"), compiled)
     e, S = found["innovation"], innovation_covariances(estimator, found["P"])
     present = np.isfinite(e)

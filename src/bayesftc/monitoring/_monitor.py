@@ -16,7 +16,7 @@ from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.fault_modes import Frozen
 from bayesftc.controllers.learning import LearnedModes, RecordedRun, learn_modes
 from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import PrecisionLearner
+from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, RecordingError
@@ -222,7 +222,7 @@ class Monitor:
             If the sensors alone do not determine the state, and it is not given.
         """
         plant = model.states - model.disturbances
-        covariance = np.array(StateEstimator(model).initial_covariance)
+        covariance = np.array(StateEstimator(model, FixedPrecision()).initial_covariance)
         if self._input_errors:
             variances = [max(given.error_std, SMALL) ** 2 for given in self.inputs.values()]
             covariance[plant : plant + len(variances), plant : plant + len(variances)] = np.diag(variances)

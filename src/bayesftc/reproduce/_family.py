@@ -119,6 +119,7 @@ def run(
                 "learners": {name: repr(learner) for name, learner in known.items()},
                 "cases": {case.name: repr(case) for case in chosen},
             },
+            "groups": {case.name: case.group for case in chosen},
             "oracle": {case.name: _rms(oracle[case.name].rmse) for case in chosen},
             "table": table,
             "summary": {name: _summary(name, table, settings) for name in known},

@@ -109,7 +109,9 @@ def _designed(name: str, sensors: int, std: tuple[float, ...]) -> controllers.Ba
     if not plant.accept:
         right = model_of_car(Car(sensors=sensors))
         model = replace(right, sensor_covariance=np.diag(np.square(std)))
-        return controllers.BayesianController(model, initial_mean=20.0, initial_covariance=1.0)
+        return controllers.BayesianController(
+            model, controllers.FixedPrecision(), initial_mean=20.0, initial_covariance=1.0
+        )
     return controllers.design(
         cosim.FMU(fmus.path(plant.fmu)),
         measured=plant.measured,

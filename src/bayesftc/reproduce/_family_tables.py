@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.reproduce._family_groups import Figures, by_group
 from bayesftc.reproduce._tables import interval_widths, table
 
 if TYPE_CHECKING:
@@ -30,6 +31,14 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         yield table("share of healthy sensors' time with an alarm, in percent", tell, rows, corner="case")
         rows = {case: [_delay(of[name]) for name in tell] for case, of in cells.items()}
         yield table("median time to an alarm in seconds, and share of faults without", tell, rows, corner="case")
+    groups = by_group(report)
+    kinds = [("geometric mean", _mean), ("worst", _worst)]
+    if tell:
+        kinds.append(("share of healthy sensors' time with an alarm in percent, mean", _false))
+    for what, cell in kinds:
+        shown = [name for name in learners if cell is not _false or name in tell]
+        rows = {group: [cell(of[name]) for name in shown] for group, of in groups.items()}
+        yield table(f"{what} of the cases of a group", shown, rows, corner="group")
     rows = {}
     for name in learners:
         summary = report["summary"][name]
@@ -44,8 +53,24 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
 def _ratio(cell: dict[str, Any], bar: float) -> str:
     if cell["lost"]:
         return f"lost {cell['lost']}{MARK}"
-    form = ".2f" if cell["ratio"] < 100.0 else ".0f"
-    return f"{cell['ratio']:{form}}{MARK if cell['ratio'] > bar else ' '}"
+    return f"{shown_ratio(cell['ratio'])}{MARK if cell['ratio'] > bar else ' '}"
+
+
+def _mean(figures: Figures) -> str:
+    return "lost" if figures.lost else f"{figures.mean:.2f}"
+
+
+def _worst(figures: Figures) -> str:
+    return f"lost {figures.lost}" if figures.lost else shown_ratio(figures.worst)
+
+
+def shown_ratio(ratio: float) -> str:
+    """Return a ratio with as many digits as are worth reading."""
+    return f"{ratio:{'.2f' if ratio < 100.0 else '.0f'}}"
+
+
+def _false(figures: Figures) -> str:
+    return _percent(figures.false_share)
 
 
 def _percent(share: float | None) -> str:

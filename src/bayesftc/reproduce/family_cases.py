@@ -100,6 +100,22 @@ PLANTS: Mapping[str, Plant] = {
 """The plants by the name that heads their cases; all but car and arm as in ``examples/design_from_fmu``."""
 
 
+HEALTHY, MOVING, SEVERAL = "healthy sensors", "dithers, gains, oscillations", "two sensors at once, or swapped"
+NOISE_BELIEVED, PLANT_BELIEVED = "noise or resolution not as believed", "plant not as believed"
+GROUPS: Mapping[str, tuple[type[cosim.Fault], ...]] = {
+    HEALTHY: (),
+    "freezes": (cosim.Freeze,),
+    "offsets and drifts": (cosim.Injection, cosim.Bias, cosim.Drift),
+    MOVING: (cosim.GainFault,),
+    "filtered, late, clipped, rounded, stuck": (cosim.Lag, cosim.Delay, cosim.Clipping, cosim.Rounding, cosim.Stuck),
+    "noise, spikes, dropout": (cosim.NoiseIncrease, cosim.Spikes, cosim.Dropout),
+    SEVERAL: (),
+    NOISE_BELIEVED: (),
+    PLANT_BELIEVED: (),
+}
+"""Groups of cases, by the kinds of their faults; what is not as believed, and how many sensors fail, comes first."""
+
+
 @dataclass(frozen=True)
 class Case:
     """What goes wrong.
@@ -135,6 +151,22 @@ class Case:
     resolution: float = 0.0
     parameters: Mapping[str, float] = field(default_factory=dict)
     reads: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def group(self) -> str:
+        """One of `GROUPS`, or ``"other faults"``."""
+        if self.parameters:
+            return PLANT_BELIEVED
+        if self.believed or self.resolution:
+            return NOISE_BELIEVED
+        if len({fault.sensor for fault in self.faults} | set(self.reads)) > 1 or self.reads:
+            return SEVERAL
+        if not self.faults:
+            return HEALTHY
+        kinds = {type(fault) for fault in self.faults}
+        if len(kinds) > 1 or any(getattr(fault, "amplitude", 0.0) for fault in self.faults):
+            return MOVING
+        return next((group for group, known in GROUPS.items() if kinds <= set(known)), "other faults")
 
     @property
     def missing(self) -> tuple[cosim.Dropout, ...]:

@@ -1,0 +1,46 @@
+"""The family's results by group of cases: what a table of 151 rows comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Figures(NamedTuple):
+    """What a learner comes to in a group of cases.
+
+    Attributes
+    ----------
+    mean, worst : float
+        Geometric mean and largest of the errors over the oracle's; infinite if a run has lost its plant.
+    lost : int
+        Number of such runs.
+    false_share : float or None
+        Share of healthy sensors' time with an alarm, mean over the cases; None of a learner that tells of no faults.
+    """
+
+    mean: float
+    worst: float
+    lost: int
+    false_share: float | None
+
+
+def by_group(report: Mapping[str, Any]) -> dict[str, dict[str, Figures]]:
+    """Return the figures of each learner in each group of a report, in the order of the cases."""
+    groups: dict[str, list[str]] = {}
+    for case, group in report["groups"].items():
+        groups.setdefault(group, []).append(case)
+    return {
+        group: {name: figures([report["table"][case][name] for case in cases]) for name in report["summary"]}
+        for group, cases in groups.items()
+    }
+
+
+def figures(cells: Sequence[Mapping[str, Any]]) -> Figures:
+    """Return the figures of a learner's cells of a report's table."""
+    ratios = [np.inf if cell["lost"] else cell["ratio"] for cell in cells]
+    shares = [cell["false_share"] for cell in cells if cell["false_share"] is not None]
+    mean = float(np.exp(np.mean(np.log(ratios))))
+    return Figures(mean, max(ratios), sum(cell["lost"] for cell in cells), float(np.mean(shares)) if shares else None)
