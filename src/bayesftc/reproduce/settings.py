@@ -522,6 +522,17 @@ class Family(Repeated):
     )
     judging_seed: int = chosen(0, "the first of the seeds on which learners are judged, one for each run: 0, 1, ...")
     tuning_seed: int = chosen(1000, "the first of the seeds on which settings of learners may be tuned")
+    tuning_plants: tuple[str, ...] = chosen(
+        ("car", "servo", "pendulum"),
+        "all cases of these plants, of fixed kinds and sizes, were looked at while the learners' defaults were tuned, on seeds "
+        "from tuning_seed on: as cases only the unseen ones are held out",
+    )
+    unseen_seed: int = chosen(2000, "of the cases that are drawn at random; set once, before any of them had run")
+    oracle_lost: float = chosen(
+        10.0,
+        "times the oracle's error with healthy sensors: where the oracle itself has more in a run it has lost the plant, as of "
+        "two sensors both failed; such a case says nothing of a learner, and another is drawn",
+    )
     bar: float = chosen(1.25, "times the oracle's error: more is marked, in the table and in the report")
     behind: float = chosen(0.05, "of the oracle's error: what a learner that is further behind the best one loses")
 
@@ -529,5 +540,7 @@ class Family(Repeated):
         super().__post_init__()
         check_size("judging_seed", self.judging_seed, 0, "as of every run")
         check_size("tuning_seed", self.tuning_seed, 0, "as of every run")
+        check_size("unseen_seed", self.unseen_seed, 0, "as of every draw")
+        check_number(self, "oracle_lost", above=1)
         check_number(self, "bar", above=1)
         check_number(self, "behind", least=0)
