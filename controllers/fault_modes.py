@@ -18,7 +18,7 @@ by name from `FAULT_MODES`, over which the tests run as well: one that they shal
 
 In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``; its
 ``evidence`` then counts only where another sensor has an offset already, or an actuator has failed. A mode with
-``own_hypothesis = True`` is one like `Unmodelled`, whose regression the joint form computes in place of its ``evidence``.
+``own_hypothesis = True`` is a subclass of `Unmodelled`, whose regression the joint form computes in place of its ``evidence``.
 
 A mode with ``is_fault = False`` is harmless: the sensor is trusted as the mode says, but its probability is no part of
 ``fault_probability``.
