@@ -284,6 +284,22 @@ def test_an_alarm_holds_over_short_gaps():
     assert alarms(0 * p, 0.5, 3) == []
 
 
+@pytest.mark.parametrize(
+    ("dt", "alarm", "gap"),
+    [("1/100", Alarm(), 100), ("1/10", Alarm(), 10), (30, Alarm(), 10), (30, Alarm(hold=1.0), 0)],
+)
+def test_an_alarm_holds_for_some_samples_where_they_are_far_apart(dt, alarm, gap):
+    """Default: a second, and at least ten samples; a time that was given is what counts."""
+    steps = 2 * gap + 10
+    recording = Recording(
+        0.0, Fraction(dt), ("a",), np.zeros((steps, 1)), np.zeros((steps, 1)), (0.01,), (0.0,), (0,), ("m",)
+    )
+    for below, events in ((gap, 1), (gap + 1, 2)):
+        p = np.zeros((steps, 1))
+        p[[2, 2 + below + 1]] = 1.0
+        assert len(list(sensor_events(recording, {"fault_probability": p}, (), alarm))) == events
+
+
 def test_an_onset_is_never_after_the_alarm_whose_kind_has_changed():
     """First an offset, then, from the sixth step on, a drift, whose own onset is the sixth step."""
     n = 10

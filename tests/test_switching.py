@@ -24,6 +24,7 @@ from bayesftc.controllers import (
     Unmodelled,
     fault_modes,
 )
+from bayesftc.controllers._default_time import time_at
 from bayesftc.controllers._mode_kernels import drops, scatters, shifts
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.controllers.fault_modes import ENTERED, FACTOR, OWN, SIZE
@@ -377,6 +378,14 @@ def test_arguments_are_looked_at_before_there_is_a_model():
         SwitchingPrecision([of_ones_own(Offset, evidence=swapped)])
 
 
+def test_a_hypothesis_of_its_own_is_for_subclasses_of_unmodelled():
+    """The joint form reads the settings of such a mode as those of an `Unmodelled`, whatever they are."""
+    attributes = {"evidence": glitches, "own_hypothesis": True, "settings": lambda self, model, sensor: (1.0,)}
+    with pytest.raises(ModelError, match=r"Wrong has own_hypothesis = True.* derive it from Unmodelled, or leave"):
+        SwitchingPrecision([of_ones_own(controllers.FaultMode, **attributes)])
+    assert SwitchingPrecision([of_ones_own(Unmodelled)]).learner(MODEL).memory.size
+
+
 def test_a_resolution_explains_equal_samples():
     """Rounded to its standard deviation a healthy sensor repeats itself in a quarter of the samples: no freeze.
 
@@ -512,7 +521,7 @@ def test_default_times_survive_a_copy_of_their_mode():
         copy.deepcopy(controllers.Burst()),
         replace(Offset()),
     ):
-        assert mode.time_to_fault.at_step(30.0) > 100 * mode.time_to_fault
+        assert time_at(mode.time_to_fault, 30.0) > 100 * mode.time_to_fault
 
 
 def test_a_time_that_was_given_is_refused_where_samples_are_further_apart():
