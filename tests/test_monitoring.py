@@ -20,6 +20,7 @@ from bayesftc.monitoring import (
     RandomWalk,
     Recording,
     Signal,
+    _monitor,
     align,
     load_monitor,
     log_likelihood,
@@ -360,8 +361,34 @@ def test_own_modes_and_losses_of_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("section", "expected"),
+    [
+        ("", (0.2, 0.001, 0.001)),
+        ('[precision]\nkind = "SwitchingPrecision"\njoint = false\n', (0.2, 0.001, 0.001)),
+        ('[precision]\nkind = "SwitchingPrecision"\nmodes = [{ kind = "Frozen", healthy_repeats = 0.3 }]\n', 0.3),
+    ],
+)
+def test_the_learner_knows_how_often_each_sensor_repeats_itself(section, expected, tmp_path, monkeypatch):
+    """From the file's sensors, unless the mode has a share of its own."""
+    told = MODEL.replace("resolution = 0.05", "resolution = 0.05\nrepeats = 0.2", 1)
+    _, file = write(tmp_path, drive(1.0), told + section)
+    used = []
+    monkeypatch.setattr(_monitor, "monitor_recording", lambda recording, model, precision, **_: used.append(precision))
+    monitor = load_monitor(file)
+    monitor.run(monitor.read([tmp_path / "data.csv"]))
+    frozen = used[0].modes[0]
+    assert (frozen.healthy_repeats, frozen.resolution) == (expected, (0.05, 0.05, monitor_resolution(tmp_path)))
+
+
+def monitor_resolution(folder):
+    """Return the resolution of GNSS, which the file leaves to be found."""
+    return load_monitor(folder / "model.toml").read([folder / "data.csv"]).resolution[2]
+
+
+@pytest.mark.parametrize(
     ("change", "words"),
     [
+        (("std = 0.3", "std = 0.3\nrepeats = 1.0"), "'sensors.gnss'.*repeats=1.0"),
         (("dt = 0.05", ""), "lacks 'dt'"),
         (("dt = 0.05", "dt = 0.0"), "must be positive"),
         (("[model]", "[modell]"), r"unknown section 'modell'; did you mean 'model'"),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesftc.controllers.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._columns import SensorErrors
@@ -50,7 +51,7 @@ class FittedSensor:
     resolution : float
         Its samples are multiples of this; 0: of none.
     repeats : float
-        Share of its samples that equal the one before, while the quantity moves.
+        Share of its samples that equal the one before, while it changes at all; at least what is believed where nobody says it.
     missing : float
         Share of the steps without a sample of it.
     """
@@ -134,7 +135,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
             std,
             float(bias[i]),
             recording.resolution[i],
-            _repeats(y[:, i], widths[i]),
+            max(_repeats(y[:, i], widths[i]), HEALTHY_REPEATS),
             _typical(np.isnan(recording.y[stretch, i])),
         )
         lasting = [*own[i].lasting, *([(slow[i], times[i])] if slow[i] > WANDERS * own[i].variance else [])]

@@ -43,8 +43,7 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
     ]
     for name, sensor in fitted.sensors.items():
         place = places[name]
-        repeats = f"; {sensor.repeats:.0%} of its samples repeat the one before" if sensor.repeats > 0 else ""
-        lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.0%} of the steps are without a sample{repeats}"]
+        lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.0%} of the steps are without a sample"]
         if several:
             lines.append(f"file = {_text(place.file)}")
         if place.column != name:
@@ -55,6 +54,7 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
             f"std = {_number(sensor.std)}  # of its white noise",
             f"bias = {_number(sensor.bias)}  # its constant difference from the typical sensor",
             f"resolution = {_number(sensor.resolution)}" + ("" if sensor.resolution else "  # too fine to matter"),
+            f"repeats = {_number(sensor.repeats)}  # share of its samples that equal the one before",
         ]
     for errors in fitted.errors:
         named = ", ".join(map(_text, errors.sensors or ()))
