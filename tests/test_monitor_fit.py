@@ -1,7 +1,8 @@
 """A monitor's model from nothing but a recording: known parameters come back, faults and calm parts do no harm."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from bayesftc.monitoring import (
     Place,
     RandomWalk,
     Signal,
+    _fit_settings,
     align,
     as_model_file,
     fit_model,
@@ -241,7 +243,6 @@ def watched(signals, stretch=(None, None), file=None):
 
 def monitor_of(fitted, rec, places):
     import tempfile
-    from pathlib import Path
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "model.toml")
@@ -354,3 +355,11 @@ def test_a_wheel_that_fails_while_braking_casts_no_blame_on_others(stretch, tmp_
             found.append(blamed[during, i].mean())
     assert np.mean(others) < 0.01
     assert np.mean(found) > 0.6
+
+
+def test_every_choice_of_the_fit_has_a_reason_and_is_made_somewhere():
+    folder = Path(_fit_settings.__file__).parent
+    text = "".join(file.read_text(encoding="utf-8") for file in folder.glob("*.py"))
+    for choice in fields(_fit_settings.FitSettings):
+        assert len(choice.metadata["why"]) > 20
+        assert f"FIT.{choice.name}" in text

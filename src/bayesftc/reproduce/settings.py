@@ -5,22 +5,18 @@ A setting is written once, here; the ``settings`` of the JSON files, with the re
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from math import pi
 from typing import Any, ClassVar, Literal, Self
 
 from bayesftc.controllers._checks import as_number, check_number
 from bayesftc.controllers.baselines import EFFDI_QUANTILE_999
 from bayesftc.controllers.fault_modes import FAULT_MODES
+from bayesftc.cosim._chosen import chosen
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce import paper
 
 PAPER = "the paper's"
-
-
-def chosen(value: Any, why: str) -> Any:
-    """Return a dataclass field with a default and the reason for it."""
-    return field(default=value, metadata={"why": why})
 
 
 def check_size(name: str, value: object, least: int, why: str) -> None:
