@@ -1,4 +1,4 @@
-"""Mean times of modes that nobody gave: longer where samples are further apart."""
+"""Times that nobody gave, as those of modes and alarms: longer where samples are further apart."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ USUAL_STEP = 0.02
 
 
 class DefaultTime(float):
-    """A mean time in seconds that is a default, and so grows with the sample time where samples are far apart.
+    """A time in seconds that is a default, and so grows with the sample time where samples are far apart.
 
     A time that the user gives is an ordinary number, which stays as it is, also where it equals the default.
 
@@ -29,6 +29,7 @@ class DefaultTime(float):
         time.usual_step = usual_step
         return time
 
-    def at_step(self, step: float) -> float:
-        """Return the mean time for samples that are `step` seconds apart."""
-        return max(1.0, step / self.usual_step) * float(self)
+
+def time_at(time: float, step: float) -> float:
+    """Return the time that holds for samples that are `step` seconds apart: one that was given is as it is."""
+    return max(1.0, step / time.usual_step) * float(time) if isinstance(time, DefaultTime) else time

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.controllers._checks import as_numbers
 from bayesftc.controllers._mode_kernels import AGE, ENTERED, FACTOR, TRUST, WEIGHT, drops
 from bayesftc.controllers.actuator_modes import ActuatorMode
-from bayesftc.controllers.fault_modes import FaultMode
+from bayesftc.controllers.fault_modes import FaultMode, Unmodelled
 from bayesftc.controllers.process_modes import NoisierProcess
 from bayesftc.cosim.block import Floats, argument_names
 from bayesftc.cosim.errors import KernelError, ModelError
@@ -29,7 +29,7 @@ def as_fault_modes(given: object) -> tuple[FaultMode, ...]:
     Raises
     ------
     ModelError
-        If there is none, or something else among them.
+        If there is none, something else among them, or one that has a hypothesis of its own and is no `Unmodelled`.
     """
     modes = _listed(given, FaultMode, "SwitchingPrecision has modes", "a list of fault modes such as [Offset()]")
     if not modes:
@@ -49,6 +49,11 @@ def as_fault_modes(given: object) -> tuple[FaultMode, ...]:
             raise ModelError(
                 f"{name}.evidence has the arguments {', '.join(names) or '(none)'}; it must be a step function with exactly "
                 f"these, in this order: {form}."
+            )
+        if mode.own_hypothesis and not isinstance(mode, Unmodelled):
+            raise ModelError(
+                f"The fault mode {name} has own_hypothesis = True, with which the joint form reads its settings as those of "
+                "Unmodelled; derive it from Unmodelled, or leave own_hypothesis out."
             )
         _check_call(mode, "settings", "model, sensor")
     return modes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fractions import Fraction
 from types import FunctionType
 from typing import Any, Literal
@@ -22,7 +22,6 @@ from bayesftc.controllers.laws import ControlLaw
 from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
-from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.block import Block, Definition, Floats
@@ -267,10 +266,7 @@ class UnbiasedActiveInference(Block):
         return Px if self.inner_steps > 1 else Px @ (np.eye(len(Px)) - self._prediction()[0])
 
     def _learner(self) -> Learner:
-        learner = self.precision.apart("UnbiasedActiveInference")
-        if isinstance(learner, SwitchingPrecision):
-            # The belief has no covariance: its own errors would be learned as noise.
-            learner = replace(learner, noise_factor=1.0)
+        learner = self.precision.apart("UnbiasedActiveInference").without_covariance()
         return learner.learner(self._learned_model())
 
     def _learned_model(self) -> LinearModel:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
@@ -213,6 +213,10 @@ class ExplicitDetection(PrecisionLearner):
             ports=(*wrapped.ports, port("detected", (m,))),
             report=report,
         )
+
+    def without_covariance(self) -> ExplicitDetection:
+        """See `PrecisionLearner.without_covariance`."""
+        return replace(self, learning=self.learning.without_covariance())
 
     def _thresholds(self, groups: int) -> tuple[float | FittedThreshold, ...]:
         if not isinstance(self.threshold, tuple):

@@ -18,7 +18,7 @@ by name from `FAULT_MODES`, over which the tests run as well: one that they shal
 
 In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``; its
 ``evidence`` then counts only where another sensor has an offset already, or an actuator has failed. A mode with
-``own_hypothesis = True`` is one like `Unmodelled`, whose regression the joint form computes in place of its ``evidence``.
+``own_hypothesis = True`` is a subclass of `Unmodelled`, whose regression the joint form computes in place of its ``evidence``.
 
 A mode with ``is_fault = False`` is harmless: the sensor is trusted as the mode says, but its probability is no part of
 ``fault_probability``.
@@ -42,6 +42,9 @@ from bayesftc.controllers._mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
 
+
+HEALTHY_REPEATS = 0.001
+"""Share of the samples that a healthy sensor repeats exactly, where nobody says it."""
 
 REPEATS_STRENGTH = 10.0
 """How many samples it counts as what share of repetitions is expected of a healthy sensor."""
@@ -108,16 +111,16 @@ class Frozen(FaultMode):
         Standard deviation of the dither, in those of the sensor's noise.
     resolution : float or sequence of float
         Resolution of the sensors in their unit, for all or for each: a healthy sensor repeats itself, too, if that is coarse.
-    healthy_repeats : float
-        Share of the samples that a healthy sensor repeats exactly, as expected before the first one. It is learned while the
-        sensor is healthy; this counts as ten samples. With 0, or where a resolution is given, none is learned: then the
-        resolution alone explains repetitions.
+    healthy_repeats : float or sequence of float
+        Share of the samples that a healthy sensor repeats exactly, as expected before the first one, for all sensors or for each.
+        It is learned while the sensor is healthy; this counts as ten samples. Where a resolution is given, no more than this is
+        learned: the resolution explains the rest. With 0 none is.
     """
 
     repeats: float = 0.9
     dither: float = 0.01
     resolution: float | Sequence[float] = 0.0
-    healthy_repeats: float = 0.001
+    healthy_repeats: float | Sequence[float] = HEALTHY_REPEATS
 
     evidence: ClassVar[Callable[..., float]] = kernels.freezes
 
@@ -125,11 +128,12 @@ class Frozen(FaultMode):
         super().__post_init__()
         check_number(self, "repeats", above=0, below=1)
         check_number(self, "dither", above=0)
-        check_number(self, "healthy_repeats", least=0, below=1)
-        each = self.resolution if isinstance(self.resolution, list | tuple | np.ndarray) else (self.resolution,)
-        for value in each:
-            as_number("Frozen has resolution", value, least=0)
-        object.__setattr__(self, "resolution", tuple(each) if each is self.resolution else self.resolution)
+        for name, below in (("resolution", None), ("healthy_repeats", 1)):
+            given = getattr(self, name)
+            several = isinstance(given, list | tuple | np.ndarray)
+            for value in given if several else (given,):
+                as_number(f"Frozen has {name}", value, least=0, below=below)
+            object.__setattr__(self, name, tuple(given) if several else given)
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
@@ -148,8 +152,9 @@ class Frozen(FaultMode):
         """
         half = self.settings(model, sensor)[0]
         told = as_vector("The resolution of Frozen", self.resolution, model.sensors)[sensor] > 0
-        most = 0.0 if told or self.healthy_repeats == 0 else max(MOST_REPEATS, self.healthy_repeats)
-        return 2.0 * half, self.healthy_repeats * REPEATS_STRENGTH, REPEATS_STRENGTH, most
+        share = float(as_vector("healthy_repeats of Frozen", self.healthy_repeats, model.sensors)[sensor])
+        most = share if told or share == 0 else max(MOST_REPEATS, share)
+        return 2.0 * half, share * REPEATS_STRENGTH, REPEATS_STRENGTH, most
 
 
 @dataclass(frozen=True)

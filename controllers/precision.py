@@ -18,8 +18,9 @@ To write a precision learner you must:
 7. if it detects faults itself, name one of its ports ``detected``, of one number for each sensor (1: detected): ``bayesftc
    run`` takes it for the alarm where there is no probability;
 8. if it infers something together with the state (``infer`` of the `Learner`), return from ``apart(who, instead)`` the learner
-   without that, for controllers that learn apart from the state; and if it tells faults of actuators, say by the field or
-   property ``actuator_modes`` which, for they become signals and a table of a run;
+   without that, for controllers that learn apart from the state; if it learns the noise of healthy sensors, return from
+   ``without_covariance()`` the learner that does not; one that wraps another learner passes both on; and if it tells faults of
+   actuators, say by the field or property ``actuator_modes`` which, for they become signals and a table of a run;
 9. if it calls back into Python, say ``compiled=False``: its controller then runs interpreted;
 10. add it to `LEARNERS`, over which the tests run, to ``__init__.pyi``, and to the table of ``docs/precision.md``.
 """
@@ -116,6 +117,13 @@ class PrecisionLearner:
         ------
         ModelError
             If just that was asked for.
+        """
+        return self
+
+    def without_covariance(self) -> PrecisionLearner:
+        """Return it without what it may learn only from a belief that has a covariance, for one that has none.
+
+        There ``spread`` is zero, and what would be learned as noise of a healthy sensor is the belief's own error.
         """
         return self
 

@@ -13,7 +13,7 @@ from bayesftc.controllers._actuator_settings import actuator_settings, chance
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags, check_number
-from bayesftc.controllers._default_time import DefaultTime
+from bayesftc.controllers._default_time import time_at
 from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, as_process_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._ports import port
@@ -173,7 +173,7 @@ class SwitchingPrecision(PrecisionLearner):
         [(30000.0, 1000.0), (3600.0, 1000.0)]
         """
         step = as_number("SwitchingPrecision.paced() has step", step, above=0)
-        return self._timed(lambda value: value.at_step(step) if isinstance(value, DefaultTime) else value)
+        return self._timed(lambda value: time_at(value, step))
 
     def _timed(self, time: Callable[[float], float]) -> SwitchingPrecision:
         """Return the same learner with other mean times, each a function of what it was."""
@@ -261,6 +261,10 @@ class SwitchingPrecision(PrecisionLearner):
                 "the process modes out."
             )
         return replace(self, process_modes=(), joint=False)
+
+    def without_covariance(self) -> SwitchingPrecision:
+        """See `PrecisionLearner.without_covariance`."""
+        return replace(self, noise_factor=1.0)
 
     @property
     def _usual_process(self) -> bool:

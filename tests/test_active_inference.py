@@ -657,3 +657,26 @@ def test_a_turning_prediction_whose_pull_would_throw_the_belief_outwards_is_refu
     UnbiasedActiveInference(state_prior="kalman", state_precision=1.0, **settings)
     with pytest.raises(ModelError, match="unstable"):
         UnbiasedActiveInference(state_prior="kalman", state_precision=10.0, **settings)
+
+
+def test_no_noise_is_learned_from_a_belief_without_covariance():
+    """Its lag behind the state is no noise of the sensors: also where a wrapper has the learner."""
+    model = controllers.LinearModel([[0.99]], [[0.1]], [[1.0], [1.0]], 0.01, [0.04, 0.04], 0.1)
+    options = {"model": model, "law": controllers.Proportional(1.0), "state_prior": "kalman", "control": "law"}
+    believed, learned = (
+        [
+            wrap(controllers.SwitchingPrecision([controllers.Frozen()], joint=False, noise_factor=factor))
+            for wrap in (lambda learner: learner, controllers.ExplicitDetection)
+        ]
+        for factor in (1.0, 3.0)
+    )
+    rows = np.random.default_rng(0).normal(size=(60, 2)) + np.linspace(0.0, 30.0, 60)[:, None]
+    for without, with_noise in zip(believed, learned, strict=True):
+        assert with_noise.without_covariance() == without
+        runs = []
+        for precision in (without, with_noise):
+            step = UnbiasedActiveInference(**options, precision=precision).online(compiled=False)
+            runs.append([step(y=row, goal=[0.0]).R for row in rows])
+        np.testing.assert_array_equal(*runs)
+    gamma = controllers.GammaPrecision()
+    assert gamma.without_covariance() is gamma

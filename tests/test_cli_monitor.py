@@ -241,3 +241,20 @@ def test_the_stretch_needs_a_fit(files):
     done = RUNNER.invoke(app, ["monitor", *files, "--to", "3"])
     assert done.exit_code == 2
     assert "need --fit" in " ".join(done.output.replace("│", " ").split())
+
+
+def test_a_rest_of_all_sensors_is_said_and_no_fault(tmp_path):
+    """Three wheels that all send the same for ten seconds."""
+    rng = np.random.default_rng(1)
+    t = 0.1 * np.arange(600)
+    level = np.cumsum(0.02 * rng.standard_normal(600))
+    table = pd.DataFrame({"t": t, **{name: level + 0.1 * rng.standard_normal(600) for name in "abc"}})
+    table.loc[300:399, ["a", "b", "c"]] = 0.0
+    table.to_csv(tmp_path / "tank.csv", index=False)
+    (tmp_path / "model.toml").write_text(MODEL, encoding="utf-8")
+    arguments = ["monitor", str(tmp_path / "tank.csv"), "--model", str(tmp_path / "model.toml")]
+    done = RUNNER.invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    assert "For 9.9 s all sensors repeat themselves at once" in done.output
+    assert "No fault was found" in done.output
+    assert json.loads(RUNNER.invoke(app, [*arguments, "--json"]).output)["rest"] == pytest.approx(9.9)

@@ -76,7 +76,7 @@ def test_drifts_of_two_sensors_are_told_apart_as_by_filterpys_interacting_models
 
 def test_the_first_sample_is_bayes_rule_with_all_sensors_at_once():
     modes = (Offset(1.0, jump=3.0), Drifting(2.0, slope=0.5))
-    (out,) = inferred(SwitchingPrecision(modes=modes, process_modes=()), [[24.0, 20.5]])
+    (out,) = inferred(SwitchingPrecision(modes=modes, process_modes=(), noise_factor=1.0), [[24.0, 20.5]])
     shared, begins = 0.5 * np.ones((2, 2)), [STEP / 1.0, STEP / 2.0]
     weights = [1 - 2 * sum(begins)]
     told = [stats.multivariate_normal.pdf([4.0, 0.5], cov=shared + np.diag(NOISE))]

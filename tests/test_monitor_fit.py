@@ -1,7 +1,8 @@
 """A monitor's model from nothing but a recording: known parameters come back, faults and calm parts do no harm."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from bayesftc.monitoring import (
     Place,
     RandomWalk,
     Signal,
+    _fit_settings,
     align,
     as_model_file,
     fit_model,
@@ -179,23 +181,51 @@ def test_lasting_and_shared_errors_are_found():
         assert total(fitted, name) == pytest.approx(np.hypot(0.1, 0.05), rel=0.25)
 
 
-def test_slow_data_that_repeat_are_healthy():
+def hold(samples, share, rng):
+    """Let a sensor repeat a share of its samples."""
+    for k in np.flatnonzero(rng.random(len(samples)) < share):
+        samples[k] = samples[max(k - 1, 0)]
+
+
+@pytest.mark.parametrize("decimals", [2, 9])
+@pytest.mark.parametrize("share", [0.2, 0.4])
+def test_slow_data_that_repeat_are_healthy(share, decimals):
+    """Their shares of repeated samples are in the fitted model, with and without a resolution; what fails is found as before."""
     rng = np.random.default_rng(7)
     t = 30.0 * np.arange(3000)
     truth = 20.0 + 3.0 * np.sin(2 * np.pi * t / 86400.0)
     y = truth[:, None] + 0.05 * rng.standard_normal((3000, 3)) + [0.0, 0.3, -0.2]
-    for i in range(3):
-        for k in np.flatnonzero(rng.random(3000) < 0.2)[1:]:
-            y[k, i] = y[k - 1, i]
-    y = np.round(y, 2)
+    for column in y.T:
+        hold(column, share, rng)
+    y = np.round(y, decimals)
     found, fitted = watched({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)})
-    assert 0.2 < fitted.sensors["s0"].repeats < 0.3
-    assert (found.fault_probability > 0.5).mean() < 0.01
+    assert share - 0.05 < fitted.sensors["s0"].repeats < share + 0.1
+    assert (found.fault_probability > 0.5).mean() < 0.001
+    assert len(found.events) <= 1
     y[2000:2100, 1] += 2.0
+    y[2500:2560, 2] = y[2499, 2]
     found, _ = watched({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)})
-    (event,) = (e for e in found.events if e.kind != "Frozen")
-    assert (event.sensor, event.kind) == ("s1", "Offset")
-    assert 0 <= event.start - 60000.0 < 300.0
+    by_kind = {event.kind: event for event in found.events}
+    assert (by_kind["Offset"].sensor, by_kind["Frozen"].sensor) == ("s1", "s2")
+    assert 0 <= by_kind["Offset"].start - 60000.0 < 300.0
+    assert 0 <= by_kind["Frozen"].start - 75000.0 < 900.0
+    assert len(found.events) <= 3
+
+
+@pytest.mark.skipif(study.recorded() is None, reason=NEEDS_RECORDING)
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_real_wheels_that_repeat_are_healthy(share):
+    """Recorded wheel speeds, of which a logger holds some samples; at most one alarm more than without (of a real bump)."""
+    _, signals = redundant_signals([study.recorded() / "wheel_speed.csv"])
+    rng, held = np.random.default_rng(0), {}
+    for name, signal in signals.items():
+        values = np.array(signal.values)
+        hold(values, share, rng)
+        held[name] = Signal(signal.time, values)
+    found, _ = watched(held)
+    frozen = found.mode_probability[..., found.kinds.index("Frozen")]
+    assert (frozen > 0.5).mean() < 0.002
+    assert (found.fault_probability > 0.5).mean() < 0.02
 
 
 def watched(signals, stretch=(None, None), file=None):
@@ -213,7 +243,6 @@ def watched(signals, stretch=(None, None), file=None):
 
 def monitor_of(fitted, rec, places):
     import tempfile
-    from pathlib import Path
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "model.toml")
@@ -326,3 +355,11 @@ def test_a_wheel_that_fails_while_braking_casts_no_blame_on_others(stretch, tmp_
             found.append(blamed[during, i].mean())
     assert np.mean(others) < 0.01
     assert np.mean(found) > 0.6
+
+
+def test_every_choice_of_the_fit_has_a_reason_and_is_made_somewhere():
+    folder = Path(_fit_settings.__file__).parent
+    text = "".join(file.read_text(encoding="utf-8") for file in folder.glob("*.py"))
+    for choice in fields(_fit_settings.FitSettings):
+        assert len(choice.metadata["why"]) > 20
+        assert f"FIT.{choice.name}" in text

@@ -20,12 +20,14 @@ from bayesftc.monitoring import (
     RandomWalk,
     Recording,
     Signal,
+    _monitor,
     align,
     load_monitor,
     log_likelihood,
     monitor_recording,
 )
 from bayesftc.monitoring._alarms import alarms, sensor_events
+from bayesftc.monitoring._rest import at_rest, held
 
 DT = 0.05
 
@@ -284,6 +286,22 @@ def test_an_alarm_holds_over_short_gaps():
     assert alarms(0 * p, 0.5, 3) == []
 
 
+@pytest.mark.parametrize(
+    ("dt", "alarm", "gap"),
+    [("1/100", Alarm(), 100), ("1/10", Alarm(), 10), (30, Alarm(), 10), (30, Alarm(hold=1.0), 0)],
+)
+def test_an_alarm_holds_for_some_samples_where_they_are_far_apart(dt, alarm, gap):
+    """Default: a second, and at least ten samples; a time that was given is what counts."""
+    steps = 2 * gap + 10
+    recording = Recording(
+        0.0, Fraction(dt), ("a",), np.zeros((steps, 1)), np.zeros((steps, 1)), (0.01,), (0.0,), (0,), ("m",)
+    )
+    for below, events in ((gap, 1), (gap + 1, 2)):
+        p = np.zeros((steps, 1))
+        p[[2, 2 + below + 1]] = 1.0
+        assert len(list(sensor_events(recording, {"fault_probability": p}, (), alarm))) == events
+
+
 def test_an_onset_is_never_after_the_alarm_whose_kind_has_changed():
     """First an offset, then, from the sixth step on, a drift, whose own onset is the sixth step."""
     n = 10
@@ -344,8 +362,34 @@ def test_own_modes_and_losses_of_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("section", "expected"),
+    [
+        ("", (0.2, 0.001, 0.001)),
+        ('[precision]\nkind = "SwitchingPrecision"\njoint = false\n', (0.2, 0.001, 0.001)),
+        ('[precision]\nkind = "SwitchingPrecision"\nmodes = [{ kind = "Frozen", healthy_repeats = 0.3 }]\n', 0.3),
+    ],
+)
+def test_the_learner_knows_how_often_each_sensor_repeats_itself(section, expected, tmp_path, monkeypatch):
+    """From the file's sensors, unless the mode has a share of its own."""
+    told = MODEL.replace("resolution = 0.05", "resolution = 0.05\nrepeats = 0.2", 1)
+    _, file = write(tmp_path, drive(1.0), told + section)
+    used = []
+    monkeypatch.setattr(_monitor, "monitor_recording", lambda recording, model, precision, **_: used.append(precision))
+    monitor = load_monitor(file)
+    monitor.run(monitor.read([tmp_path / "data.csv"]))
+    frozen = used[0].modes[0]
+    assert (frozen.healthy_repeats, frozen.resolution) == (expected, (0.05, 0.05, monitor_resolution(tmp_path)))
+
+
+def monitor_resolution(folder):
+    """Return the resolution of GNSS, which the file leaves to be found."""
+    return load_monitor(folder / "model.toml").read([folder / "data.csv"]).resolution[2]
+
+
+@pytest.mark.parametrize(
     ("change", "words"),
     [
+        (("std = 0.3", "std = 0.3\nrepeats = 1.0"), "'sensors.gnss'.*repeats=1.0"),
         (("dt = 0.05", ""), "lacks 'dt'"),
         (("dt = 0.05", "dt = 0.0"), "must be positive"),
         (("[model]", "[modell]"), r"unknown section 'modell'; did you mean 'model'"),
@@ -522,6 +566,59 @@ def test_a_table_with_a_byte_order_mark_spaces_quotes_and_empty_lines_is_read(tm
     recording = monitor.read([tmp_path / "data.csv"])
     np.testing.assert_array_equal(recording.y, [[1.0, 2.0, 3.0], [1.0, np.nan, 3.0]])
     assert recording.inputs == ("accel",)
+
+
+def parked(steps=3000, rest=slice(1000, 2000)):
+    """Return speeds of three wheels of a car that stops, stands, where all send 0, and drives on."""
+    rng = np.random.default_rng(3)
+    time = 0.05 * np.arange(steps)
+    speed = 8.0 + 2.0 * np.sin(time / 3)
+    speed *= np.clip(np.maximum(rest.start - np.arange(steps), np.arange(steps) - rest.stop) / 100, 0.0, 1.0)
+    wheels = np.maximum(speed[:, None] + 0.04 * rng.standard_normal((steps, 3)), 0.0)
+    wheels[rest] = 0.0
+    return time, np.round(wheels, 2)
+
+
+def watch(time, wheels):
+    recording = align({f"w{i}": Signal(time, column) for i, column in enumerate(wheels.T)}, {}, 0.05)
+    walk = RandomWalk(2.0).linear(Fraction(1, 20), 0, np.ones((3, 1)), 0.04**2 * np.eye(3))
+    return monitor_recording(recording, walk, initial_mean=8.0)
+
+
+def test_wheels_of_a_parked_car_are_not_frozen():
+    """They all repeat themselves at once; one that goes on with it when the car moves is frozen."""
+    time, wheels = parked()
+    found = watch(time, wheels)
+    assert found.rest[1004:2000].all()
+    assert not found.rest[:900].any()
+    assert not found.rest[2100:].any()
+    assert not found.events
+    assert found.fault_probability[1000:2100].max() < 0.5
+    wheels[2000:2500, 1] = 0.0
+    (event,) = watch(time, wheels).events
+    assert (event.sensor, event.kind) == ("w1", "Frozen")
+    assert 100.0 <= event.start < 104.0
+
+
+def test_a_fault_before_a_rest_goes_on_in_it():
+    time, wheels = parked()
+    wheels[600:1200, 1] = wheels[599, 1]
+    found = watch(time, wheels)
+    assert found.fault_probability[700:1200, 1].min() > 0.9
+    assert found.fault_probability[1000:2100, [0, 2]].max() < 0.5
+
+
+def test_a_rest_is_of_all_sensors_and_of_several_steps():
+    """Sensors have rates of their own; a single one is never at rest."""
+    y = np.array(
+        [[1, 2], [1, np.nan], [1, 2], [1, np.nan], [1, 2], [1, 3], [1, 3], [1, 3], [2, 3], [2, 3], [2, 3]], float
+    )
+    assert at_rest(y).tolist() == [k in (2, 3, 4) for k in range(11)]
+    assert not at_rest(y[:, :1]).any()
+    assert not at_rest(np.column_stack([y, np.full(11, np.nan)])).any()
+    held_back = held({"p": np.column_stack([np.arange(11.0)] * 2)}, ["p"], y, at_rest(y))["p"]
+    assert held_back[:, 0].tolist() == [0, 1, 1, 1, 1, 1, 1, 1, 8, 9, 10]
+    assert held_back[:, 1].tolist() == [0, 1, 1, 1, 1, 1, 1, 1, 8, 9, 10]
 
 
 def test_samples_half_a_minute_apart_are_watched_with_what_nobody_gave():

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from io import StringIO
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from bayesftc.reproduce._family_groups import by_group
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
 from bayesftc.reproduce.family_cases import CASES, GROUPS, PLANTS, Case
 from bayesftc.reproduce.settings import Family, Tracking
+from bayesftc.reproduce.unseen_cases import KINDS, unseen_cases
 
 BY_NAME = {case.name: case for case in CASES}
 TWO = {"explicit": controllers.ExplicitDetection(), "gamma": controllers.GammaPrecision()}
@@ -330,7 +332,10 @@ def test_cases_and_learners_are_chosen_by_pattern_or_given():
             ModelError,
             "oracle loses the plant in the case 'light'",
         ),
+        (lambda: reproduce.family(unseen=0), ModelError, "unseen is 0"),
+        (lambda: reproduce.family(unseen=2, cases="healthy"), ModelError, "cases besides"),
         (lambda: Family(bar=1.0), ModelError, "bar=1.0"),
+        (lambda: Family(oracle_lost=1.0), ModelError, "oracle_lost=1.0"),
         (lambda: Family(behind=-0.1), ModelError, "behind=-0.1"),
         (lambda: Family(tuning_seed=-1), ModelError, "tuning_seed is -1"),
     ],
@@ -356,7 +361,7 @@ def test_the_command(bayesftc_, tmp_path):
     assert (tmp_path / "here" / "family.png").stat().st_size > 5_000
     refused = bayesftc_("reproduce", "tracking", "--learner", "PL")
     assert refused.exit_code == 9
-    assert "tracking always runs all learners" in refused.stderr
+    assert "tracking has no choice of learners" in refused.stderr
 
 
 def test_a_changed_case_is_another(report):
@@ -364,3 +369,45 @@ def test_a_changed_case_is_another(report):
     case = replace(BY_NAME["injection of 3 sd"], sensors=4)
     assert family_loop(case, FIXED)["sensors"].block.count == 4
     assert faulty_samples(case, np.array([5.98, 6.0, 13.98, 14.0])).sum(axis=1).tolist() == [0, 1, 1, 0]
+
+
+def test_unseen_cases_are_drawn_once_by_their_seed():
+    """The same seed gives the same cases, however many; another seed others; none is a case that has a name."""
+    first = list(islice(unseen_cases(7), 300))
+    assert first[:5] == list(islice(unseen_cases(7), 5)) != list(islice(unseen_cases(8), 5))
+    assert len({case.name for case in first} - set(BY_NAME)) == len(first)
+    assert {case.plant for case in first} == set(PLANTS)
+    assert {case.sensors for case in first} == {2, 3}
+    assert {len(case.faults) for case in first} == {1, 2}
+    kinds = {type(fault) for case in first for fault in case.faults}
+    assert kinds == set(KINDS) == set(cosim.FAULTS) - {cosim.RandomFaults}
+    for case in first:
+        plant = PLANTS[case.plant]
+        assert len({fault.sensor for fault in case.faults}) == len(case.faults)
+        for fault in case.faults:
+            assert fault.sensor < case.sensors * len(plant.measured)
+            assert isinstance(fault, cosim.Bias) or plant.settled <= fault.start <= 0.8 * plant.duration
+            assert 0.05 * plant.duration <= 1.01 * (fault.stop - fault.start) <= 1.01 * 0.81 * plant.duration
+
+
+def test_sizes_of_unseen_cases_are_in_the_sensors_own_units():
+    sizes = [
+        abs(fault.magnitude) / PLANTS[case.plant].std[fault.sensor % len(PLANTS[case.plant].std)]
+        for case in islice(unseen_cases(7), 1000)
+        for fault in case.faults
+        if isinstance(fault, cosim.Bias)
+    ]
+    assert len(sizes) > 50
+    assert 0.49 < min(sizes) < 1.0
+    assert 15.0 < max(sizes) < 30.1
+
+
+def test_an_unseen_case_in_which_the_oracle_loses_the_plant_is_drawn_again(monkeypatch):
+    """Of a car both whose sensors are silent for ten seconds nobody knows anything; the next one takes its place."""
+    blind = Case("blind", tuple(cosim.Dropout(sensor=i, start=2.0, stop=18.0) for i in (0, 1)))
+    fine, more = Case("fine", (cosim.Freeze(start=6.0, stop=8.0),)), Case("more", (cosim.Stuck(at=0.0, start=9.0),))
+    monkeypatch.setattr(_family, "unseen_cases", lambda seed: iter([blind, fine, more]))
+    strict = replace(Family(), oracle_lost=1.5)
+    made = small(1, unseen=2, learners=TWO, settings=strict)
+    assert list(made["table"]) == ["fine", "more"]
+    assert list(made["settings"]["cases"]) == ["fine", "more"]

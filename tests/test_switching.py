@@ -24,6 +24,7 @@ from bayesftc.controllers import (
     Unmodelled,
     fault_modes,
 )
+from bayesftc.controllers._default_time import time_at
 from bayesftc.controllers._mode_kernels import drops, scatters, shifts
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.controllers.fault_modes import ENTERED, FACTOR, OWN, SIZE
@@ -119,7 +120,7 @@ def test_a_missing_sample_tells_nothing_but_that_it_is_missing():
 def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     """At the first sample: each sensor's densities, weighted; in the joint form the second sensor's after the first one's."""
     mode, P, e = Offset(time_to_fault=1.0, jump=3.0, walk=0.0), 0.5, np.array([4.0, -1.0])
-    precision = SwitchingPrecision(modes=(mode,), joint=joint, loss=0.1, process_modes=())
+    precision = SwitchingPrecision(modes=(mode,), joint=joint, loss=0.1, process_modes=(), noise_factor=1.0)
     estimator = controllers.StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=P)
     out = estimator.online(compiled=False)(y=20.0 + e)
     R, enter = np.array([1.0, 4.0]), STEP / mode.time_to_fault
@@ -272,7 +273,7 @@ class Glitching(controllers.FaultMode):
 
 
 def test_a_mode_of_ones_own():
-    learner = SwitchingPrecision(modes=(Glitching(time_to_fault=60.0), Frozen(time_to_fault=60.0)))
+    learner = SwitchingPrecision((Glitching(time_to_fault=60.0), Frozen(time_to_fault=60.0)), noise_factor=1.0)
     rows = np.array([[20.1, 20.3], [75.0, 19.0], [-31.0, 22.0]])
     probabilities = [p for p, *_ in learned(learner, rows)]
     chance = (STEP / 60.0) / 200.0
@@ -375,6 +376,14 @@ def test_a_mode_of_ones_own_that_cannot_be_compiled_is_refused_in_a_sentence(att
 def test_arguments_are_looked_at_before_there_is_a_model():
     with pytest.raises(ModelError, match=r"Wrong\.evidence has the arguments"):
         SwitchingPrecision([of_ones_own(Offset, evidence=swapped)])
+
+
+def test_a_hypothesis_of_its_own_is_for_subclasses_of_unmodelled():
+    """The joint form reads the settings of such a mode as those of an `Unmodelled`, whatever they are."""
+    attributes = {"evidence": glitches, "own_hypothesis": True, "settings": lambda self, model, sensor: (1.0,)}
+    with pytest.raises(ModelError, match=r"Wrong has own_hypothesis = True.* derive it from Unmodelled, or leave"):
+        SwitchingPrecision([of_ones_own(controllers.FaultMode, **attributes)])
+    assert SwitchingPrecision([of_ones_own(Unmodelled)]).learner(MODEL).memory.size
 
 
 def test_a_resolution_explains_equal_samples():
@@ -512,7 +521,7 @@ def test_default_times_survive_a_copy_of_their_mode():
         copy.deepcopy(controllers.Burst()),
         replace(Offset()),
     ):
-        assert mode.time_to_fault.at_step(30.0) > 100 * mode.time_to_fault
+        assert time_at(mode.time_to_fault, 30.0) > 100 * mode.time_to_fault
 
 
 def test_a_time_that_was_given_is_refused_where_samples_are_further_apart():

@@ -220,6 +220,22 @@ def test_what_no_healthy_sensor_repeats_is_a_freeze():
         assert low <= out.fault_probability.min() <= out.fault_probability.max() <= high
 
 
+@pytest.mark.parametrize("resolution", [0.0, 0.01])
+def test_each_sensor_repeats_itself_as_often_as_is_said(resolution):
+    """Beside a resolution, too, which explains less; the sensors' settings are those of one that is said alone."""
+    each = SwitchingPrecision([Frozen(healthy_repeats=[0.5, 0.0], resolution=resolution)])
+    step = StateEstimator(CAR, each, initial_mean=20.0).online(compiled=False)
+    for value in (19.0, 20.5, 20.0, 20.0):
+        out = step(y=[value, 20.1 + value], u=[100.0])
+    assert out.fault_probability[0] < 0.5 < 0.9 < out.fault_probability[1]
+    assert Frozen(healthy_repeats=[0.5, 0.0]) == Frozen(healthy_repeats=(0.5, 0.0))
+    for i, share in enumerate((0.5, 0.0)):
+        alone = Frozen(healthy_repeats=share, resolution=resolution)
+        assert each.modes[0].healthy(CAR, i) == alone.healthy(CAR, i)
+    with pytest.raises(ModelError, match="healthy_repeats of Frozen"):
+        SwitchingPrecision([Frozen(healthy_repeats=[0.1, 0.1, 0.1])]).learner(CAR)
+
+
 @pytest.mark.parametrize("model", [CAR, TWO, CAR.with_disturbance(4.0)])
 def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
     """The plant's predicted covariance grows, its process noise with it; that of a force that is estimated does not.
@@ -286,7 +302,7 @@ def test_both_engines_give_the_same_bits_of_courses_noise_and_fading():
             for name in one:
                 np.testing.assert_array_equal(one[name], other[name])
             most = np.maximum(most, [one.mode_probability[0, 2], one.process_mode_probability[1] if joint else 1.0])
-        assert most.min() > 0.9
+        assert most.min() > 0.8
 
 
 def test_a_controller_regulates_while_a_sensor_goes_its_own_course():

@@ -307,6 +307,10 @@ def reproduce(
         list[str] | None,
         typer.Option("--learner", metavar="PATTERN", help="Of family: a learner, as '*Precision'; repeatable."),
     ] = None,
+    unseen: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Of family: N cases that are drawn at random, on which nothing was tuned."),
+    ] = None,
     paper_only: Annotated[
         bool,
         typer.Option(
@@ -323,7 +327,7 @@ def reproduce(
         from bayesftc.cli.reproduce import reproduce_experiments
 
         options = {"seed": seed, "jobs": jobs, "runs": runs, "beyond": not paper_only}
-        filters = {"cases": cases, "learners": learners}
+        filters = {"cases": cases, "learners": learners, "unseen": unseen}
         reproduce_experiments(experiment, out, options, filters, json=json, quiet=quiet)
 
 

@@ -95,6 +95,7 @@ def summary(found: Monitored) -> dict[str, Any]:
         },
         "actuator_faults": [asdict(event) for event in found.actuator_events],
         "why_no_probability": found.why_no_probability,
+        "rest": float(found.rest.sum() * float(found.recording.dt)),
         "model": _diagnosed(found),
     }
 
@@ -140,6 +141,11 @@ def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> No
             actuators.add_row(name, "{:.4f}".format(row["mean_probability"]), str(row["alarms"]))
         say("\nActuators", "bold")
         console.print(actuators)
+    if numbers["rest"]:
+        say(
+            f"For {numbers['rest']:g} s all sensors repeat themselves at once: the quantity or the logger is at rest. Nothing is "
+            "said of a sensor meanwhile that was not before."
+        )
     if numbers["model"]:
         say("\nThe model", "bold")
         say(numbers["model"]["sentence"])

@@ -33,7 +33,7 @@ def reproduce_experiments(
     name: str,
     out: Path | None,
     options: Mapping[str, Any],
-    filters: Mapping[str, Sequence[str] | None],
+    filters: Mapping[str, Sequence[str] | int | None],
     *,
     json: bool,
     quiet: bool,
@@ -50,7 +50,8 @@ def reproduce_experiments(
     options : mapping
         ``seed``, ``jobs`` (None: one for each core), ``runs``, ``beyond``, as the experiments take them.
     filters : mapping
-        Names or patterns of the ``cases`` and ``learners`` that are to run; None for all.
+        Names or patterns of the ``cases`` and ``learners`` that are to run, and how many ``unseen`` cases instead; None or
+        nothing for all.
     json, quiet : bool
         How the numbers are printed: as one JSON object with a key for each experiment, or not at all.
     """
@@ -58,10 +59,10 @@ def reproduce_experiments(
         raise UnknownNameError(f"There is no experiment {name!r}; {did_you_mean(name, [*EXPERIMENTS, ALL])}")
     paper_only = name == ALL and not options["beyond"]
     chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL} and not (paper_only and e.beyond)]
-    given = {what: patterns for what, patterns in filters.items() if patterns}
+    given = {what: wanted for what, wanted in filters.items() if wanted not in (None, [])}
     if given and not all(e.filtered for e in chosen):
         able = ", ".join(e.name for e in EXPERIMENTS.values() if e.filtered)
-        raise ModelError(f"{name} always runs all {' and '.join(given)}; choose among those of: {able}.")
+        raise ModelError(f"{name} has no choice of {' and '.join(given)}; leave it out, or take one that has: {able}.")
     jobs = options["jobs"]
     options = {**options, "seed": check_seed(options["seed"]), "jobs": check_jobs(_cores() if jobs is None else jobs)}
     if out is not None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesftc.controllers._checks import check_number
+from bayesftc.controllers._default_time import DefaultTime, time_at
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import FaultMode
 from bayesftc.cosim.block import Floats
@@ -23,7 +24,8 @@ class Alarm:
     threshold : float
         Fault probability from which on.
     hold : float
-        Seconds for which the probability must stay below it for the alarm to end.
+        Seconds for which the probability must stay below it for the alarm to end; by default one, and where samples are more
+        than 0.1 s apart ten of them.
 
     Raises
     ------
@@ -32,7 +34,7 @@ class Alarm:
     """
 
     threshold: float = 0.9
-    hold: float = 1.0
+    hold: float = DefaultTime(1.0, usual_step=0.1)
 
     def __post_init__(self) -> None:
         check_number(self, "threshold", above=0, below=1)
@@ -166,7 +168,8 @@ def _spans(
     recording: Recording, names: Sequence[str], probability: Floats, alarm: Alarm
 ) -> Iterator[tuple[str, tuple[float, float, float], int, int, int]]:
     """Give each alarm's name, its start, end and largest probability, its first step, the one after its last, its column."""
-    time, hold = recording.time, round(alarm.hold / float(recording.dt))
+    time, step = recording.time, float(recording.dt)
+    hold = round(time_at(alarm.hold, step) / step)
     for i, name in enumerate(names):
         for begin, end in alarms(probability[:, i], alarm.threshold, hold):
             largest = float(probability[begin:end, i].max())

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bayesftc.controllers._checks import check_number
+from bayesftc.controllers.fault_modes import HEALTHY_REPEATS
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Sensor(Column):
         Standard deviation of its white noise, in its unit.
     resolution : float
         Its samples are whole multiples of this; 0 if it is too fine to matter. By default it is found in the samples.
+    repeats : float
+        Share of its samples that equal the one before while it is healthy: of slow sensors, or a logger that samples faster.
     reads : sequence of float, optional
         What it reads of the state; by default the first one.
     unit : str
@@ -56,11 +59,13 @@ class Sensor(Column):
 
     std: float
     resolution: float | None = None
+    repeats: float = HEALTHY_REPEATS
     reads: Sequence[float] | None = None
     unit: str = ""
 
     def __post_init__(self) -> None:
         check_number(self, "std", above=0)
+        check_number(self, "repeats", least=0, below=1)
 
 
 @dataclass(frozen=True, kw_only=True)

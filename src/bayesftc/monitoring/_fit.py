@@ -7,34 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesftc.controllers.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._columns import SensorErrors
 from bayesftc.monitoring._fit_bias import biases, wander
 from bayesftc.monitoring._fit_checks import check_recording
 from bayesftc.monitoring._fit_motion import Motion, common
-from bayesftc.monitoring._fit_noise import TELLS, Noise, awake, decompose, disagreement, groups, share_out
+from bayesftc.monitoring._fit_noise import Noise, awake, decompose, disagreement, groups, share_out
+from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._models import ConstantRate, RandomWalk
 from bayesftc.monitoring._moments import median
 from bayesftc.monitoring._recording import Recording
-
-WANDERS = 0.1
-"""A wandering bias counts where its variance is at least this share of that of the sensor's noise."""
-
-SETTLED = 4
-"""Lags, in the shortest one, from which on the noise of the sensors has about its full size."""
-
-USUAL, RARE = 0.75, 0.9
-"""Quantiles by which it is judged in the stretch, and in the whole recording, where it counts up to the size of the noise."""
-
-LOUDER = 2.0
-"""The sensors' noise in the whole recording counts up to this many times that in the stretch: a calm one may be too quiet."""
-
-SMOOTH = 0.7
-"""Second differences of a random walk have twice the variance of its first ones; below this share it has a rate instead."""
-
-PARTS = 64
-"""Lags reach up to this part of the recording."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +34,7 @@ class FittedSensor:
     resolution : float
         Its samples are multiples of this; 0: of none.
     repeats : float
-        Share of its samples that equal the one before, while the quantity moves.
+        Share of its samples that equal the one before, while it changes at all; at least what is believed where nobody says it.
     missing : float
         Share of the steps without a sample of it.
     """
@@ -125,7 +109,9 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     own, shared = _errors(apart)
     if len(y) < len(whole):
         of_stretch, _ = _errors({lag: disagreement(y, lag) for lag in _lags(y)})
-        own = [everywhere.within(here.variance, LOUDER**2) for everywhere, here in zip(own, of_stretch, strict=True)]
+        own = [
+            everywhere.within(here.variance, FIT.louder**2) for everywhere, here in zip(own, of_stretch, strict=True)
+        ]
     slow, times = _wandering(y, whole, own)
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
@@ -134,10 +120,10 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
             std,
             float(bias[i]),
             recording.resolution[i],
-            _repeats(y[:, i], widths[i]),
+            max(_repeats(y[:, i], widths[i]), HEALTHY_REPEATS),
             _typical(np.isnan(recording.y[stretch, i])),
         )
-        lasting = [*own[i].lasting, *([(slow[i], times[i])] if slow[i] > WANDERS * own[i].variance else [])]
+        lasting = [*own[i].lasting, *([(slow[i], times[i])] if slow[i] > FIT.wanders * own[i].variance else [])]
         errors += [SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting]
     for pair, of_pair in shared.items():
         names = [recording.sensors[i] for i in pair]
@@ -157,7 +143,7 @@ def _half(apart: Floats) -> float:
 
 def _lags(y: Floats) -> list[int]:
     """Return lags in steps, each about twice the one before: multiples of the slowest sensor's interval are among them."""
-    longest = max(len(y) // PARTS, 2)
+    longest = max(len(y) // FIT.parts, 2)
     intervals = {int(np.median(np.diff(np.flatnonzero(np.isfinite(column))))) for column in y.T}
     return sorted({n * 2**k for n in intervals for k in range(32) if n * 2**k <= max(longest, 2 * n)})
 
@@ -192,7 +178,7 @@ def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | 
     if not motion.seen:
         return walk, motion, rate
     lag, bend = _motion(y, noise, 2)
-    if bend.variance >= SMOOTH * common(y, lag, 1, noise[lag]).variance:
+    if bend.variance >= FIT.smooth * common(y, lag, 1, noise[lag]).variance:
         return walk, motion, rate
     return ConstantRate(float(1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
 
@@ -213,14 +199,16 @@ def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[
     own = [shape.times(size) for size in sizes[:m]]
     together = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
     return own, {
-        pair: noise for pair, noise in together.items() if noise.variance > TELLS * min(own[i].variance for i in pair)
+        pair: noise
+        for pair, noise in together.items()
+        if noise.variance > FIT.tells * min(own[i].variance for i in pair)
     }
 
 
 def _size(lags: Floats, variances: Floats) -> float:
     """Return the variance of differences over lags beyond which it hardly grows."""
     lags, variances = lags[np.isfinite(variances)], variances[np.isfinite(variances)]
-    return float(np.median(variances[lags >= min(SETTLED * lags[0], lags[-1])])) if len(lags) else 0.0
+    return float(np.median(variances[lags >= min(FIT.settled * lags[0], lags[-1])])) if len(lags) else 0.0
 
 
 def _wandering(y: Floats, whole: Floats, own: Sequence[Noise]) -> tuple[list[float], list[float]]:
@@ -228,7 +216,7 @@ def _wandering(y: Floats, whole: Floats, own: Sequence[Noise]) -> tuple[list[flo
 
     A sensor that alone is believed to have none would be blamed for what the others do.
     """
-    (inside, _), (everywhere, times) = wander(y, USUAL), wander(whole, RARE)
+    (inside, _), (everywhere, times) = wander(y, FIT.usual), wander(whole, FIT.rare)
     found = np.maximum(inside, np.minimum(everywhere, [noise.variance for noise in own]))
     typical = float(np.median(found))
     return np.maximum(found, typical).tolist(), [float(np.median(times[found >= typical]))] * len(own)
@@ -242,6 +230,6 @@ def _repeats(samples: Floats, width: float) -> float:
 
 def _typical(happens: np.ndarray) -> float:
     """Return how often something happens in a typical part of the steps."""
-    length = max(len(happens) // PARTS, 20)
+    length = max(len(happens) // FIT.parts, FIT.least_part)
     parts = happens[: max(len(happens) // length, 1) * length].reshape(-1, min(length, len(happens)))
     return float(np.median(parts.mean(axis=1)))

@@ -8,13 +8,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from bayesftc.cosim.block import Floats
+from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._moments import MAD, median
-
-BLOCKS, LEAST = 32, 16
-"""Parts of the recording whose typical differences are compared, and how many steps each has at least."""
-
-CERTAIN = 4.0
-"""A bias wanders if its variance from part to part is this many times what noise makes of it."""
 
 
 def biases(y: Floats) -> Floats:
@@ -37,7 +32,7 @@ def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     quantile : float
         By how far the medians scatter at this quantile: the larger, the more a rare fault or a rare wandering counts.
     """
-    length = max(len(y) // BLOCKS, LEAST)
+    length = max(len(y) // FIT.blocks, FIT.least_block)
     count, sensors = len(y) // length, y.shape[1]
     pairs = list(combinations(range(sensors), 2))
     apart = np.column_stack([y[:, i] - y[:, j] for i, j in pairs])[: count * length].reshape(count, length, -1)
@@ -50,7 +45,7 @@ def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     far[there] = np.nanquantile(np.abs(levels - median(levels, 0))[:, there], quantile, axis=0)
     total = np.asarray(far / ndtri((1 + quantile) / 2)) ** 2
     steps = (MAD * median(np.abs(np.diff(levels, axis=0)), 0)) ** 2
-    variance = np.nan_to_num(np.where(total > CERTAIN * of_noise, total - of_noise, 0.0))
+    variance = np.nan_to_num(np.where(total > FIT.certain * of_noise, total - of_noise, 0.0))
     alike = 1.0 - (steps / 2 - of_noise) / np.where(variance > 0, variance, np.inf)  # from part to part
     lasting = length / -np.log(np.clip(np.where(variance > 0, alike, 0.0), 0.3, 0.95))
     of = [[k for k, pair in enumerate(pairs) if i in pair] for i in range(sensors)]

@@ -8,23 +8,9 @@ import numpy as np
 
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError
+from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._moments import median
 from bayesftc.monitoring._recording import Recording
-
-FEWEST = 200
-"""Samples of each sensor that a fit needs."""
-
-COPY = 0.95
-"""Two columns are the same where at least this share of their changing samples is equal."""
-
-STILL = 0.02
-"""A sensor stands still where at most this share of its samples changes, while of another ..."""
-
-LIVELY = 0.2
-"""... at least this share does."""
-
-FAR = 10.0
-"""A sensor may differ from the others by this many times its own noise, also where they move less."""
 
 
 def check_recording(recording: Recording, y: Floats) -> None:
@@ -49,16 +35,16 @@ def check_recording(recording: Recording, y: Floats) -> None:
             "noise from the quantity's motion. Write a model file."
         )
     for name, count in zip(names, np.isfinite(y).sum(axis=0), strict=True):
-        if count < FEWEST:
+        if count < FIT.fewest:
             raise RecordingError(
-                f"The sensor {name!r} has {count} samples in the stretch; a fit needs {FEWEST}. Take a longer stretch, or leave "
-                "the sensor out."
+                f"The sensor {name!r} has {count} samples in the stretch; a fit needs {FIT.fewest}. Take a longer stretch, or "
+                "leave the sensor out."
             )
     changing = [float(np.mean(np.diff(column[np.isfinite(column)]) != 0)) for column in y.T]
     if max(changing) == 0:
         raise RecordingError("No sensor changes in the stretch, so that there is nothing to fit; take another stretch.")
     for name, share in zip(names, changing, strict=True):
-        if share <= STILL and max(changing) >= LIVELY:
+        if share <= FIT.still and max(changing) >= FIT.lively:
             raise RecordingError(
                 f"The sensor {name!r} stands still in the stretch while others change; take another stretch, or leave it out."
             )
@@ -74,7 +60,7 @@ def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:
         if not len(a):
             continue
         lively = np.append(False, (np.diff(a) != 0) | (np.diff(b) != 0))
-        if lively.any() and np.mean((a == b)[lively]) >= COPY:
+        if lively.any() and np.mean((a == b)[lively]) >= FIT.copied:
             raise RecordingError(
                 f"The columns {names[i]!r} and {names[j]!r} are the same samples; leave one of them out."
             )
@@ -88,11 +74,11 @@ def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:
             )
     typical = np.array([np.quantile(row[np.isfinite(row)], 0.5, method="lower") for row in apart])
     level = median(y, 1)
-    moved = float(np.nanquantile(np.abs(level - np.nanmedian(level)), 0.9))
+    moved = float(np.nanquantile(np.abs(level - np.nanmedian(level)), FIT.far_quantile))
     worst = int(np.argmax(typical))
     column = y[np.isfinite(y[:, worst]), worst]
     noise = float(np.median(np.abs(np.diff(column))))
-    if typical[worst] > moved and typical[worst] > FAR * noise:
+    if typical[worst] > moved and typical[worst] > FIT.far * noise:
         raise RecordingError(
             f"The column {names[worst]!r} does not follow the others: it differs from them by {typical[worst]:.3g}, and they "
             f"move by {moved:.3g}. Leave it out: name the sensors that measure the same quantity by --sensor."

@@ -11,13 +11,11 @@ import numpy as np
 
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.monitoring._csv import Tables
+from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._recording import Recording, Signal, align
 
 TIMES = ("t", "time", "times", "timestamp", "seconds", "time_s", "time (s)", "t (s)", "time [s]", "t [s]")
 """Names that a column of time stamps may have, in any case; without one of them it is the first column, if that increases."""
-
-COLLIDE = 0.1
-"""Share of the samples that may fall on the step of a later one: times that jitter need steps shorter than the interval."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ def sample_time(signals: Mapping[str, Signal]) -> Fraction:
         steps = np.rint((times - times[0]) / (part * interval))
         if part == 1.0 and np.ptp(usual) < 0.5 * interval:
             break
-        if np.mean(np.diff(steps) == 0) <= COLLIDE:
+        if np.mean(np.diff(steps) == 0) <= FIT.collide:
             break
     return _short(part * interval)
 

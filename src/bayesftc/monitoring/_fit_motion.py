@@ -7,22 +7,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.special import ndtri
 
 from bayesftc.cosim.block import Floats
+from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._moments import differences, mean, median, windowed
-
-SEEN = 4.0
-"""A window moves if what the sensors have in common is beyond this many standard deviations of what noise would make of it."""
-
-FEW = 0.02
-"""Share of the windows that must move for them to count by themselves."""
-
-HIDDEN = 2.0
-"""Standard errors of motion that may hide in the noise: a model that expects none would follow nothing."""
-
-QUANTILE, NORMAL = 0.9, 1.2816
-"""What is asked of the model: the motion of this quantile of the moving windows; and the same quantile of a normal variable, by
-which it is corrected for the scatter of windows that all move alike."""
 
 
 @dataclass(frozen=True)
@@ -62,16 +51,17 @@ def common(y: Floats, lag: int, order: int, noise: float) -> Motion:
     moments, errors = (median(np.stack(of, axis=1), 1) for of in zip(*_pairs(x, own, noise), strict=True))
     if not np.isfinite(moments).any():
         return Motion(0.0, seen=False)
-    moves = moments > np.maximum(SEEN * errors, 1e-300)
+    moves = moments > np.maximum(FIT.seen * errors, 1e-300)
     count = int(np.isfinite(moments).sum())
-    if moves.sum() < max(2, FEW * count):
+    if moves.sum() < max(2, FIT.few * count):
         together = float(np.nanmedian(moments))
         error = float(np.nanmedian(errors)) * np.sqrt(np.pi / 2 / count)
-        seen = bool(together > SEEN * error)
-        return Motion(together if seen else max(together, 0.0) + HIDDEN * error, seen)
+        seen = bool(together > FIT.seen * error)
+        return Motion(together if seen else max(together, 0.0) + FIT.hidden * error, seen)
     typical = float(np.median(moments[moves]))
     scatter = np.sqrt((1.0 + (1.0 + noise / typical) ** 2) * lag / (1.5 * length))
-    upper = float(np.quantile(moments[moves], QUANTILE)) / (1.0 + NORMAL * scatter)
+    # Windows that all move alike scatter as well: the same quantile of a normal variable corrects for it.
+    upper = float(np.quantile(moments[moves], FIT.livelier)) / (1.0 + ndtri(FIT.livelier) * scatter)
     return Motion(max(upper, typical))
 
 

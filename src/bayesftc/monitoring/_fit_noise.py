@@ -9,30 +9,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from bayesftc.cosim.block import Floats
-from bayesftc.monitoring._fit_checks import FEWEST
+from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._moments import differences, mean, median, windowed
-
-ALIKE = 0.75
-"""Two sensors share errors if they differ by less than this share (a variance) of what each differs from the others."""
-
-TELLS = 0.3
-"""What they share counts where its variance is at least this share of that of their own errors."""
-
-COUNTS = 0.5
-"""Errors that last are told from white noise where their variance is at least this share of its own."""
-
-WHITE = 0.2
-"""Least share of white noise in a sensor's variance: by it offsets and noise are measured."""
-
-LESSER = 0.1
-"""Of two sensors each has at least this share of the variance of their difference: no more can be told."""
-
-LONG = 32
-"""Time constants up to this many of the shortest lag are those of coloured noise; what lasts longer is a bias that wanders."""
-
-
-QUIET = 64
-"""Steps of a window in which a sensor must change to count."""
 
 
 @dataclass(frozen=True)
@@ -70,17 +48,17 @@ def awake(y: Floats) -> Floats:
 
     What is quiet for such a reason says nothing of the noise. Where too few samples would be left all stay.
     """
-    count = len(y) // QUIET
+    count = len(y) // FIT.quiet
     kept = y.copy()
     for i, column in enumerate(y.T):
         there = np.flatnonzero(np.isfinite(column))
         changes = np.zeros(len(y), dtype=bool)
         changes[there[1:]] = np.diff(column[there]) != 0
-        parts = changes[: count * QUIET].reshape(count, QUIET).any(axis=1)
+        parts = changes[: count * FIT.quiet].reshape(count, FIT.quiet).any(axis=1)
         asleep = np.append(
-            np.repeat(~parts, QUIET), np.full(len(y) - count * QUIET, not changes[count * QUIET :].any())
+            np.repeat(~parts, FIT.quiet), np.full(len(y) - count * FIT.quiet, not changes[count * FIT.quiet :].any())
         )
-        if np.isfinite(column[~asleep]).sum() >= FEWEST:
+        if np.isfinite(column[~asleep]).sum() >= FIT.fewest:
             kept[asleep, i] = np.nan
     return kept
 
@@ -129,7 +107,7 @@ def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
     found = []
     for i, j in combinations(range(sensors), 2):
         others = [k for k in range(sensors) if k not in (i, j)]
-        if table[i, j] < ALIKE * min(float(np.median(table[k, others])) for k in (i, j)):
+        if table[i, j] < FIT.alike * min(float(np.median(table[k, others])) for k in (i, j)):
             found.append((i, j))
     return [pair for pair in found if sum(bool(set(pair) & set(other)) for other in found) == 1]
 
@@ -168,7 +146,9 @@ def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Fl
         other = median(alone, 0)
         better = scatter(alone, other) < scatter(of_windows, parts)
         parts = (
-            np.where(better, other, parts) if sensors > 2 else np.clip(other, LESSER * typical, (1 - LESSER) * typical)
+            np.where(better, other, parts)
+            if sensors > 2
+            else np.clip(other, FIT.lesser * typical, (1 - FIT.lesser) * typical)
         )
     return np.asarray(np.maximum(parts, 0.0))
 
@@ -190,7 +170,7 @@ def decompose(lags: Floats, variances: Floats, *, white: bool) -> Noise:
     """
     known = np.isfinite(variances)
     lags, variances = lags[known], variances[known]
-    lags, variances = (of[lags <= LONG * lags[:1]] for of in (lags, variances))
+    lags, variances = (of[lags <= FIT.long * lags[:1]] for of in (lags, variances))
     if not len(lags) or not variances.max() > 0:
         return Noise(0.0, ())
     constants = [0.3] * (not white) + [
@@ -208,10 +188,10 @@ def decompose(lags: Floats, variances: Floats, *, white: bool) -> Noise:
         lasting.append((variance, float(np.exp(of_constants @ np.log(times) / variance))))
     if not white:
         return Noise(0.0, tuple(lasting))
-    kept = [part for part in lasting if part[0] > COUNTS * level]
+    kept = [part for part in lasting if part[0] > FIT.counts * level]
     level += sum(part[0] for part in lasting if part not in kept)
     total = level + sum(part[0] for part in kept)
-    if level < WHITE * total:
-        factor = (1 - WHITE) * total / (total - level)
-        level, kept = WHITE * total, [(factor * variance, constant) for variance, constant in kept]
+    if level < FIT.white * total:
+        factor = (1 - FIT.white) * total / (total - level)
+        level, kept = FIT.white * total, [(factor * variance, constant) for variance, constant in kept]
     return Noise(level, tuple(kept))

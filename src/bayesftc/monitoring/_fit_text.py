@@ -8,14 +8,12 @@ from collections.abc import Mapping
 
 from bayesftc.monitoring._fit import FittedModel
 from bayesftc.monitoring._fit_columns import Place
+from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._models import ConstantRate
 from bayesftc.monitoring._recording import Recording
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")
 """A key that needs no quotes in TOML."""
-
-UNCERTAIN = 3.0
-"""The file serves other recordings as well: the level at the beginning is believed to be within this many times the spread."""
 
 
 def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str, Place]) -> str:
@@ -43,8 +41,7 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
     ]
     for name, sensor in fitted.sensors.items():
         place = places[name]
-        repeats = f"; {sensor.repeats:.0%} of its samples repeat the one before" if sensor.repeats > 0 else ""
-        lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.0%} of the steps are without a sample{repeats}"]
+        lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.0%} of the steps are without a sample"]
         if several:
             lines.append(f"file = {_text(place.file)}")
         if place.column != name:
@@ -55,6 +52,7 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
             f"std = {_number(sensor.std)}  # of its white noise",
             f"bias = {_number(sensor.bias)}  # its constant difference from the typical sensor",
             f"resolution = {_number(sensor.resolution)}" + ("" if sensor.resolution else "  # too fine to matter"),
+            f"repeats = {_number(sensor.repeats)}  # share of its samples that equal the one before",
         ]
     for errors in fitted.errors:
         named = ", ".join(map(_text, errors.sensors or ()))
@@ -73,7 +71,7 @@ def _plant(fitted: FittedModel) -> list[str]:
     kind, std = type(fitted.plant).__name__, _number(fitted.plant.std)
     if not isinstance(fitted.plant, ConstantRate):
         return [f'kind = "{kind}"  # a level that wanders', f"std = {std}  # of its change in a second"]
-    spread = max(UNCERTAIN * fitted.spread, fitted.plant.std)
+    spread = max(FIT.uncertain * fitted.spread, fitted.plant.std)
     return [
         f'kind = "{kind}"  # a level with a rate that wanders',
         f"std = {std}  # of the rate's change in a second",

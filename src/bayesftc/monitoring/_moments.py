@@ -5,15 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.cosim.block import Floats
-
-WINDOW = 16
-"""Length of a window in lags, at least; and ..."""
-
-LEAST, FEWEST = 64, 8
-"""... in samples; and how many windows there are at least: windows are shorter rather than fewer."""
-
-CLIP = 4.5
-"""Differences beyond this many standard deviations of their window are cut back to it."""
+from bayesftc.monitoring._fit_settings import FIT
 
 MAD = 1.4826
 """Standard deviation of a normal variable over the median of its absolute value."""
@@ -46,11 +38,11 @@ def windowed(x: Floats, lag: int) -> Floats:
     lag : int
         Over which they are taken, in steps.
     """
-    length = max(min(max(LEAST, WINDOW * lag), len(x) // FEWEST), 1)
+    length = max(min(max(FIT.least_window, FIT.window * lag), len(x) // FIT.fewest_windows), 1)
     count = len(x) // length
     x = x[: count * length].reshape(count, length, x.shape[1])
     size = np.abs(x)
-    limit = CLIP * MAD * median(np.where(size > 0, size, np.nan), 1)[:, None, :]
+    limit = FIT.clip * MAD * median(np.where(size > 0, size, np.nan), 1)[:, None, :]
     limit = np.where(np.isfinite(limit), limit, 0.0)
     return np.asarray(np.clip(x, -limit, limit))
 

@@ -200,17 +200,22 @@ class Monitor:
         return learn_modes(runs, model, first, iterations=iterations, compiled=compiled)  # type: ignore[arg-type]
 
     def _precision(self, recording: Recording) -> PrecisionLearner:
-        """Return the learner, which knows the sensors' rates and resolutions."""
+        """Return the learner, which knows the sensors' rates, resolutions and repetitions."""
+        known = {
+            "resolution": recording.resolution,
+            "healthy_repeats": tuple(sensor.repeats for sensor in self.sensors.values()),
+        }
         if self.precision is None:
-            return default_precision(recording.loss, recording.resolution)
+            return default_precision(recording.loss, *known.values())
         if not isinstance(self.precision, SwitchingPrecision):
             return self.precision
-        modes = [
-            replace(mode, resolution=recording.resolution)
-            if isinstance(mode, Frozen) and mode.resolution == 0.0
-            else mode
-            for mode in self.precision.modes
-        ]
+
+        def told(mode: Frozen) -> Frozen:
+            """Return the mode with what its settings leave open."""
+            more: dict[str, Any] = {k: v for k, v in known.items() if getattr(mode, k) == getattr(Frozen, k)}
+            return replace(mode, **more)
+
+        modes = [told(mode) if isinstance(mode, Frozen) else mode for mode in self.precision.modes]
         return replace(self.precision, modes=modes, loss=recording.loss if self.own_loss else self.precision.loss)
 
     def start(self, recording: Recording, model: LinearModel) -> tuple[tuple[float, ...], Floats]:

@@ -17,9 +17,11 @@ from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.signals import Flags
 from bayesftc.monitoring._alarms import ActuatorEvent, Alarm, FaultEvent, actuator_events, sensor_events
 from bayesftc.monitoring._precision import default_precision
 from bayesftc.monitoring._recording import Recording
+from bayesftc.monitoring._rest import at_rest, held
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,6 +54,9 @@ class Monitored:
         Samples minus what was expected.
     events : tuple of FaultEvent
         Alarms in the order of their start.
+    rest : ndarray, steps
+        Whether all sensors repeat themselves at once, as of a parked car: then the quantity or the logger is at rest, which is no
+        fault. Probabilities of sensors' faults stay what they were before.
     why_no_probability : str or None
         Why there are no probabilities, as a sentence.
     actuators : tuple of str
@@ -74,6 +79,7 @@ class Monitored:
     x_hat: Floats
     innovation: Floats
     events: tuple[FaultEvent, ...]
+    rest: Flags
     why_no_probability: str | None = None
     actuators: tuple[str, ...] = ()
     actuator_fault_probability: Floats = field(default_factory=lambda: np.empty((0, 0)))
@@ -159,10 +165,11 @@ def monitor_recording(
     estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
     known = precision if isinstance(precision, SwitchingPrecision) else None
     modes = known.modes if known else ()
-    names = ["x_hat", "innovation", "fault_probability"]
-    names += ["mode_probability", "fault_size", "fault_onset"] if modes else []
+    judged = ["fault_probability", *(["mode_probability", "fault_size", "fault_onset"] if modes else [])]
+    names = ["x_hat", "innovation", *judged]
     names += [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if actuator_modes else []
-    signals = estimate(estimator, recording.y, recording.u, names, compiled)
+    rest = at_rest(recording.y)
+    signals = held(estimate(estimator, recording.y, recording.u, names, compiled), judged, recording.y, rest)
     alarm = alarm or Alarm()
     found = Monitored(
         recording,
@@ -173,6 +180,7 @@ def monitor_recording(
         signals["x_hat"],
         signals["innovation"],
         _in_order(sensor_events(recording, signals, modes, alarm)),
+        rest,
         precision.why_no_probability,
     )
     if not actuator_modes:

@@ -7,9 +7,10 @@ and its error is compared with that of an oracle: fixed precision that is told w
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import partial, reduce
+from itertools import islice
 from operator import add
 from typing import Any, NamedTuple
 
@@ -29,7 +30,8 @@ from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_er
 from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._tracking_bench import CHUNK, ORACLE
 from bayesftc.reproduce.family_cases import CASES, PLANTS, Case
-from bayesftc.reproduce.settings import Family
+from bayesftc.reproduce.settings import Family, check_size
+from bayesftc.reproduce.unseen_cases import unseen_cases
 
 PER_SENSOR = f"{SWITCHING}, per sensor"
 LOST = 1e9
@@ -62,6 +64,7 @@ def run(
     beyond: bool = True,
     cases: Iterable[str | Case] | str | None = None,
     learners: Learners | Iterable[str] | str | None = None,
+    unseen: int | None = None,
     settings: Family | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -81,6 +84,8 @@ def run(
         Which cases: names or patterns as ``"freeze*"``, or cases of your own; by default all.
     learners : mapping of str to PrecisionLearner, or iterable of str, optional
         Learners by name, or names or patterns of those of the package; by default all.
+    unseen : int, optional
+        So many cases that are drawn at random instead, on which nothing has been tuned; see `unseen_cases`.
     settings : Family, optional
         Other settings than those of `bayesftc.reproduce.settings`.
     progress : callable, optional
@@ -89,17 +94,25 @@ def run(
     Raises
     ------
     ModelError
-        If a seed, a number of jobs or a number of runs cannot be one, or the oracle itself loses the plant in a case.
+        If a seed, a number of jobs, runs or unseen cases cannot be one, there are both unseen and other cases, or the oracle
+        itself loses the plant in a case.
     UnknownNameError
         If a pattern fits no case or no learner.
     """
     settings = Family.of(settings, runs)
     first = check_seed(seed)
-    chosen, known = chosen_cases(cases), chosen_learners(learners)
-    if not chosen or not known:
+    known = chosen_learners(learners)
+    chosen = chosen_cases(cases) if unseen is None else []
+    if unseen is not None:
+        check_size("unseen", unseen, 1, "of cases that are drawn")
+        if cases is not None:
+            raise ModelError("family draws unseen cases, and has cases besides; leave one of both out.")
+    elif not chosen or not known:
         raise ModelError("family has no case or no learner to run; name one at least, or leave cases and learners out.")
     bench = _Bench(settings, Ensemble(seed, jobs, progress), list(range(first, first + settings.runs)))
-    oracle = bench.measure(ORACLE, chosen, controllers.FixedPrecision(), told=True)
+    if unseen is not None:
+        chosen = bench.draw(unseen)
+    oracle = bench.oracle(chosen)
     for case in chosen:
         if not np.isfinite(oracle[case.name].rmse).all():
             raise ModelError(
@@ -172,6 +185,20 @@ class _Bench:
     settings: Family
     ensemble: Ensemble
     seeds: Sequence[int]
+
+    def oracle(self, cases: Sequence[Case]) -> dict[str, Runs]:
+        """Return all runs of the oracle by case."""
+        return self.measure(ORACLE, cases, controllers.FixedPrecision(), told=True)
+
+    def draw(self, count: int) -> list[Case]:
+        """Return cases that are drawn at random, in each of which the oracle keeps the plant; others are drawn again."""
+        drawn, kept = unseen_cases(self.settings.unseen_seed), list[Case]()
+        while len(kept) < count:
+            few = list(islice(drawn, count - len(kept)))
+            oracle, healthy = self.oracle(few), self.oracle([replace(case, faults=()) for case in few])
+            most = {name: self.settings.oracle_lost * _rms(runs.rmse) for name, runs in healthy.items()}
+            kept += [case for case in few if (oracle[case.name].rmse <= most[case.name]).all()]
+        return kept
 
     def measure(
         self, name: str, cases: Sequence[Case], learner: controllers.PrecisionLearner, *, told: bool = False

@@ -64,7 +64,7 @@ class Experiment:
     beyond: bool = False
     """Whether it is not in the paper: then ``all --paper-only`` leaves it out."""
     filtered: bool = False
-    """Whether its `run` also takes ``cases`` and ``learners``, names or patterns of those that are to run."""
+    """Whether its `run` also takes ``cases`` and ``learners``, names or patterns of those that are to run, and ``unseen``."""
 
 
 EXPERIMENTS = {

@@ -5,22 +5,18 @@ A setting is written once, here; the ``settings`` of the JSON files, with the re
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from math import pi
 from typing import Any, ClassVar, Literal, Self
 
 from bayesftc.controllers._checks import as_number, check_number
 from bayesftc.controllers.baselines import EFFDI_QUANTILE_999
 from bayesftc.controllers.fault_modes import FAULT_MODES
+from bayesftc.cosim._chosen import chosen
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce import paper
 
 PAPER = "the paper's"
-
-
-def chosen(value: Any, why: str) -> Any:
-    """Return a dataclass field with a default and the reason for it."""
-    return field(default=value, metadata={"why": why})
 
 
 def check_size(name: str, value: object, least: int, why: str) -> None:
@@ -522,6 +518,17 @@ class Family(Repeated):
     )
     judging_seed: int = chosen(0, "the first of the seeds on which learners are judged, one for each run: 0, 1, ...")
     tuning_seed: int = chosen(1000, "the first of the seeds on which settings of learners may be tuned")
+    tuning_plants: tuple[str, ...] = chosen(
+        ("car", "servo", "pendulum"),
+        "all cases of these plants, of fixed kinds and sizes, were looked at while the learners' defaults were tuned, on seeds "
+        "from tuning_seed on: as cases only the unseen ones are held out",
+    )
+    unseen_seed: int = chosen(2000, "of the cases that are drawn at random; set once, before any of them had run")
+    oracle_lost: float = chosen(
+        10.0,
+        "times the oracle's error with healthy sensors: where the oracle itself has more in a run it has lost the plant, as of "
+        "two sensors both failed; such a case says nothing of a learner, and another is drawn",
+    )
     bar: float = chosen(1.25, "times the oracle's error: more is marked, in the table and in the report")
     behind: float = chosen(0.05, "of the oracle's error: what a learner that is further behind the best one loses")
 
@@ -529,6 +536,8 @@ class Family(Repeated):
         super().__post_init__()
         check_size("judging_seed", self.judging_seed, 0, "as of every run")
         check_size("tuning_seed", self.tuning_seed, 0, "as of every run")
+        check_size("unseen_seed", self.unseen_seed, 0, "as of every draw")
+        check_number(self, "oracle_lost", above=1)
         check_number(self, "bar", above=1)
         check_number(self, "behind", least=0)
 
