@@ -68,7 +68,13 @@ def _pushed(judge: Judge) -> list[Explanation]:
         g = 1.0 + fit.values[0]
         found.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
     found.append(judge.fitted("load", answers[:, p : 2 * p]))
-    answers = answers[:, 2 * p :]
+    effects, answers = answers[:, :p], answers[:, 2 * p :]
+    for j in range(p):
+        # All but what else the control might do: how it moves the plant beside other dynamics.
+        own = (1 + plant + j) * plant
+        others = np.concatenate([answers[:, :own], answers[:, own + plant :]], axis=1)
+        for last in (first - plant, others.shape[1]):
+            found += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
     found.append(judge.fitted("dynamics", answers[:, :first]))
     for i in range(first, answers.shape[1], each):
         found.append(judge.fitted("nonlinear", answers[:, i : i + each]))

@@ -25,6 +25,9 @@ unseen."""
 CLOSE = 0.07
 """A gain or a time scale closer to 1 than this is right."""
 
+SURELY = 3.0
+"""Standard deviations by which the control's effect must be negative, beside other dynamics, to be called so."""
+
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 """Share by which these, which fit anything, must lessen the mean squared innovation of every set."""
 
@@ -145,14 +148,27 @@ class Judge:
 
     def fitted(self, kind: str, answers: Floats) -> Explanation:
         """Fit the sizes of pushes, whose answers are given, by least squares."""
+        theta, _, costs = self._fit(answers)
+        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
+
+    def flipped(self, answers: Floats, control: int) -> list[Explanation]:
+        """Fit pushes of which the first is the control's effect; say ``"sign"`` where that surely turns its sign."""
+        theta, spreads, costs = self._fit(answers)
+        ratio = 1.0 + float(theta[0])
+        if not ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 0.0:
+            return []
+        return self.of("sign", [(ratio, float(control))], costs, len(theta))
+
+    def _fit(self, answers: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+        """Return the sizes of pushes by least squares, their standard deviations for unit noise, and the costs."""
         sets = range(len(self.seers))
         D = np.concatenate([self.free(answers, k, self.begin) for k in sets], axis=1).T
         e = np.concatenate([self.free(self.base, k, self.begin)[0] for k in sets])
         scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
-        theta = np.linalg.lstsq(D / scale, -e, rcond=1e-10)[0] / scale
+        inverse = np.linalg.pinv(D / scale, rcond=1e-10)
+        theta = -(inverse @ e) / scale
         rest = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]
-        costs = self.cost(rest, self.seers, self.begin)
-        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
+        return theta, np.sqrt((inverse**2).sum(axis=1)) / scale, self.cost(rest, self.seers, self.begin)
 
 
 def _agreeing(model: LinearModel, seen: Recording) -> Recording:

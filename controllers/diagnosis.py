@@ -19,7 +19,7 @@ import numpy as np
 from bayesftc.controllers._diagnosis_words import sentence
 from bayesftc.controllers._explanations import Recording, innovations
 from bayesftc.controllers._model_candidates import explanations
-from bayesftc.controllers._model_judge import Explanation, Judge
+from bayesftc.controllers._model_judge import EVIDENCE, Explanation, Judge
 from bayesftc.controllers._observers import observers
 from bayesftc.controllers.model import LinearModel
 from bayesftc.cosim.errors import ModelError, UnknownNameError
@@ -39,11 +39,14 @@ A plant that is lost, as a pendulum that has fallen, ends where no linear model 
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "limit"})
 """Kinds of few parameters: one of them that explains a shorter run wholly counts more than what fits a longer one somehow."""
 
+SIMPLEST = 3
+"""Rank of a simple explanation: where it explains a part of a run wholly, no shorter one is asked."""
+
 EXPLAINED = 2.0
 """Mean squared innovation up to which a run is explained."""
 
 NEARLY = 5.0
-"""Log-likelihood ratio within which two explanations are nearly as good."""
+"""Log-likelihood ratio within which an explanation with room for much else is nearly as good; a simple one: `EVIDENCE`."""
 
 LEAST_SAMPLES = 8
 """Samples without which nothing is said."""
@@ -176,9 +179,20 @@ def best_explanations(
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
         known = [x for x in explanations(judge) if x.counts]
-        near = [x for x in known if x.total > known[0].total - NEARLY]
-        if near and near[0].kind in SIMPLE and max(near[0].square) < EXPLAINED:
+        near = [x for x in known if x.total > known[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
+        near.sort(key=_rank, reverse=True)
+        if near and _rank(near[0]) == SIMPLEST:
             return near
-        if near and (not fallback or max(near[0].square) < EXPLAINED <= max(fallback[0].square)):
+        if near and (not fallback or _rank(near[0]) > _rank(fallback[0])):
             fallback = near
     return fallback
+
+
+def _rank(x: Explanation) -> int:
+    """Return how much an explanation of a part of a run counts, 0 being that of one which leaves something unexplained.
+
+    Before a plant is lost its model is still linear, so a linear explanation of a shorter run counts more than one that bends.
+    """
+    if max(x.square) >= EXPLAINED:
+        return 0
+    return SIMPLEST if x.kind in SIMPLE else 1 if x.kind == "nonlinear" else 2
