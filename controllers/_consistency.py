@@ -27,6 +27,8 @@ which the model is suspect.
 
 Tuned on the seeds 1000 to 1023 of ``src/bayesftc/reproduce/wrong_models.py``, judged on the seeds 0 to 99."""
 
+STRICTER = MEAN_LIMIT / PRODUCT_LIMIT
+
 ABSURD = 1e6
 """Standard deviations beyond which a sample says nothing of the model."""
 
@@ -51,18 +53,20 @@ def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], 
 def moments_of(seers: Observers | None, m: int) -> tuple[dict[str, Any], list[float]]:
     """Return the state of the moments of observers (None: there are none) of m sensors, and their settings."""
     weight = 1.0 / WINDOW
-    count = 1 if seers is None else len(seers)
-    size = 1.0 if seers is None else float(max(map(len, seers.sensors)))
+    sizes = np.array([np.nan] if seers is None else [len(chosen) for chosen in seers.sensors], float)
+    count = len(sizes)
     settled = 1.0 if seers is None else (1.0 - weight) ** (float(seers.rest) - 0.5)
-    # The variances of the mean and of the mean product are those of this many scalars; where there are none all is NaN.
-    scalars = np.nan if seers is None else (2.0 - weight) / weight * size
+    # The variances of the mean and of the mean product are those of so many scalars; where there are none all is NaN.
+    scalars = (2.0 - weight) / weight * sizes
     state = {
         "seer_new": np.ones(1),
         "seer_error": np.zeros(m),
         "seer_white": np.zeros((count, 2, m)),
-        "seer_moments": np.concatenate([np.zeros((count, m)), np.full((count, 1), size), np.zeros((count, 1))], axis=1),
+        "seer_moments": np.concatenate(
+            [np.zeros((count, m)), np.nan_to_num(sizes[:, None]), np.zeros((count, 1))], axis=1
+        ),
     }
-    return state, [weight, settled, scalars / MEAN_LIMIT, scalars / PRODUCT_LIMIT]
+    return state, [weight, settled, *(scalars / MEAN_LIMIT)]
 
 
 def check_consistency(
@@ -129,7 +133,7 @@ def disagreement(s, there, counts, seer_white, seer_moments, seer_settings):
     product = seer_moments[s, m + 1] + step * (product - seer_moments[s, m + 1])
     seer_moments[s, m], seer_moments[s, m + 1] = square, product
     small, alike = 1.0 / square, maximum(product, 0.0)
-    return small * maximum(seer_settings[2] * far, seer_settings[3] * alike * alike * small)
+    return seer_settings[2 + s] * small * maximum(far, STRICTER * alike * alike * small)
 
 
 def follow(effective, A, B, J, seer_mean):
