@@ -25,8 +25,9 @@ unseen."""
 CLOSE = 0.07
 """A gain or a time scale closer to 1 than this is right."""
 
-SURELY = 3.0
-"""Standard deviations by which the control's effect must be negative, beside other dynamics, to be called so."""
+REVERSED, SURELY = -0.5, 3.0
+"""What the control's effect beside other dynamics must be below, in the model's, to be called the reverse, and how many standard
+deviations it must be below the model's."""
 
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 """Share by which these, which fit anything, must lessen the mean squared innovation of every set."""
@@ -152,10 +153,10 @@ class Judge:
         return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
 
     def flipped(self, answers: Floats, control: int) -> list[Explanation]:
-        """Fit pushes of which the first is the control's effect; say ``"sign"`` where that surely turns its sign."""
+        """Fit pushes of which the first is the control's effect; say ``"sign"`` where that is nearest to its reverse."""
         theta, spreads, costs = self._fit(answers)
         ratio = 1.0 + float(theta[0])
-        if not ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 0.0:
+        if not (ratio < REVERSED and ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0):
             return []
         return self.of("sign", [(ratio, float(control))], costs, len(theta))
 

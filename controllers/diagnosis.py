@@ -22,6 +22,7 @@ from bayesftc.controllers._model_candidates import explanations
 from bayesftc.controllers._model_judge import EVIDENCE, Explanation, Judge
 from bayesftc.controllers._observers import observers
 from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.nonlinear_model import NonlinearModel
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.signals import ALARM
 
@@ -90,8 +91,8 @@ def diagnose(
     ----------
     signals : Result
         Must hold the samples and the controls at every step (decimation 1).
-    controller : BayesianController, LQGController or StateEstimator
-        The block that ran, for its model and its initial belief.
+    controller : controller or StateEstimator
+        The block that ran, for its model and its initial belief. Of a nonlinear model only `model_suspect` is looked at.
     y : str, optional
         Name of the signal that was connected to its ``y``; by default its recorded input.
     name : str
@@ -106,13 +107,18 @@ def diagnose(
     Raises
     ------
     ModelError
-        If the block has no linear model, or not every step was recorded.
+        If the block has no model, or not every step was recorded.
     UnknownNameError
         If a signal was not recorded.
     """
     model = getattr(controller, "model", None)
+    suspect = f"{name}.model_suspect"
+    raised = suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM
+    if isinstance(model, NonlinearModel):
+        words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
+        return ModelFinding("unknown", words) if raised else None
     if not isinstance(model, LinearModel):
-        raise ModelError(f"A diagnosis needs a linear model, which a {type(controller).__name__} does not have.")
+        raise ModelError(f"A diagnosis needs a model, which this {type(controller).__name__} does not have.")
     source = f"{name}.y" if y is None else y
     for needed in (source, f"{name}.u"):
         if needed not in signals:
@@ -122,8 +128,7 @@ def diagnose(
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The diagnosis needs every step; run with decimation=1.")
     found = diagnose_recording(model, signals[source], signals[f"{name}.u"], controller.initial_mean)
-    suspect = f"{name}.model_suspect"
-    if found is None and suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM:
+    if found is None and raised:
         return ModelFinding("unknown", sentence("unknown", (), model))
     return found
 
@@ -169,6 +174,7 @@ def best_explanations(
     base = innovations([model], [seers], seen, moved[None, None])[0][0][:, 0]
     missed = np.nan_to_num(np.abs(base), nan=np.inf).max(axis=2).min(axis=0)
     fallback: list[Explanation] = []
+    best = -1
     tried: set[int] = set()
     for cut in CUTS:
         end = int(np.argmax(missed > cut)) if (missed > cut).any() else len(seen.y)
@@ -180,11 +186,11 @@ def best_explanations(
             continue
         known = [x for x in explanations(judge) if x.counts]
         near = [x for x in known if x.total > known[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
-        near.sort(key=_rank, reverse=True)
-        if near and _rank(near[0]) == SIMPLEST:
+        rank = max(map(_rank, near), default=-1)
+        if rank == SIMPLEST:
             return near
-        if near and (not fallback or _rank(near[0]) > _rank(fallback[0])):
-            fallback = near
+        if rank > best:
+            fallback, best = near, rank
     return fallback
 
 

@@ -13,6 +13,7 @@ from bayesftc.controllers import (
     NonlinearBayesianController,
     NonlinearModel,
     StateEstimator,
+    diagnose,
 )
 from bayesftc.controllers._consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
 from bayesftc.controllers._observers import observers
@@ -72,7 +73,7 @@ class Pendulum(cosim.Block):
 
 
 def run(plant, faults=(), precision=FIXED, seed=3, **options):
-    """Return a run over large angles, 1.5 rad to either side."""
+    """Return a run over large angles, 1.5 rad to either side, and its controller."""
     controller = NonlinearBayesianController(
         MODEL,
         precision,
@@ -92,7 +93,7 @@ def run(plant, faults=(), precision=FIXED, seed=3, **options):
         reference=[cosim.Sine(amplitude=1.5, period=4.0), 0.0],
     )
     record = ["controller.model_suspect", "controller.u", "controller.y", "controller.x_hat", "controller.P"]
-    return loop.simulate(12.0, seed=seed, record=record, **options)
+    return loop.simulate(12.0, seed=seed, record=record, **options), controller
 
 
 def by_numpy(y, u):
@@ -127,7 +128,7 @@ def by_numpy(y, u):
 
 
 def test_it_is_what_numpy_makes_of_the_samples_over_large_angles():
-    result = run(Pendulum(weight=1.1 * 9.81))
+    result, _ = run(Pendulum(weight=1.1 * 9.81))
     expected = by_numpy(result["controller.y"], result["controller.u"].reshape(-1, 1))
     assert expected.max() > 0.05
     np.testing.assert_allclose(result["controller.model_suspect"].ravel(), expected, rtol=1e-6, atol=1e-9)
@@ -135,7 +136,11 @@ def test_it_is_what_numpy_makes_of_the_samples_over_large_angles():
 
 @pytest.mark.parametrize("plant", [Pendulum(gain=-1.0), Pendulum(gain=0.6), Pendulum(weight=1.4 * 9.81)], ids=repr)
 def test_wrong_models_are_suspect(plant):
-    assert run(plant)["controller.model_suspect"].max() > 0.9
+    result, controller = run(plant)
+    assert result["controller.model_suspect"].max() > 0.9
+    finding = diagnose(result, controller)
+    assert finding.kind == "unknown"
+    assert "Does the control act the way that it says" in finding.sentence
 
 
 FAULTS = [
@@ -155,12 +160,14 @@ FAULTS = [
 @pytest.mark.parametrize("faults", FAULTS, ids=repr)
 def test_a_right_model_is_not_whatever_one_sensor_does(faults):
     for seed in range(5):
-        assert run(Pendulum(), faults, GammaPrecision(forgetting=0.9), seed)["controller.model_suspect"].max() < 0.5
+        result, controller = run(Pendulum(), faults, GammaPrecision(forgetting=0.9), seed)
+        assert result["controller.model_suspect"].max() < 0.5
+        assert diagnose(result, controller) is None
 
 
 def test_both_engines_have_the_same_bits():
     fault = [cosim.Injection(sensor=0, start=0.5, stop=2.0, magnitude=0.6)]
-    fast, slow = (run(Pendulum(), fault, seed=1, engine=engine) for engine in ("compiled", "interpreted"))
+    fast, slow = (run(Pendulum(), fault, seed=1, engine=engine)[0] for engine in ("compiled", "interpreted"))
     np.testing.assert_array_equal(fast["controller.model_suspect"], slow["controller.model_suspect"])
 
 
