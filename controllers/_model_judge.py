@@ -49,6 +49,8 @@ class Explanation:
         Mean squared innovation over that of the model as it is, by set.
     square : tuple of float
         Mean squared innovation, by set; 1 where all is explained.
+    parameters : int
+        How many were fitted.
     """
 
     kind: str
@@ -56,6 +58,7 @@ class Explanation:
     support: tuple[float, ...]
     left: tuple[float, ...]
     square: tuple[float, ...]
+    parameters: int
 
     @property
     def total(self) -> float:
@@ -122,7 +125,7 @@ class Judge:
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
         return [
-            Explanation(kind, value, *(tuple(map(float, table[:, h])) for table in (gain, left, squares)))
+            Explanation(kind, value, *(tuple(map(float, table[:, h])) for table in (gain, left, squares)), parameters)
             for h, value in enumerate(values)
         ]
 

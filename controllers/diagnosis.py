@@ -40,8 +40,8 @@ A plant that is lost, as a pendulum that has fallen, ends where no linear model 
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "limit"})
 """Kinds of few parameters: one of them that explains a shorter run wholly counts more than what fits a longer one somehow."""
 
-SIMPLEST = 3
-"""Rank of a simple explanation: where it explains a part of a run wholly, no shorter one is asked."""
+SIMPLEST = 4
+"""Rank of an explanation of one parameter: where it explains a part of a run wholly, no shorter one is asked."""
 
 EXPLAINED = 2.0
 """Mean squared innovation up to which a run is explained."""
@@ -201,4 +201,6 @@ def _rank(x: Explanation) -> int:
     """
     if max(x.square) >= EXPLAINED:
         return 0
-    return SIMPLEST if x.kind in SIMPLE else 1 if x.kind == "nonlinear" else 2
+    if x.kind in SIMPLE:
+        return SIMPLEST if x.parameters == 1 else SIMPLEST - 1
+    return 1 if x.kind == "nonlinear" else 2

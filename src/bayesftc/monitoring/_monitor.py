@@ -173,7 +173,8 @@ class Monitor:
             return None
         model = self.model
         mean, _ = self.start(recording, model)
-        return diagnose_recording(model, recording.y, recording.u, extended_mean(model, np.array(mean), mean))
+        start: Any = extended_mean(model, np.array(mean), mean)
+        return diagnose_recording(model, recording.y, recording.u, start)
 
     def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:
         """Run the estimator over a recording; see `monitor_recording`.
