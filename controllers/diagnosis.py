@@ -186,6 +186,8 @@ def best_explanations(
             continue
         known = [x for x in explanations(judge) if x.counts]
         near = [x for x in known if x.total > known[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
+        if near and near[0].kind == "dynamics":  # of which the simple ones are special cases
+            near.sort(key=lambda x: x.kind not in SIMPLE)
         rank = max(map(_rank, near), default=-1)
         if rank == SIMPLEST:
             return near
