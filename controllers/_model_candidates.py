@@ -33,8 +33,9 @@ FACTORS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.4, 1.7, 2.0,
 NEAR = (0.87, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.15)
 """...before these multiples of the best."""
 
-LEVELS = tuple(np.linspace(0.1, 0.97, 24))
-"""Quantiles of the control's size that are tried as limits before those about the best."""
+LEVELS = tuple(np.linspace(0.1, 0.97, 16))
+"""Quantiles of the control's size, and shares of its largest size, that are tried as limits before those about the best: a limit
+may cut off much of the time, or a peak."""
 
 Course = tuple[str, tuple[float, ...], "Floats"]
 """A kind, its values, and the controls as they are taken to have arrived."""
@@ -116,7 +117,8 @@ def _late(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]
 def _limits(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> list[Course]:
     """Return limited controls, to both sides alike, above and below: coarsely, or about the best of the coarse ones."""
     u = judge.seen.u
-    levels = np.unique(np.quantile(np.abs(u[:, j]), LEVELS))
+    size = np.abs(u[:, j])
+    levels = np.unique([*np.quantile(size, LEVELS), *np.multiply(LEVELS, size.max())])
     if coarse is not None:
         low, high, _ = _best(coarse, "limit", lambda x: x.values[2] == j).values
         i = int(np.argmin(np.abs(levels - (high if np.isfinite(high) else -low))))

@@ -25,9 +25,9 @@ unseen."""
 CLOSE = 0.07
 """A gain or a time scale closer to 1 than this is right."""
 
-REVERSED, SURELY = -0.5, 3.0
-"""What the control's effect beside other dynamics must be below, in the model's, to be called the reverse, and how many standard
-deviations it must be below the model's."""
+REVERSED, SURELY = (-2.0, -0.5), 3.0
+"""Between what the control's effect beside other dynamics must lie, in the model's, to be called its reverse, and by how many
+standard deviations below the model's."""
 
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 """Share by which these, which fit anything, must lessen the mean squared innovation of every set."""
@@ -159,7 +159,8 @@ class Judge:
         """Fit pushes of which the first is the control's effect; say ``"sign"`` where that is nearest to its reverse."""
         theta, spreads, costs = self._fit(answers)
         ratio = 1.0 + float(theta[0])
-        if not (ratio < REVERSED and ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0):
+        surely = ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0
+        if not (surely and REVERSED[0] < ratio < REVERSED[1]):
             return []
         return self.of("sign", [(ratio, float(control))], costs, len(theta))
 

@@ -72,7 +72,7 @@ class ModelFinding:
     evidence : float
         Log-likelihood ratio over the model as it is, from the sensors of the set that says least.
     others : tuple of str
-        Kinds that explain the run nearly as well; the sentence says them, too.
+        Kinds that explain the run nearly as well, or a longer part of it; the sentence says them, too.
     """
 
     kind: str
@@ -189,6 +189,8 @@ def best_explanations(
         if near and near[0].kind == "dynamics":  # of which the simple ones are special cases
             near.sort(key=lambda x: x.kind not in SIMPLE)
         rank = max(map(_rank, near), default=-1)
+        if best > 0:  # what explains a longer part wholly stays possible
+            near += [x for x in fallback if x.kind not in [other.kind for other in near]]
         if rank == SIMPLEST:
             return near
         if rank > best:
