@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -73,8 +73,6 @@ class BayesianBlock(Block, ABC):
     initial_covariance: Matrix = 1.0
     invalid: Invalid = field(default=(), kw_only=True)
     posterior_outputs: bool = field(default=False, kw_only=True)
-
-    checks_model: ClassVar[bool] = True
 
     def _check_settings(self) -> None:
         """Check all settings but the model, and turn numbers into arrays of their sizes."""
@@ -183,7 +181,7 @@ class BayesianBlock(Block, ABC):
         return (
             *(port(name, shape) for name, shape in shapes.items()),
             port("fault_probability", (m,)),
-            *((port("model_suspect"),) if self.checks_model else ()),
+            port("model_suspect"),
             *self._posterior_ports,
         )
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from textwrap import indent
 from typing import Any
 
-from bayesftc.controllers import _absurd, _curvature, _descent
+from bayesftc.controllers import _absurd, _consistency, _curvature, _descent
 from bayesftc.controllers.precision import NAN
 from bayesftc.cosim.ops import select
 
@@ -40,6 +40,14 @@ act(control, applied, u)
 {law_update}
 predict_state(mean, applied, A, B, predicted)
 place(mean, 0, x_hat)
+{watch}
+"""
+
+_WATCH = """
+check_consistency(
+    heard, x_hat, G, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+    model_suspect)
+follow(applied, A, B, seer_row, seer_mean)
 """
 
 _DESCENT_BY_GRADIENT = """
@@ -77,12 +85,13 @@ FUNCTIONS: dict[str, Any] = {
         )
     },
     **{name: getattr(_absurd, name) for name in ("blame", "count_doubts", "listen", "screen")},
+    **{name: getattr(_consistency, name) for name in ("check_consistency", "follow")},
     **{name: getattr(_curvature, name) for name in ("curvature_of_belief", "curvature_of_control", "shortening")},
 }  # fmt: skip
 """What the text calls, besides the functions of modalities, law and learner."""
 
 
-def step_lines(calls: Mapping[str, str], *, descends: bool) -> list[str]:
+def step_lines(calls: Mapping[str, str], *, descends: bool, watches: bool) -> list[str]:
     """Return the lines of the step function's body.
 
     Parameters
@@ -92,6 +101,8 @@ def step_lines(calls: Mapping[str, str], *, descends: bool) -> list[str]:
         and ``law_derivative``.
     descends : bool
         Whether the control descends the free energy; else it is put to the law.
+    watches : bool
+        Whether the model is checked.
     """
     descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
     text = _STEP.format(
@@ -101,5 +112,6 @@ def step_lines(calls: Mapping[str, str], *, descends: bool) -> list[str]:
         descent=indent(descent, " " * 4).lstrip(),
         decide="" if descends else _DECISION_BY_LAW.format_map(calls).strip("\n"),
         law_update=calls.get("law_update", ""),
+        watch=_WATCH.strip("\n") if watches else "",
     )
     return text.strip("\n").split("\n")

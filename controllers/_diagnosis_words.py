@@ -98,6 +98,13 @@ def _unknown(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
+def _suspect(values: Sequence[float], model: LinearModel) -> str:
+    return (
+        "what the samples show is not what the model predicts. Does the control act the way that it says, at once and whole? "
+        "Is dt right? Are the masses, inertias and frictions?"
+    )
+
+
 _WORDS = {
     "sign": _sign,
     "gain": _gain,
@@ -108,4 +115,5 @@ _WORDS = {
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,
     "unknown": _unknown,
+    "suspect": _suspect,
 }

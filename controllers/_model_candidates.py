@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,8 @@ from bayesftc.controllers._model_judge import Explanation, Judge
 from bayesftc.controllers._observers import observers
 
 if TYPE_CHECKING:
+    from bayesftc.controllers._observers import Observers
+    from bayesftc.controllers.model import LinearModel
     from bayesftc.cosim.block import Floats
 
 LATEST = 1.0
@@ -65,7 +68,13 @@ def _pushed(judge: Judge) -> list[Explanation]:
         g = 1.0 + fit.values[0]
         found.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
     found.append(judge.fitted("load", answers[:, p : 2 * p]))
-    answers = answers[:, 2 * p :]
+    effects, answers = answers[:, :p], answers[:, 2 * p :]
+    for j in range(p):
+        # All but what else the control might do: how it moves the plant beside other dynamics.
+        own = (1 + plant + j) * plant
+        others = np.concatenate([answers[:, :own], answers[:, own + plant :]], axis=1)
+        for last in (first - plant, others.shape[1]):
+            found += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
     found.append(judge.fitted("dynamics", answers[:, :first]))
     for i in range(first, answers.shape[1], each):
         found.append(judge.fitted("nonlinear", answers[:, i : i + each]))
@@ -121,15 +130,21 @@ def _limits(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> li
     return found
 
 
+@lru_cache(maxsize=128)  # each is made anew for no recording, nor for a shorter part of one
+def _faster(
+    model: LinearModel, sets: tuple[tuple[int, ...], ...], factor: float
+) -> tuple[LinearModel, Observers] | None:
+    """Return the model of a plant that is `factor` times as fast, and its observers; None where there is none."""
+    changed = faster(model, factor)
+    seers = None if changed is None else observers(changed, sets)
+    return None if changed is None or seers is None else (changed, seers)
+
+
 def _times(judge: Judge) -> list[Explanation]:
     """Judge time scales, first coarsely, then about the best."""
 
     def tried(factors: Iterable[float]) -> list[Explanation]:
-        known = []
-        for f in factors:
-            model = faster(judge.model, f)
-            if model is not None and (seers := observers(model, judge.seers.sensors)) is not None:
-                known.append((f, model, seers))
+        known = [(f, *found) for f in factors if (found := _faster(judge.model, judge.seers.sensors, f))]
         if not known:
             return []
         moved = np.array([(judge.seen.u @ model.matrix("B").T)[None] for _, model, _ in known])

@@ -25,6 +25,10 @@ unseen."""
 CLOSE = 0.07
 """A gain or a time scale closer to 1 than this is right."""
 
+REVERSED, SURELY = -0.5, 3.0
+"""What the control's effect beside other dynamics must be below, in the model's, to be called the reverse, and how many standard
+deviations it must be below the model's."""
+
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 """Share by which these, which fit anything, must lessen the mean squared innovation of every set."""
 
@@ -45,6 +49,8 @@ class Explanation:
         Mean squared innovation over that of the model as it is, by set.
     square : tuple of float
         Mean squared innovation, by set; 1 where all is explained.
+    parameters : int
+        How many were fitted.
     """
 
     kind: str
@@ -52,6 +58,7 @@ class Explanation:
     support: tuple[float, ...]
     left: tuple[float, ...]
     square: tuple[float, ...]
+    parameters: int
 
     @property
     def total(self) -> float:
@@ -118,7 +125,7 @@ class Judge:
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
         return [
-            Explanation(kind, value, *(tuple(map(float, table[:, h])) for table in (gain, left, squares)))
+            Explanation(kind, value, *(tuple(map(float, table[:, h])) for table in (gain, left, squares)), parameters)
             for h, value in enumerate(values)
         ]
 
@@ -145,14 +152,27 @@ class Judge:
 
     def fitted(self, kind: str, answers: Floats) -> Explanation:
         """Fit the sizes of pushes, whose answers are given, by least squares."""
+        theta, _, costs = self._fit(answers)
+        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
+
+    def flipped(self, answers: Floats, control: int) -> list[Explanation]:
+        """Fit pushes of which the first is the control's effect; say ``"sign"`` where that is nearest to its reverse."""
+        theta, spreads, costs = self._fit(answers)
+        ratio = 1.0 + float(theta[0])
+        if not (ratio < REVERSED and ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0):
+            return []
+        return self.of("sign", [(ratio, float(control))], costs, len(theta))
+
+    def _fit(self, answers: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+        """Return the sizes of pushes by least squares, their standard deviations for unit noise, and the costs."""
         sets = range(len(self.seers))
         D = np.concatenate([self.free(answers, k, self.begin) for k in sets], axis=1).T
         e = np.concatenate([self.free(self.base, k, self.begin)[0] for k in sets])
         scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
-        theta = np.linalg.lstsq(D / scale, -e, rcond=1e-10)[0] / scale
+        inverse = np.linalg.pinv(D / scale, rcond=1e-10)
+        theta = -(inverse @ e) / scale
         rest = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]
-        costs = self.cost(rest, self.seers, self.begin)
-        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
+        return theta, np.sqrt((inverse**2).sum(axis=1)) / scale, self.cost(rest, self.seers, self.begin)
 
 
 def _agreeing(model: LinearModel, seen: Recording) -> Recording:

@@ -41,6 +41,8 @@ class Observers:
         A K and K: what the next prediction and the estimate take from each innovation; zero for sensors of other sets.
     whiten : ndarray, shape (K, m, m)
         What makes an observer's innovations white and of variance 1; zero rows and columns for sensors of other sets.
+    noise : ndarray, shape (K, n, n)
+        Process covariance of which each is the filter.
     rest : int
         Samples in which the slowest observer forgets where it began.
     """
@@ -49,6 +51,7 @@ class Observers:
     gain: Floats
     correction: Floats
     whiten: Floats
+    noise: Floats
     rest: int
 
     def __len__(self) -> int:
@@ -80,37 +83,41 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     moving = model.moving
     n, m = moving.states, moving.sensors
     correction, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
+    noise = np.zeros((len(sets), model.states, model.states))
     rest = 1
     for k, chosen in enumerate(map(list, sets)):
         R = moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
         filtered = _filter(replace(moving, C=moving.matrix("C")[chosen], sensor_covariance=R))
         if filtered is None:
             return None
-        correction[k, :n, chosen], root, needed = filtered[0].T, filtered[1], filtered[2]
+        correction[k, :n, chosen], root, noise[k, :n, :n], needed = filtered[0].T, *filtered[1:]
         whiten[k][np.ix_(chosen, chosen)] = np.linalg.inv(root)
         rest = max(rest, needed)
-    return Observers(sets, model.matrix("A") @ correction, correction, whiten, rest)
+    return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, rest)
 
 
-def _filter(model: LinearModel) -> tuple[Floats, Floats, int] | None:
-    """Return the gain K, the root of the innovations' covariance, and how many samples it remembers; None if that has no end.
+def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
+    """Return the gain K, the root of the innovations' covariance, the process covariance, and how many samples it remembers.
+
+    None if that has no end.
 
     Where no noise moves a mode that does not die out (a place that only drifts), the filter would remember it for ever: then all
     states get a little noise, as much as it takes.
     """
     A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     size = max(float(np.trace(Q)) / len(A), 1e-12)
-    best: tuple[Floats, Floats, int] | None = None
+    best: tuple[Floats, Floats, Floats, int] | None = None
     for more in (0.0, *(10.0**k for k in range(-8, 3))):
         try:
-            P = steady_covariance(replace(model, process_covariance=Q + more * size * np.eye(len(A))))
+            noise = Q + more * size * np.eye(len(A))
+            P = steady_covariance(replace(model, process_covariance=noise))
         except ModelError:
             continue
         S = C @ P @ C.T + R
         gain = np.linalg.solve(S, C @ P).T
         slowest = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
         rest = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
-        best = np.asarray(gain), np.asarray(np.linalg.cholesky(S)), max(rest, 1)
+        best = np.asarray(gain), np.asarray(np.linalg.cholesky(S)), noise, max(rest, 1)
         if rest <= LONGEST_REST:
             break
     return best

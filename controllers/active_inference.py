@@ -12,6 +12,7 @@ import numpy as np
 
 from bayesftc.controllers._absurd import alarm_of, screening
 from bayesftc.controllers._checks import Matrix, as_covariance, as_vector, check_choice, check_number, frozen
+from bayesftc.controllers._consistency import consistency
 from bayesftc.controllers._curvature import check_stable, curvature_of_belief, curvature_of_control, largest_step
 from bayesftc.controllers._descent_text import FUNCTIONS, step_lines
 from bayesftc.controllers._embedding import Embedded, embed, law_sizes, run_once
@@ -50,7 +51,8 @@ class UnbiasedActiveInference(Block):
     Outputs ``u`` (the control's mean), ``x_hat`` (mu), ``innovation`` (``y - g(mu)`` before the sample is used; NaN for a missing
     one), ``R`` (the learner's sensor covariance), ``precision``, ``beta``, ``fault_probability``, ``free_energy``, ``eps_x`` and
     ``eps_u``, and the precision learner's own. Free energy and prediction errors are those at which the last gradient was
-    taken.
+    taken. With ``state_prior="kalman"`` and linear modalities there is ``model_suspect`` as well, by Kalman filters of the model;
+    otherwise no model says what the sensors should read next.
 
     A precision learner sees the errors before the sample is used, and no uncertainty of the belief (``spread`` is zero: means
     are all this controller has). Its sensor covariance R becomes the precision ``P = S R^-1 S`` with S = diag(sqrt(gain) std):
@@ -189,6 +191,7 @@ class UnbiasedActiveInference(Block):
         (n, _, p), m = self._dimensions, self._sensors
         shapes: dict[str, tuple[int, ...]] = {"u": (p,), "x_hat": (n,), "innovation": (m,), "R": (m, m)}
         shapes |= dict.fromkeys(("precision", "beta", "fault_probability"), (m,))
+        shapes |= {} if self._watched_model() is None else {"model_suspect": ()}
         shapes |= {"free_energy": (), "eps_x": (n,), "eps_u": (p,)}
         return tuple(port(name, shape) for name, shape in shapes.items())
 
@@ -223,6 +226,10 @@ class UnbiasedActiveInference(Block):
             "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in shapes.items()},
             **law.state, **sensing.state, **screens,
         }  # fmt: skip
+        watched = self._watched_model()
+        if watched is not None:
+            watching, constants = consistency(watched, self.initial_mean)
+            state, parameters = {**state, **watching, "seer_row": np.zeros((1, n))}, parameters | constants
         names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
         first = sum(port.size for port in self._own_outputs)
         functions = {
@@ -231,7 +238,9 @@ class UnbiasedActiveInference(Block):
             "inner_steps": int(self.inner_steps), "squarings": squarings, "__name__": __name__,
             "first": first,
         }  # fmt: skip
-        lines = step_lines({**law.calls, **sensing.calls}, descends=self.control == "gradient")
+        lines = step_lines(
+            {**law.calls, **sensing.calls}, descends=self.control == "gradient", watches=watched is not None
+        )
         step_function = function_from_text("unbiased_active_inference", names, lines, functions)
         return Definition(step_function, state=state, parameters=parameters)
 
@@ -268,6 +277,13 @@ class UnbiasedActiveInference(Block):
     def _learner(self) -> Learner:
         learner = self.precision.apart("UnbiasedActiveInference").without_covariance()
         return learner.learner(self._learned_model())
+
+    def _watched_model(self) -> LinearModel | None:
+        """Return the model that is checked beside the controller; None if it has none, or its modalities are not linear."""
+        C = self.measurement_matrix
+        if self.state_prior != "kalman" or self.model is None or not np.isfinite(C).all():
+            return None
+        return replace(self.model, C=C, sensor_covariance=nominal_covariance(self._groups))
 
     def _learned_model(self) -> LinearModel:
         """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""

@@ -19,9 +19,10 @@ import numpy as np
 from bayesftc.controllers._diagnosis_words import sentence
 from bayesftc.controllers._explanations import Recording, innovations
 from bayesftc.controllers._model_candidates import explanations
-from bayesftc.controllers._model_judge import Explanation, Judge
+from bayesftc.controllers._model_judge import EVIDENCE, Explanation, Judge
 from bayesftc.controllers._observers import observers
 from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.nonlinear_model import NonlinearModel
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.signals import ALARM
 
@@ -39,11 +40,14 @@ A plant that is lost, as a pendulum that has fallen, ends where no linear model 
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "limit"})
 """Kinds of few parameters: one of them that explains a shorter run wholly counts more than what fits a longer one somehow."""
 
+SIMPLEST = 4
+"""Rank of an explanation of one parameter: where it explains a part of a run wholly, no shorter one is asked."""
+
 EXPLAINED = 2.0
 """Mean squared innovation up to which a run is explained."""
 
 NEARLY = 5.0
-"""Log-likelihood ratio within which two explanations are nearly as good."""
+"""Log-likelihood ratio within which an explanation with room for much else is nearly as good; a simple one: `EVIDENCE`."""
 
 LEAST_SAMPLES = 8
 """Samples without which nothing is said."""
@@ -87,8 +91,8 @@ def diagnose(
     ----------
     signals : Result
         Must hold the samples and the controls at every step (decimation 1).
-    controller : BayesianController, LQGController or StateEstimator
-        The block that ran, for its model and its initial belief.
+    controller : controller or StateEstimator
+        The block that ran, for its model and its initial belief. Of a nonlinear model only `model_suspect` is looked at.
     y : str, optional
         Name of the signal that was connected to its ``y``; by default its recorded input.
     name : str
@@ -103,13 +107,18 @@ def diagnose(
     Raises
     ------
     ModelError
-        If the block has no linear model, or not every step was recorded.
+        If the block has no model, or not every step was recorded.
     UnknownNameError
         If a signal was not recorded.
     """
     model = getattr(controller, "model", None)
+    suspect = f"{name}.model_suspect"
+    raised = suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM
+    if isinstance(model, NonlinearModel):
+        words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
+        return ModelFinding("unknown", words) if raised else None
     if not isinstance(model, LinearModel):
-        raise ModelError(f"A diagnosis needs a linear model, which a {type(controller).__name__} does not have.")
+        raise ModelError(f"A diagnosis needs a model, which this {type(controller).__name__} does not have.")
     source = f"{name}.y" if y is None else y
     for needed in (source, f"{name}.u"):
         if needed not in signals:
@@ -119,8 +128,7 @@ def diagnose(
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The diagnosis needs every step; run with decimation=1.")
     found = diagnose_recording(model, signals[source], signals[f"{name}.u"], controller.initial_mean)
-    suspect = f"{name}.model_suspect"
-    if found is None and suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM:
+    if found is None and raised:
         return ModelFinding("unknown", sentence("unknown", (), model))
     return found
 
@@ -166,6 +174,7 @@ def best_explanations(
     base = innovations([model], [seers], seen, moved[None, None])[0][0][:, 0]
     missed = np.nan_to_num(np.abs(base), nan=np.inf).max(axis=2).min(axis=0)
     fallback: list[Explanation] = []
+    best = -1
     tried: set[int] = set()
     for cut in CUTS:
         end = int(np.argmax(missed > cut)) if (missed > cut).any() else len(seen.y)
@@ -176,9 +185,24 @@ def best_explanations(
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
         known = [x for x in explanations(judge) if x.counts]
-        near = [x for x in known if x.total > known[0].total - NEARLY]
-        if near and near[0].kind in SIMPLE and max(near[0].square) < EXPLAINED:
+        near = [x for x in known if x.total > known[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
+        if near and near[0].kind == "dynamics":  # of which the simple ones are special cases
+            near.sort(key=lambda x: x.kind not in SIMPLE)
+        rank = max(map(_rank, near), default=-1)
+        if rank == SIMPLEST:
             return near
-        if near and (not fallback or max(near[0].square) < EXPLAINED <= max(fallback[0].square)):
-            fallback = near
+        if rank > best:
+            fallback, best = near, rank
     return fallback
+
+
+def _rank(x: Explanation) -> int:
+    """Return how much an explanation of a part of a run counts, 0 being that of one which leaves something unexplained.
+
+    Before a plant is lost its model is still linear, so a linear explanation of a shorter run counts more than one that bends.
+    """
+    if max(x.square) >= EXPLAINED:
+        return 0
+    if x.kind in SIMPLE:
+        return SIMPLEST if x.parameters == 1 else SIMPLEST - 1
+    return 1 if x.kind == "nonlinear" else 2

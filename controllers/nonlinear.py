@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
 from bayesftc.controllers._absurd import alarm_of, blame, screening
 from bayesftc.controllers._bayesian_block import BayesianBlock
 from bayesftc.controllers._checks import Matrix, check_choice, check_number, frozen
+from bayesftc.controllers._extended_check import extended_consistency, make_watch
 from bayesftc.controllers._filter import MEAN_CAP, hold_variances, innovate, limit, restore
 from bayesftc.controllers._free_energy import tell_linearised, tell_no_minimum
 from bayesftc.controllers._joint import (
@@ -113,7 +114,7 @@ def take_joint(found, point, spread_out, x_hat, P):
 @cache
 def _make_step(
     learn: Kernel, report: Kernel, alarm: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
-    tell: Kernel, posterior: int, first: int,
+    tell: Kernel, watch: Kernel, posterior: int, first: int,
 ) -> Callable[..., None]:  # fmt: skip
     """Return the controller's step function.
 
@@ -121,13 +122,15 @@ def _make_step(
     """
 
     def nonlinear_bayesian_controller(
-        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, outputs, work,
+        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
         mean, covariance, applied, memory,
         Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
         reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
         z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
         heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
         goal_noise, constant, E,
+        seer_new, seer_mean, seer_covariance, seer_sees, seer_noise, seer_error, seer_white, seer_moments, seer_settings,
+        seer_squares, seer_vectors,
     ):  # fmt: skip
         n, p = x_hat.shape[0], u.shape[0]
         T = squares[0]
@@ -180,6 +183,12 @@ def _make_step(
             x_hat, P, applied, Q, nominal, largest, initial_mean, initial_covariance,
             following, F, B, FP, reading, C, mean, covariance,
         )  # fmt: skip
+        watch(
+            heard, x_hat, P, applied, nominal, largest, initial_mean, initial_covariance,
+            reading, C, seer_error, CP, spread, point, spread_out, following, F, B, FP,
+            seer_new, seer_mean, seer_covariance, seer_sees, seer_noise, seer_white, seer_moments, seer_settings,
+            seer_squares, seer_vectors, model_suspect,
+        )  # fmt: skip
 
     return nonlinear_bayesian_controller
 
@@ -194,8 +203,9 @@ class NonlinearBayesianController(BayesianBlock):
     the model linearised at the minimum (Laplace's approximation). For a linear model all this is `BayesianController`.
 
     Inputs and outputs are those of `BayesianController`: ``y``, ``goal``; ``u, x_hat, P, R, innovation, precision, beta,
-    fault_probability``, and those of the precision learner. ``innovation`` is ``y - g(x_t|t-1)``. With ``posterior_outputs`` also
-    ``u_covariance, u_state_covariance, free_energy``, of the model linearised at the minimum, and the least value of -L itself.
+    fault_probability, model_suspect``, and those of the precision learner. ``innovation`` is ``y - g(x_t|t-1)``. With
+    ``posterior_outputs`` also ``u_covariance, u_state_covariance, free_energy``, of the model linearised at the minimum, and the
+    least value of -L itself.
 
     Parameters
     ----------
@@ -239,7 +249,6 @@ class NonlinearBayesianController(BayesianBlock):
     model: NonlinearModel
     goal_on: Literal["states"] | Matrix = "states"
     prediction: Literal["model", "random walk"] = "model"
-    checks_model: ClassVar[bool] = False
     iterations: int = 40
 
     def __post_init__(self) -> None:
@@ -289,12 +298,17 @@ class NonlinearBayesianController(BayesianBlock):
             take_joint if self.belief == "joint" else keep_filtered,
             make_predict(model.g, of_g, move),
             tell_linearised if self.posterior_outputs else tell_no_minimum,
+            make_watch(model.g, of_g, make_predict(model.g, of_g, make_move(look_ahead))),
             first - sum(port.size for port in self._posterior_ports),
             first,
         )
         prior, told = self._prior_precision(), self.posterior_outputs
-        screens, screen_parameters = screening(self, self._start())
-        parameters = self._shared_parameters(step) | screen_parameters | self._densities() | {
+        start = self._start()
+        screens, screen_parameters = screening(self, start)
+        watching, constants = extended_consistency(
+            start, np.asarray(self.initial_mean, float), np.asarray(self.initial_covariance, float)
+        )
+        parameters = self._shared_parameters(step) | screen_parameters | self._densities() | constants | {
             "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
         }  # fmt: skip
@@ -309,7 +323,8 @@ class NonlinearBayesianController(BayesianBlock):
         }  # fmt: skip
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()}, **screens,
+            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
+            **screens, **watching,
         }  # fmt: skip
         return Definition(kernel, state=state, parameters=parameters)
 

@@ -1,6 +1,7 @@
 """``bayesftc monitor``: what it prints and writes, and what it leaves behind when something is wrong."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from bayesftc.cli import app
-from bayesftc.monitoring import Monitored
+from bayesftc.cli.monitor import monitor_files
+from bayesftc.controllers import ModelMismatchWarning
+from bayesftc.monitoring import Monitor, Monitored
 
 RUNNER = CliRunner()
 MODEL = """
@@ -258,3 +261,74 @@ def test_a_rest_of_all_sensors_is_said_and_no_fault(tmp_path):
     assert "For 9.9 s all sensors repeat themselves at once" in done.output
     assert "No fault was found" in done.output
     assert json.loads(RUNNER.invoke(app, [*arguments, "--json"]).output)["rest"] == pytest.approx(9.9)
+
+
+DRIVEN = """
+dt = {dt}
+[model]
+kind = "Matrices"
+A = [[{A}]]
+B = [[{B}]]
+process_covariance = [[1e-4]]
+[inputs.pump]
+[sensors.a]
+std = 0.1
+[sensors.b]
+std = 0.1
+"""
+
+
+@pytest.fixture
+def pumped(tmp_path):
+    """A minute of a tank that empties in 5 s (two level sensors) and of the pump's command, which is moved up and down."""
+    rng = np.random.default_rng(1000)
+    u, level = np.where(np.arange(600) // 70 % 2, 1.0, 0.2), np.zeros(600)
+    for k in range(599):
+        level[k + 1] = 0.98 * level[k] + 0.2 * u[k] + 0.01 * rng.standard_normal()
+    table = pd.DataFrame(
+        {"t": 0.1 * np.arange(600), "pump": u, **{name: level + 0.1 * rng.standard_normal(600) for name in "ab"}}
+    )
+    table.to_csv(tmp_path / "tank.csv", index=False)
+    return tmp_path
+
+
+def watch_pumped(folder, dt=0.1, A=0.98, B=0.2, *options):
+    (folder / "model.toml").write_text(DRIVEN.format(dt=dt, A=A, B=B), encoding="utf-8")
+    done = RUNNER.invoke(app, ["monitor", str(folder / "tank.csv"), "--model", str(folder / "model.toml"), *options])
+    assert done.exit_code == 0, done.output
+    return done
+
+
+@pytest.mark.parametrize(
+    ("model", "kind", "words"),
+    [
+        ({"B": -0.2}, "sign", r"Is the sign of B right\? Its effect is -(1|0.99|1.0)"),
+        ({"B": 0.4}, "gain", r"(0.49|0.5)\d* times as strongly as the model says"),
+        ({"A": 0.98**4, "B": 10 - 10 * 0.98**4}, "dt", r"Is dt right\? .* a sample time of 0\.(39|4)"),
+        ({"dt": 0.05}, "dt", r"Is dt right\? .* 0\.(09|1)\d* s, but dt is 0\.05 s"),
+    ],
+)  # fmt: skip
+def test_a_wrong_model_is_named_before_the_result(model, kind, words, pumped):
+    done = watch_pumped(pumped, **model)
+    assert done.stderr.startswith("Warning: All sensors disagree")
+    assert re.search(words, done.stderr)
+    assert "All sensors disagree" not in done.stdout
+    values = (model.get("dt", 0.1), model.get("A", 0.98), model.get("B", 0.2))
+    assert json.loads(watch_pumped(pumped, *values, "--json").stdout)["model"]["kind"] == kind
+
+
+def test_the_model_is_judged_before_the_monitor_runs(pumped, monkeypatch):
+    monkeypatch.setattr(Monitor, "run", lambda *_: pytest.fail("It has begun."))
+    (pumped / "model.toml").write_text(DRIVEN.format(dt=0.1, A=0.98, B=-0.2), encoding="utf-8")
+    with pytest.warns(ModelMismatchWarning, match="sign of B"), pytest.raises(pytest.fail.Exception, match="begun"):
+        monitor_files([pumped / "tank.csv"], pumped / "model.toml", None, json=False, quiet=True)
+
+
+def test_a_right_model_is_not_warned_of_even_if_a_sensor_fails(pumped):
+    assert watch_pumped(pumped).stderr == ""
+    table = pd.read_csv(pumped / "tank.csv")
+    table.loc[table.t >= 30, "b"] += 2.0
+    table.to_csv(pumped / "tank.csv", index=False)
+    done = watch_pumped(pumped)
+    assert done.stderr == ""
+    assert "Offset" in done.stdout

@@ -81,35 +81,52 @@ def test_right_models_are_blamed_in_under_1_of_100_runs(case):
 
 
 def by_numpy(model, y, u, mean):
-    """Return `model_suspect` of two sensors of one quantity, by the text's formulas in plain NumPy."""
+    """Return `model_suspect` by the text's formulas in plain NumPy, for the sets that the model's sensors fall into."""
     A, B, C, Q, R = (model.matrix(name) for name in ("A", "B", "C", "process_covariance", "sensor_covariance"))
     rest, disagreements = observers(model).rest, []
-    for i in range(2):
-        c, r = C[i : i + 1], R[i : i + 1, i : i + 1]
+    for chosen in map(list, observers(model).sensors):
+        c, r = C[chosen], R[np.ix_(chosen, chosen)]
         P = solve_discrete_are(A.T, c.T, Q, r)
-        S = (c @ P @ c.T + r).item()
-        K, x, last = P @ c.T / S, np.array(mean, float).reshape(-1, 1), 0.0
-        average, square, product = 0.0, 1.0, 0.0
+        S = c @ P @ c.T + r
+        K, x, last = P @ c.T @ np.linalg.inv(S), np.array(mean, float), np.zeros(len(chosen))
+        average, square, product = np.zeros(len(chosen)), 1.0, 0.0
         over = []
         for k in range(len(y)):
-            e = (y[k, i] - c @ x).item()
-            w = e / S**0.5
+            e = y[k, chosen] - c @ x
+            w = np.linalg.solve(np.linalg.cholesky(S), e)
             if k >= rest:
                 average += (w - average) / WINDOW
-                square += (w * w - square) / WINDOW
-                product += (w * last - product) / WINDOW
+                square += (w @ w / len(w) - square) / WINDOW
+                product += (w @ last / len(w) - product) / WINDOW
             last = w
             count = 2 * WINDOW - 1
             over.append(
                 max(
-                    count * average**2 / square / MEAN_LIMIT,
-                    count * max(product / square, 0.0) ** 2 / PRODUCT_LIMIT,
+                    count * average @ average / square / MEAN_LIMIT,
+                    count * len(w) * max(product / square, 0.0) ** 2 / PRODUCT_LIMIT,
                 )
             )
-            x = A @ (x + K * e) + B @ u[k].reshape(-1, 1)
+            x = A @ (x + K @ e) + B @ u[k]
         disagreements.append(over)
     least = np.min(disagreements, axis=0)
     return least / (1 + least)
+
+
+def test_sets_of_different_sizes_are_judged_each_by_its_own():
+    """Two encoders and one tachometer: one set has two sensors, the other one; a right and a wrong model of a mass."""
+    A, B, C = np.array([[1.0, 0.02], [0.0, 0.99]]), np.array([[2e-4], [2e-2]]), np.array([[1.0, 0], [1.0, 0], [0, 1.0]])
+    rng, x, seen = np.random.default_rng(1000), np.zeros(2), []
+    u = np.where(np.arange(900) // 100 % 2, 1.0, -1.0)[:, None]
+    for k in range(900):
+        seen.append(C @ x + rng.normal(0, [0.01, 0.01, 0.05]))
+        x = A @ x + B @ u[k] + rng.normal(0, [1e-3, 1e-2])
+    for factor in (1.0, 0.3):
+        model = controllers.LinearModel(A, factor * B, C, [1e-6, 1e-4], [1e-4, 1e-4, 2.5e-3], dt=0.02)
+        assert sorted(map(len, observers(model).sensors)) == [1, 2]
+        step = controllers.StateEstimator(model).online()
+        found = [float(step(y=y, u=v).model_suspect) for y, v in zip(seen, u, strict=True)]
+        np.testing.assert_allclose(found, by_numpy(model, np.array(seen), u, [0.0, 0.0]), rtol=1e-6, atol=1e-9)
+        assert (max(found) >= 0.5) == (factor < 1)
 
 
 @pytest.mark.parametrize("wrong", ["right", "heavier", "right, Freeze"])
@@ -133,6 +150,43 @@ def test_model_suspect_does_not_depend_on_the_learner_but_by_the_control():
         seen.append([float(step(y=y, u=[u]).model_suspect) for y, u in rows])
     for other in seen[1:]:
         np.testing.assert_array_equal(seen[0], other)
+
+
+SERVO = controllers.LinearModel([[1, 0.05], [0, 0.95]], [[0], [0.05]], [[1, 0]] * 2, [1e-6, 1e-4], 1e-4, 0.05)
+
+
+def active_inference(model, **options):
+    law = controllers.ProportionalDerivative(2.0, derivative_gain=1.5)
+    return controllers.UnbiasedActiveInference(law=law, model=model, control="law", belief_rate=10.0, **options)
+
+
+@pytest.mark.parametrize(("effect", "raised"), [(1.0, False), (-1.0, True), (0.4, True)])
+def test_active_inference_that_has_a_model_is_checked_as_an_estimator_is(effect, raised):
+    model = replace(SERVO, B=effect * SERVO.B)
+    step = active_inference(model, state_prior="kalman").online(compiled=False)
+    oracle = controllers.StateEstimator(model).online(compiled=False)
+    rng, x, found = np.random.default_rng(1000), np.zeros(2), []
+    for k in range(600):
+        y = x[0] + 0.01 * rng.standard_normal(2)
+        y[1] += 1.0 * (k > 300)  # a fault of one sensor raises nothing
+        out = step(y=y, goal=[np.sign(np.sin(k / 30))])
+        found.append(float(out.model_suspect))
+        assert found[-1] == float(oracle(y=y, u=out.u).model_suspect)
+        x = SERVO.A @ x + SERVO.B @ out.u + [1e-3, 1e-2] * rng.standard_normal(2)
+        x = np.clip(x, -1e3, 1e3)
+    assert (max(found) >= 0.5) == raised
+
+
+def test_active_inference_without_a_model_of_the_plant_has_nothing_to_check():
+    for prior in ("random walk", "euler"):
+        assert "model_suspect" not in [port.name for port in active_inference(SERVO, state_prior=prior).outputs]
+    bent = controllers.Modality("camera", 1, bend, std=0.01)
+    seen = active_inference(SERVO, state_prior="kalman", modalities=bent)
+    assert "model_suspect" not in [port.name for port in seen.outputs]
+
+
+def bend(x, y):
+    y[0] = x[0] * x[0]
 
 
 def test_a_model_that_no_observer_can_follow_is_not_checked():

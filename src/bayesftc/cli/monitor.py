@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,12 +14,14 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
-from bayesftc.controllers import diagnose_recording
+from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.metrics import without_nan
 from bayesftc.monitoring import ActuatorEvent, FaultEvent, Monitored, load_monitor
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from bayesftc.controllers import ModelFinding
 
 PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
 
@@ -33,6 +36,8 @@ def monitor_files(
     quiet: bool,
 ) -> None:
     """Look for faults in a recording, print what was found and write the files.
+
+    First the model, driven by the recorded inputs, is compared with the recording; a `ModelMismatchWarning` says what differs.
 
     Parameters
     ----------
@@ -57,8 +62,11 @@ def monitor_files(
     samples = monitor.read(recording)
     if out is not None:
         output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE))
+    mismatch = monitor.compare(samples)
+    if mismatch is not None:
+        warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
     found = monitor.run(samples)
-    numbers = summary(found) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
+    numbers = summary(found, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
     if out is not None:
         _write(out, found, numbers)
     if json:
@@ -67,8 +75,8 @@ def monitor_files(
         _print(found, numbers, out)
 
 
-def summary(found: Monitored) -> dict[str, Any]:
-    """Return what was found as plain data."""
+def summary(found: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
+    """Return what was found, and how the model is wrong, as plain data."""
     recording = found.recording
     seconds = len(recording.y) * float(recording.dt)
     sensors = {}
@@ -96,16 +104,8 @@ def summary(found: Monitored) -> dict[str, Any]:
         "actuator_faults": [asdict(event) for event in found.actuator_events],
         "why_no_probability": found.why_no_probability,
         "rest": float(found.rest.sum() * float(found.recording.dt)),
-        "model": _diagnosed(found),
+        "model": None if mismatch is None else dict(without_nan(asdict(mismatch))),
     }
-
-
-def _diagnosed(found: Monitored) -> dict[str, Any] | None:
-    """Return how the model is wrong; None if nothing speaks against it, or no input is known by which to judge it."""
-    if not found.recording.u.shape[1]:
-        return None
-    finding = diagnose_recording(found.model, found.recording.y, found.recording.u, found.x_hat[0])
-    return None if finding is None else dict(without_nan(asdict(finding)))
 
 
 def _write(folder: Path, found: Monitored, numbers: dict[str, Any]) -> None:
@@ -146,9 +146,6 @@ def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> No
             f"For {numbers['rest']:g} s all sensors repeat themselves at once: the quantity or the logger is at rest. Nothing is "
             "said of a sensor meanwhile that was not before."
         )
-    if numbers["model"]:
-        say("\nThe model", "bold")
-        say(numbers["model"]["sentence"])
     if found.why_no_probability:
         say(f"There is no fault probability: {found.why_no_probability}")
     elif not found.events and not found.actuator_events:

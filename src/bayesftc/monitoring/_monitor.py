@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._absurd import EXPLICABLE
+from bayesftc.controllers._bayesian_block import extended_mean
 from bayesftc.controllers._checks import as_vector
+from bayesftc.controllers.diagnosis import ModelFinding, diagnose_recording
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.fault_modes import Frozen
 from bayesftc.controllers.learning import LearnedModes, RecordedRun, learn_modes
@@ -152,6 +154,27 @@ class Monitor:
                 for name, i in self.inputs.items()
             },
         )
+
+    def compare(self, recording: Recording) -> ModelFinding | None:
+        """Compare what the model, driven by the recorded inputs, predicts with what the sensors read.
+
+        Parameters
+        ----------
+        recording : Recording
+            From `read`.
+
+        Returns
+        -------
+        ModelFinding or None
+            How the model is wrong, by `bayesftc.controllers.diagnose_recording`; None if nothing speaks against it, or the
+            recording has no input by which to judge it.
+        """
+        if not recording.u.shape[1]:
+            return None
+        model = self.model
+        mean, _ = self.start(recording, model)
+        start: Any = extended_mean(model, np.array(mean), mean)
+        return diagnose_recording(model, recording.y, recording.u, start)
 
     def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:
         """Run the estimator over a recording; see `monitor_recording`.
