@@ -124,9 +124,10 @@ class Judge:
         price = np.array([0.5 * parameters * np.log(mask.sum()) for mask in self.masks])
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
+        columns = ([tuple(column) for column in table.T.tolist()] for table in (gain, left, squares))
         return [
-            Explanation(kind, value, *(tuple(map(float, table[:, h])) for table in (gain, left, squares)), parameters)
-            for h, value in enumerate(values)
+            Explanation(kind, value, support, remaining, square, parameters)
+            for value, support, remaining, square in zip(values, *columns, strict=True)
         ]
 
     def inputs(self, courses: list[tuple[str, tuple[float, ...], Floats]]) -> list[Explanation]:

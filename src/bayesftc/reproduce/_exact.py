@@ -269,10 +269,11 @@ class Stuck(Kind):
         spread = 2 * mode.dither**2 * noise + width**2 / 6
         near = np.log(1 - mode.repeats) - 0.5 * (change**2 / spread + np.log(spread) + LOG_2_PI)
         repeated = np.log(mode.repeats / width) if equal else near
-        if mode.healthy_repeats == 0:
+        expected = float(mode.healthy_repeats)  # type: ignore[arg-type]
+        if expected == 0:
             sound = normal(courses, i, y, world, ~stuck)
         else:
-            share = (own["repeats"][:, i] + mode.healthy_repeats * STRENGTH) / (own["samples"][:, i] + STRENGTH)
+            share = (own["repeats"][:, i] + expected * STRENGTH) / (own["samples"][:, i] + STRENGTH)
             own["samples"][:, i] += ~failed
             own["repeats"][:, i] += ~failed & equal
             reads = ~stuck & (not equal)  # a repetition tells nothing of the state
