@@ -5,12 +5,13 @@ One hypothesis has no fault of these kinds. Each other one has one of the follow
 - an offset of one kind on one sensor, or a fault of one kind of one actuator, which is estimated together with the state, so that
   a drift of one sensor is told from the state's own motion;
 - a sensor that goes a course of its own (`Unmodelled`): the state is inferred without it;
+- the same offset on all sensors that read the same: they failed, and the plant was not kicked; or such an offset has just ended;
 - a mode of the process: more process noise than nominal, or a belief that fades.
 
 All that needs no moments together with the state (frozen, noisier, dropped out, and the offsets of *further* sensors) each
 hypothesis keeps sensor by sensor, as the per-sensor form does. So for K kinds of offsets, of which J jump, and U courses on m
-sensors, L modes of p actuators and G of the process there are 1 + m (K + J + U) + p L + (G + 1 if there are any) of them, however
-many sensors fail at once.
+sensors, g groups of sensors that read the same, L modes of p actuators and G of the process there are
+1 + m (K + J + U) + 2 g + p L + (G + 1 if there are any) of them, however many sensors fail at once.
 
 At each sample every hypothesis moves; then offsets begin and end. What has ended is merged first (the pool) and goes on from
 there: to no offset, or to the offset that a further sensor has meanwhile. Two go on later: an offset that jumps joins earlier

@@ -66,10 +66,10 @@ class SwitchingPrecision(PrecisionLearner):
     In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
     slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs.
     Further hypotheses are that a sensor fails in a way that has no mode (`Unmodelled`), where the state is inferred without it;
-    that the plant is moved by more than its process noise, or the model says less than it should; or that an actuator has
-    failed. The joint form is for controllers with a linear model; with other ones, in `ExplicitDetection`, and where the noise of
-    sensors is correlated or there is only one, sensors are judged one by one by their innovation from the common prediction (the
-    per-sensor form).
+    that the plant is moved by more than its process noise, or the model says less than it should; that all sensors of a
+    quantity have jumped alike (`alike`); or that an actuator has failed. The joint form is for controllers with a linear model;
+    with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated or there is only one, sensors are
+    judged one by one by their innovation from the common prediction (the per-sensor form).
 
     Parameters
     ----------

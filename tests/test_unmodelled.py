@@ -6,6 +6,7 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
+from bayesftc import reproduce
 from bayesftc.controllers import (
     BayesianController,
     Frozen,
@@ -20,7 +21,7 @@ from bayesftc.controllers import (
     Unmodelled,
 )
 from bayesftc.controllers._course import misfit
-from bayesftc.controllers._mode_kernels import goes_its_way
+from bayesftc.controllers._mode_kernels import goes_its_way, wider
 from bayesftc.controllers.fault_modes import ENTERED, OWN, SIZE, TRUST
 from bayesftc.cosim.errors import ModelError
 
@@ -318,3 +319,46 @@ def test_a_controller_regulates_while_a_sensor_goes_its_own_course():
     kinds = [type(mode).__name__ for mode in SwitchingPrecision().modes]
     assert kinds[int(out.fault_kind[0]) - 1] == "Unmodelled"
     assert out.fault_probability[1] < 0.1
+
+
+def test_a_healthy_sensor_whose_noise_is_hardly_known_has_the_density_of_students_t():
+    """Up to five degrees of freedom and five standard deviations, within a tenth; and the normal one where nothing is doubted."""
+    for degrees in (5.0, 20.0, 1e3):
+        for e in (0.0, 1.0, 3.0, 5.0):
+            expected = stats.t.logpdf(e, degrees) - stats.norm.logpdf(e)
+            assert wider(e * e, 1.0, 1.0, 1.0 / degrees) == pytest.approx(expected, abs=0.1)
+    assert wider(25.0, 1.0, 1.0, 1e-12) == pytest.approx(0.0, abs=1e-9)
+    # Only the noise is doubted: of a variance that is the state's for the most part hardly anything is.
+    assert abs(wider(16.0 * 100.0, 100.0, 1.0, 0.2)) < 0.01 < wider(16.0, 1.0, 1.0, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("case", "most"),
+    [
+        ("sensors 2 times noisier than believed, healthy", 1.0),
+        ("clips above the mean speed plus 4 sd", 1.05),
+        ("clips above the mean speed", 1.05),
+        ("servo: stuck at 0", 1.1),
+    ],
+)
+def test_healthy_sensors_are_not_blamed(case, most):
+    """On other seeds than those of the family's table and of the settings."""
+    found = reproduce.family(seed=7000, runs=12, jobs=1, cases=[case], learners={"default": SwitchingPrecision()})
+    cell = found["table"][case]["default"]
+    assert cell["ratio"] < most
+    assert cell["false_share"] < 0.01
+
+
+def test_a_sensor_that_sticks_now_and_then_is_on_one_course_all_the_while():
+    """Frozen for some samples, then healthy for one, and so on: without the share it would be healthy in between."""
+    rng = np.random.default_rng(3)
+    step = StateEstimator(CAR, SwitchingPrecision(), initial_mean=20.0).online(compiled=True)
+    told = []
+    for k in range(400):
+        y = 20.0 + np.array([1.0, 2.0]) * rng.normal(size=2)
+        if k >= 200 and k % 4:
+            y[0] = 16.0
+        out = step(y=list(y), u=[100.0])
+        told.append(out.fault_probability[0])
+    assert np.max(told[50:200]) < 0.5
+    assert np.min(told[230:]) > 0.9
