@@ -68,8 +68,8 @@ class SwitchingPrecision(PrecisionLearner):
     Further hypotheses are that a sensor fails in a way that has no mode (`Unmodelled`), where the state is inferred without it;
     that the plant is moved by more than its process noise, or the model says less than it should; that all sensors of a
     quantity have jumped alike (`alike`); or that an actuator has failed. The joint form is for controllers with a linear model;
-    with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated or there is only one, sensors are
-    judged one by one by their innovation from the common prediction (the per-sensor form).
+    with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated, sensors are judged one by one by
+    their innovation from the common prediction (the per-sensor form).
 
     Parameters
     ----------
@@ -293,9 +293,7 @@ class SwitchingPrecision(PrecisionLearner):
 
     def _is_joint(self, model: LinearModel) -> bool:
         nominal = model.matrix("sensor_covariance")
-        # What a single sensor shows may as well be the plant's motion, unless somebody asks for more than its own faults.
-        witnessed = model.sensors > 1 or self.actuator_modes or not self._usual_process
-        return bool(self.joint and witnessed and not np.any(nominal != np.diag(np.diag(nominal))))
+        return self.joint and not np.any(nominal != np.diag(np.diag(nominal)))
 
     def _has_bank(self, model: LinearModel) -> bool:
         """Return whether there is anything for the joint form to tell."""
