@@ -174,7 +174,9 @@ def test_both_engines_have_the_same_bits():
 def test_for_a_linear_model_it_becomes_that_of_the_steady_observers():
     model = LinearModel([[1.0, 0.1], [0.0, 0.98]], [[0.0], [0.1]], [[1.0, 0.0]] * 2, [1e-5, 1e-4], 0.01, 0.1)
     wrong = NonlinearModel.from_linear(replace(model, B=[[0.0], [0.3]]))
-    bent = NonlinearBayesianController(wrong, goal_covariance=1.0, control_covariance=1.0, iterations=2, precision=FIXED)
+    bent = NonlinearBayesianController(
+        wrong, goal_covariance=1.0, control_covariance=1.0, iterations=2, precision=FIXED
+    )
     straight = StateEstimator(replace(model, B=[[0.0], [0.3]]), precision=FIXED)
     a, b = bent.online(compiled=False), straight.online(compiled=False)
     rng, x, found = np.random.default_rng(7), np.zeros(2), []
