@@ -124,9 +124,9 @@ class Judge:
         price = np.array([0.5 * parameters * np.log(mask.sum()) for mask in self.masks])
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
+        by_set = [[tuple(map(float, column)) for column in table.T] for table in (gain, left, squares)]
         return [
-            Explanation(kind, value, *(tuple(map(float, table[:, h])) for table in (gain, left, squares)), parameters)
-            for h, value in enumerate(values)
+            Explanation(kind, v, s, share, rest, parameters) for v, s, share, rest in zip(values, *by_set, strict=True)
         ]
 
     def inputs(self, courses: list[tuple[str, tuple[float, ...], Floats]]) -> list[Explanation]:
