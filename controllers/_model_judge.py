@@ -25,9 +25,9 @@ unseen."""
 CLOSE = 0.07
 """A gain or a time scale closer to 1 than this is right."""
 
-REVERSED, SURELY = -0.5, 3.0
-"""What the control's effect beside other dynamics must be below, in the model's, to be called the reverse, and how many standard
-deviations it must be below the model's."""
+REVERSED, SURELY = (-2.0, -0.5), 3.0
+"""Between what the control's effect beside other dynamics must lie, in the model's, to be called its reverse, and by how many
+standard deviations below the model's."""
 
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 """Share by which these, which fit anything, must lessen the mean squared innovation of every set."""
@@ -124,10 +124,9 @@ class Judge:
         price = np.array([0.5 * parameters * np.log(mask.sum()) for mask in self.masks])
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
-        columns = ([tuple(column) for column in table.T.tolist()] for table in (gain, left, squares))
+        by_set = [[tuple(map(float, column)) for column in table.T] for table in (gain, left, squares)]
         return [
-            Explanation(kind, value, support, remaining, square, parameters)
-            for value, support, remaining, square in zip(values, *columns, strict=True)
+            Explanation(kind, v, s, share, rest, parameters) for v, s, share, rest in zip(values, *by_set, strict=True)
         ]
 
     def inputs(self, courses: list[tuple[str, tuple[float, ...], Floats]]) -> list[Explanation]:
@@ -160,7 +159,8 @@ class Judge:
         """Fit pushes of which the first is the control's effect; say ``"sign"`` where that is nearest to its reverse."""
         theta, spreads, costs = self._fit(answers)
         ratio = 1.0 + float(theta[0])
-        if not (ratio < REVERSED and ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0):
+        surely = ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0
+        if not (surely and REVERSED[0] < ratio < REVERSED[1]):
             return []
         return self.of("sign", [(ratio, float(control))], costs, len(theta))
 
