@@ -14,10 +14,11 @@ sensors, g groups of sensors that read the same, L modes of p actuators and G of
 1 + m (K + J + U) + 2 g + p L + (G + 1 if there are any) of them, however many sensors fail at once.
 
 At each sample every hypothesis moves; then offsets begin and end. What has ended is merged first (the pool) and goes on from
-there: to no offset, or to the offset that a further sensor has meanwhile. Two go on later: an offset that jumps joins earlier
-ones after its first sample, and that a mode of the process has ended remains a hypothesis for a while (the one more). Beliefs
-that arrive at the same hypothesis are merged by moments, as in an interacting-multiple-model filter (Blom and Bar-Shalom 1988).
-Then each hypothesis is conditioned on the sensors one after the other, and gets the probability of what they said.
+there: to no offset, or to the offset that a further sensor has meanwhile. Three go on later: an offset that jumps joins earlier
+ones after its first sample; that one of all sensors that read the same has ended remains a hypothesis for one sample, and that a
+mode of the process has ended for a while (the one more). Beliefs that arrive at the same hypothesis are merged by moments, as in
+an interacting-multiple-model filter (Blom and Bar-Shalom 1988). Then each hypothesis is conditioned on the sensors one after the
+other, and gets the probability of what they said.
 """
 
 from __future__ import annotations

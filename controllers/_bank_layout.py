@@ -114,11 +114,11 @@ class Layout:
         return tuple(table.ravel().tolist())
 
     @property
-    def has_offset(self) -> tuple[bool, ...]:
-        """For each hypothesis whether an offset is estimated with the state: of a sensor, a group or an actuator."""
+    def has_offset(self) -> tuple[int, ...]:
+        """For each hypothesis whether an offset is estimated with the state: of a sensor, a group or an actuator (1 or 0)."""
         with_offset = (*range(1, self.first_lost), *range(self.first_common, self.first_ended))
         with_offset += tuple(range(self.first_actuator, self.process))
-        return tuple(h in with_offset for h in range(self.hypotheses))
+        return tuple(int(h in with_offset) for h in range(self.hypotheses))
 
     @property
     def begins_here(self) -> tuple[bool, ...]:

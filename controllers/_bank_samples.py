@@ -82,7 +82,7 @@ def make_weigh(
             at = none + h * stride
             memory[told + h] = 0.0 * memory[none]
             memory[factor + h] = memory[at]
-            offset = 1 if has_offset[h] else 0
+            offset = has_offset[h]
             for i in range(m):
                 variance, row = nominal[i, i] * memory[i * sensor + NOISE], i * row_length
                 doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
@@ -190,21 +190,23 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
     """Return the step function that says what all hypotheses make together of the state.
 
     Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays. That all sensors
-    of a group have the same offset counts as far as it is more probable than not: an estimate halfway between a plant that moved
-    and sensors that failed would be wrong in both cases, and plants move more often.
+    of a group have the same offset counts as far as it is more probable than all that is no such offset: an estimate halfway
+    between a plant that moved and sensors that failed would be wrong in both cases, and plants move more often.
     """
     n, H, N = layout.n, layout.hypotheses, layout.n + 2
     none, stride, scratch, counts = layout.first, layout.length, layout.couples, layout.grow + layout.hypotheses
     first_common, first_ended = layout.first_common, layout.first_ended
 
     def conclude(mean, covariance, memory, x_hat, P):
-        whole = 1.0 + 0.0 * memory[none]
+        rest = 0.0 * memory[none]
         for h in range(H):
             memory[counts + h] = memory[none + h * stride]
+            if not first_common <= h < first_ended:
+                rest = rest + memory[counts + h]
+        whole = rest
         for h in range(first_common, first_ended):
-            p = memory[none + h * stride]
-            memory[counts + h] = maximum(2.0 * p - 1.0, 0.0)
-            whole = whole - p + memory[counts + h]
+            memory[counts + h] = maximum(memory[counts + h] - rest, 0.0)
+            whole = whole + memory[counts + h]
         for h in range(H):
             memory[counts + h] = memory[counts + h] / whole
         for a in range(n):

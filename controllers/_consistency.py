@@ -28,6 +28,7 @@ which the model is suspect.
 Tuned on the seeds 1000 to 1023 of ``src/bayesftc/reproduce/wrong_models.py``, judged on the seeds 0 to 99."""
 
 STRICTER = MEAN_LIMIT / PRODUCT_LIMIT
+"""By how much the product is weighed more, so that both have the limit of the mean."""
 
 ABSURD = 1e6
 """Standard deviations beyond which a sample says nothing of the model."""

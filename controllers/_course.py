@@ -104,8 +104,8 @@ def follow(r, change, present, entered, memory, at, scratch, settings, first):
 def repeats_share(equal, present, entered, memory, at, settings, first):
     """Return which share of the samples repeats its predecessor exactly on this course, and count this one (``equal``: 1 or 0).
 
-    So a sensor that sticks now and then, as one that clips, is on one course all the while. The share is
-    beta distributed, and forgotten like the regression.
+    So a sensor that sticks now and then, as one that clips, is on one course all the while. The share is beta distributed, and
+    forgotten like the regression.
     """
     kept = (1.0 - entered) * settings[first + FORGETTING]
     fresh = 1.0 - kept

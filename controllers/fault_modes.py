@@ -300,9 +300,8 @@ class Unmodelled(FaultMode):
 
     Its innovations are a linear regression on a constant, on their predecessor and on the prediction, with noise of any scale.
     That fits a sensor that is frozen with a dither, filtered, late, swapped, oscillating or of another gain; and a share of its
-    samples repeats exactly, as of one that clips. In the joint form
-    the state is inferred without this sensor meanwhile, in a hypothesis for each sensor. The fault's size is the root mean
-    square of the innovations, in nominal standard deviations.
+    samples repeats exactly, as of one that clips. In the joint form the state is inferred without this sensor meanwhile, in a
+    hypothesis for each sensor. The fault's size is the root mean square of the innovations, in nominal standard deviations.
 
     Parameters
     ----------

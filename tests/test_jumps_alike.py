@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from bayesftc.controllers import LinearModel, SwitchingPrecision
+from bayesftc.controllers._bank_kernels import STATE
+from bayesftc.controllers._bank_samples import make_conclude
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce._family import chosen_cases
@@ -64,3 +66,26 @@ def test_a_plant_that_does_not_follow_tells_in_time():
 def test_what_cannot_be_a_probability(alike):
     with pytest.raises(ModelError, match="alike"):
         SwitchingPrecision(alike=alike)
+
+
+@pytest.mark.parametrize("likely", [(0.5, 0.0), (0.495, 0.495), (0.6, 0.2), (1.0, 0.0)])
+def test_an_estimate_is_made_of_whatever_is_left(likely):
+    """Also where all sensors of either of two quantities may have jumped alike, and hardly anything else is probable."""
+    model = LinearModel(
+        np.eye(2), np.zeros((2, 1)), np.repeat(np.eye(2), 2, axis=0), 0.001 * np.eye(2), np.eye(4), 0.02
+    )
+    layout = SwitchingPrecision()._layout(model, 20, 20, SwitchingPrecision().process_modes)
+    memory, rest = np.zeros(layout.scratch + 100), max(1.0 - sum(likely), 1e-100)
+    for h in range(layout.hypotheses):
+        at = layout.first + h * layout.length
+        memory[at] = 0.0
+        memory[at + STATE + 4 : at + STATE + 20] = np.eye(4).ravel()
+    for h, p, x in ((0, rest, 1.0), (layout.first_common, likely[0], -3.0), (layout.first_common + 1, likely[1], 5.0)):
+        memory[layout.first + h * layout.length] = p
+        memory[layout.first + h * layout.length + STATE] = x
+    x_hat, P = np.zeros(2), np.zeros((2, 2))
+    make_conclude(layout)(np.zeros(2), np.eye(2), memory, x_hat, P)
+    weights = np.array([rest, *np.maximum(np.array(likely) - rest, 0.0)])
+    mean = weights @ [1.0, -3.0, 5.0] / weights.sum()
+    assert x_hat == pytest.approx([mean, 0.0])
+    assert P[0, 0] == pytest.approx(1.0 + weights @ (np.array([1.0, -3.0, 5.0]) - mean) ** 2 / weights.sum())
