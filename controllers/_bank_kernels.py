@@ -91,6 +91,15 @@ def move(memory, at, n, offset, slides, c, cc, cb, bb, walk, A, Q, first, covari
             memory[P + a * N + b] = select(sound, memory[P + a * N + b], anew)
 
 
+def ended(end, age, haste):
+    """Return the probability that a fault of this ``age`` ends with a sample; ``end`` is one over how long they last on average.
+
+    Both are counted in samples. How long faults last has a Lomax distribution of shape 1 + 1 / haste, whose hazard falls with the
+    age; with a haste of 0 it is exponential, and the age tells nothing.
+    """
+    return end * (1.0 + haste) / (1.0 + haste * age * end)
+
+
 def blend(memory, at, part, other, n, offset, c, b, cc, cb, bb):
     """Merge another belief about the state into a hypothesis, with its ``part`` of the probability, by moments.
 

@@ -35,7 +35,7 @@ class Layout:
     of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each group
     of sensors with the same offset; each mode of each actuator; each of the process, and that one of those has ended), the pool,
     what is kept of the courses, and scratch space. The settings are those of the per-sensor form, then those of each mode of each
-    actuator and of the process, then of each group.
+    actuator and of the process, then of each group, last how much sooner young faults end.
 
     An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
     nothing has contradicted so far, it would hardly be one that jumps.
@@ -121,6 +121,11 @@ class Layout:
         return tuple(int(h in with_offset) for h in range(self.hypotheses))
 
     @property
+    def jumps(self) -> tuple[bool, ...]:
+        """For each kind of offset whether it begins with a jump, be it its first sample or a later one."""
+        return tuple(self.becomes.count(self.becomes[q]) > 1 for q in range(len(self.kinds)))
+
+    @property
     def begins_here(self) -> tuple[bool, ...]:
         """For each kind of offset whether it begins as this one, and not as its first sample."""
         return tuple(self.fresh[q] or self.becomes.count(q) == 1 for q in range(len(self.kinds)))
@@ -154,6 +159,11 @@ class Layout:
     def common_settings(self) -> int:
         """Where in the settings it stands how probable it is that all sensors of a group jump, for each group."""
         return self.process_settings + self.process_modes * PROCESS_SETTINGS
+
+    @property
+    def haste(self) -> int:
+        """Where in the settings it stands how much sooner young faults end."""
+        return self.common_settings + len(self.groups)
 
     @property
     def actuator(self) -> int:

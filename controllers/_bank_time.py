@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers._bank_begins import make_arrive, make_begin
-from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, inflate, measurable, move
+from bayesftc.controllers._bank_kernels import OFFSET_AGE, STATE, ended, inflate, measurable, move
 from bayesftc.controllers._bank_layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
@@ -110,7 +110,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
     """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh."""
     n, m, K = layout.n, layout.m, len(layout.kinds)
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
-    fresh = layout.fresh or (False,)
+    fresh, jumps, haste = layout.fresh or (False,), layout.jumps or (False,), layout.haste
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
     witnessed, collect, become = make_witnessed(layout), make_collect(layout), make_become(layout)
@@ -132,9 +132,10 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                     A, Q, start, covariance, largest, couples, shift, scratch,
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                collect(
-                    memory, at, minimum(settings[row + ENDS] + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i
-                )
+                ends = settings[row + ENDS]
+                if jumps[q]:
+                    ends = ended(ends, memory[at + OFFSET_AGE], settings[haste])
+                collect(memory, at, minimum(ends + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i)
                 if fresh[q]:
                     become(memory, none + (1 + i * K + becomes[q]) * stride, at, i)
 
@@ -147,7 +148,7 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
     n, m, U, lost = layout.n, layout.m, len(layout.lost), layout.lost or (0,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
-    first_lost, collect = layout.first_lost, make_collect(layout)
+    first_lost, haste, collect = layout.first_lost, layout.haste, make_collect(layout)
 
     def move_lost(A, Q, start, covariance, largest, memory, settings):
         for i in range(m):
@@ -161,7 +162,7 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
                     memory, at, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                collect(memory, at, settings[row + ENDS], i)
+                collect(memory, at, ended(settings[row + ENDS], memory[at + OFFSET_AGE], settings[haste]), i)
 
     return move_lost
 

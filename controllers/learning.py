@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,7 +60,7 @@ class LearnedModes:
     Attributes
     ----------
     precision : SwitchingPrecision
-        With the learned modes.
+        With the learned modes, of which all durations are exponential, as they were learned (an infinite `duration_shape`).
     onsets, recoveries : tuple of float
         Expected numbers of them in the recordings, of each mode.
     faulty : tuple of float
@@ -127,7 +128,8 @@ def learn_modes(
     runs = [_checked(number, run, model) for number, run in enumerate(given)]
     if not runs:
         raise ModelError("learn_modes has no recording to learn from; give at least one RecordedRun.")
-    start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes]).paced(float(model.step))
+    start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes], duration_shape=inf)
+    start = start.paced(float(model.step))
     now, settled, step = start, False, float(model.step)
     likelihood: list[float] = []
     while len(likelihood) < iterations and not settled:

@@ -98,6 +98,10 @@ class SwitchingPrecision(PrecisionLearner):
         Probability, from 0 to below 1, that a jump which all sensors of a quantity show alike is theirs and not the plant's,
         as far as a kick (a process mode with a `scale`) explains it: that cannot be known but by how it goes on. The estimate
         follows them unless a fault is the more probable. A part of the joint form, for offsets that jump.
+    duration_shape : float
+        Shape, above 1, of the Lomax distribution of how long a fault lasts, whose mean is its ``time_to_recovery``: the closer to
+        1, the more of them are short and a few very long. Infinite: the distribution is exponential, as that of all other modes,
+        for faults whose mean duration is known. A part of the joint form, for offsets that jump and `Unmodelled`.
     noise_factor : float
         The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
         less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.
@@ -119,6 +123,7 @@ class SwitchingPrecision(PrecisionLearner):
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
     alike: float = 0.45
+    duration_shape: float = 1.2
     noise_factor: float = 3.0
     noise_strength: float = 5.0
     noise_forgetting: float = 0.9998
@@ -126,6 +131,7 @@ class SwitchingPrecision(PrecisionLearner):
     def __post_init__(self) -> None:
         check_flags(self, "joint")
         check_number(self, "alike", least=0, below=1)
+        check_number(self, "duration_shape", above=1, finite=False)
         check_number(self, "noise_factor", least=1, most=1e3)
         check_number(self, "noise_strength", above=0)
         check_number(self, "noise_forgetting", above=0, most=1)
@@ -244,6 +250,7 @@ class SwitchingPrecision(PrecisionLearner):
         settings += [step, *actuator_settings(self.actuator_modes, model)]
         settings += [value for mode in process_modes for value in mode.settings(step)]
         settings += [self._jumps_alike(process_modes[layout.kick], step) for _ in layout.groups]
+        settings.append(1.0 / (self.duration_shape - 1.0))
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),

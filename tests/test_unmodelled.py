@@ -20,6 +20,7 @@ from bayesftc.controllers import (
     UnbiasedActiveInference,
     Unmodelled,
 )
+from bayesftc.controllers._bank_kernels import ended
 from bayesftc.controllers._course import misfit
 from bayesftc.controllers._mode_kernels import goes_its_way, wider
 from bayesftc.controllers.fault_modes import ENTERED, OWN, SIZE, TRUST
@@ -362,3 +363,36 @@ def test_a_sensor_that_sticks_now_and_then_is_on_one_course_all_the_while():
         told.append(out.fault_probability[0])
     assert np.max(told[50:200]) < 0.5
     assert np.min(told[230:]) > 0.9
+
+
+@pytest.mark.parametrize("mean", [1.0, 20.0, 500.0])
+@pytest.mark.parametrize("shape", [1.1, 1.5, 4.0])
+def test_a_fault_ends_with_the_hazard_of_a_lomax_distribution(mean, shape):
+    duration = stats.lomax(shape, scale=(shape - 1.0) * mean)
+    assert duration.mean() == pytest.approx(mean)
+    ages = np.array([0.0, 1.0, 5.0, 100.0, 1e4])
+    hazard = duration.pdf(ages) / duration.sf(ages)
+    np.testing.assert_allclose(ended(1.0 / mean, ages, 1.0 / (shape - 1.0)), hazard, rtol=1e-9)
+    np.testing.assert_array_equal(ended(1.0 / mean, ages, 0.0), 1.0 / mean)
+
+
+def test_an_old_fault_is_forgotten_later_than_a_young_one():
+    """Samples that fit a healthy sensor end a fault that has just begun, while one of long standing is given time."""
+    told = {}
+    for shape in (1.1, np.inf):
+        for length in (15, 500):
+            modes = [Offset(time_to_recovery=1.0, jump=3.0)]
+            precision = SwitchingPrecision(modes, process_modes=(), noise_factor=1.0, duration_shape=shape)
+            step = StateEstimator(CAR, precision, initial_mean=20.0).online()
+            rng = np.random.default_rng(4)
+            for k in range(length + 1):
+                out = step(y=list(20.0 + [1.0, 2.0] * rng.normal(size=2) + [3.0 * (k < length), 0.0]), u=[100.0])
+            told[shape, length] = out.fault_probability[0]
+    assert told[1.1, 15] < told[np.inf, 15]
+    assert told[1.1, 500] > told[np.inf, 500]
+
+
+@pytest.mark.parametrize("shape", [1.0, -np.inf, np.nan, "long", None])
+def test_what_is_no_shape_of_durations(shape):
+    with pytest.raises(ModelError, match="duration_shape"):
+        SwitchingPrecision(duration_shape=shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ class Row:
         mode = self.mode
         alone = isinstance(mode, controllers.Offset) or mode.own_hypothesis
         beside = () if alone else (controllers.Offset(NEVER),)
-        common = controllers.SwitchingPrecision((mode, *beside), noise_factor=1.0, process_modes=())
+        common = controllers.SwitchingPrecision((mode, *beside), duration_shape=inf, noise_factor=1.0, process_modes=())
         forms = {JOINT: common}
         return forms if mode.joint_only else forms | {PER_SENSOR: replace(common, modes=(mode,), joint=False)}
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,7 +114,7 @@ def judged_learners(
     return {
         SWITCHING: default,
         PER_SENSOR: replace(default, joint=False),
-        TOLD: replace(default, modes=told),
+        TOLD: replace(default, modes=told, duration_shape=inf),
         f"{SWITCHING}, jump {settings.jump:g}": replace(default, modes=larger),
         GAMMA: replace(gamma, calibration=fitted.calibration),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -131,7 +132,7 @@ def switching(settings: Detection, joint: bool) -> controllers.SwitchingPrecisio
     told = [kind(3.0 * between, lasts) for kind in modes]
     if joint:
         told[2:] = [kind(6.0 * between, lasts) for kind in (controllers.Drifting, controllers.Ramping)]
-    return controllers.SwitchingPrecision(told, joint=joint, process_modes=())
+    return controllers.SwitchingPrecision(told, joint=joint, process_modes=(), duration_shape=inf)
 
 
 def _has_beta(learner: controllers.PrecisionLearner, car: Car) -> bool:
