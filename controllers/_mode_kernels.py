@@ -29,12 +29,11 @@ def wider(squared, variance, noise, doubt):
     Its noise has been learned only up to a ``doubt``, the inverse of the degrees of freedom (0: none), and is a part of the
     error's variance. The logarithm of 1 + x is that by Pade's approximation, which is cheaper and right within 3 % up to x = 5.
     """
-    part = noise / variance
-    doubt = doubt * part * part
-    each = squared / variance
-    x = each * doubt
-    log1p = x * (30.0 + x * (21.0 + x)) / (30.0 + x * (36.0 + 9.0 * x))
-    return 0.5 * (each - (1.0 / doubt + 1.0) * log1p)
+    one = 1.0 / variance
+    part, each = noise * one, squared * one
+    x = each * (doubt * part * part)
+    log1p_over_x = (30.0 + x * (21.0 + x)) / (30.0 + x * (36.0 + 9.0 * x))
+    return 0.5 * (each - (each + x) * log1p_over_x)
 
 
 def drops(e, present, variance, nominal, change, healthy, memory, at, settings, first):

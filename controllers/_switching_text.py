@@ -28,7 +28,8 @@ sound = log_density(e * e, variance)
 told = select(present > 0.5, sound + wider(e * e, variance, nominal, doubt), 0.0)
 {modes}
 most = {most}
-healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], settings[row + MISSING]) * share_of(told, most)
+share = share_of(told, most)
+healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], settings[row + MISSING]) * share
 {weights}
 total = {total}
 part = 1.0 / total
@@ -41,9 +42,13 @@ return most
 
 _WEIGH_MODE = """\
 block{k}, own = at + {block}, row + {settings}
-told{k} = mode{k}(e, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
-told{k} = select(present > 0.5, told{k}, 0.0)
+{tells}
 factor{k} = select(present > 0.5, settings[own + MODE_ARRIVES] * memory[block{k} + FACTOR]{times}, settings[own + MODE_MISSING])\
+"""
+
+_TELLS = """\
+told{k} = mode{k}(e, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
+told{k} = select(present > 0.5, told{k}, 0.0)\
 """
 
 _LEARN = """
@@ -105,14 +110,19 @@ def sensor_functions(
     width, settings : int
         Widths of the block of a mode in the memory and in the settings.
     """
+    # A sample that comes all the same is a healthy one: its density is computed once.
+    telling = [k for k in chosen if evidence[k] is not mode_kernels.drops]
 
-    def of_modes(text: str) -> list[str]:
-        places = [(k, kernels.FIRST + k * width, kernels.FIRST_SETTINGS + k * settings) for k in chosen]
-        times = [" * repeats" if evidence[k] is mode_kernels.freezes else "" for k in chosen]
+    def of_modes(text: str, of: Iterable[int] = chosen) -> list[str]:
         return [
-            text.format(k=k, block=block, settings=own, times=t)
-            for (k, block, own), t in zip(places, times, strict=True)
-        ]
+            text.format(
+                k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings,
+                tells=_TELLS.format(k=k) if k in telling else "",
+                share=f"share_of(told{k}, most)" if k in telling else "share",
+                times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
+            )
+            for k in of
+        ]  # fmt: skip
 
     def lines(text: str) -> str:
         return "\n".join(of_modes(text))
@@ -121,8 +131,8 @@ def sensor_functions(
     passing = _PASS_TIME.format(modes=lines(_PASS_MODE))
     weighing = _WEIGH.format(
         modes=lines(_WEIGH_MODE),
-        most=_paired(["told", *of_modes("told{k}")], "maximum({}, {})"),
-        weights=lines("weight{k} = memory[block{k} + WEIGHT] * factor{k} * share_of(told{k}, most)"),
+        most=_paired(["told", *of_modes("told{k}", telling)], "maximum({}, {})"),
+        weights=lines("weight{k} = memory[block{k} + WEIGHT] * factor{k} * {share}"),
         total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
         probabilities=lines("memory[block{k} + WEIGHT] = weight{k} * part + LEAST"),
         trust=_paired(["healthy", *of_modes("weight{k} * memory[block{k} + TRUST]")], "({} + {})"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.controllers import _switching_kernels as kernels
+from bayesftc.controllers import _mode_kernels as mode_kernels, _switching_kernels as kernels
 from bayesftc.controllers._actuator_settings import actuator_settings, chance
 from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
@@ -39,6 +39,11 @@ if TYPE_CHECKING:
 
 KNOWN = 1e12
 """Shape of the gamma distribution of a precision that is not learned: there is no doubt about it."""
+
+
+def _kept(mode: FaultMode) -> int:
+    """Return how much of a mode's block says something of a fault: if nothing is learned of it, its age is all."""
+    return TRUST if type(mode).evidence in (mode_kernels.freezes, mode_kernels.drops) else TRUST + len(mode.first)
 
 
 @dataclass(frozen=True)
@@ -352,8 +357,7 @@ class SwitchingPrecision(PrecisionLearner):
         kinds += tuple(kinds[q] for q in jumping)
         slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
         spans = [
-            tuple((k in of) * (TRUST + len(mode.first)) for k, mode in enumerate(self.modes))
-            for of in self._parts(model.sensors)
+            tuple((k in of) * _kept(mode) for k, mode in enumerate(self.modes)) for of in self._parts(model.sensors)
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
