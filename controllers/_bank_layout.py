@@ -114,11 +114,15 @@ class Layout:
         return tuple(table.ravel().tolist())
 
     @property
-    def has_offset(self) -> tuple[int, ...]:
-        """For each hypothesis whether an offset is estimated with the state: of a sensor, a group or an actuator (1 or 0)."""
-        with_offset = (*range(1, self.first_lost), *range(self.first_common, self.first_ended))
-        with_offset += tuple(range(self.first_actuator, self.process))
-        return tuple(int(h in with_offset) for h in range(self.hypotheses))
+    def with_offset(self) -> tuple[int, ...]:
+        """The hypotheses in which an offset is estimated with the state: of a sensor, a group or an actuator."""
+        of_sensors = (*range(1, self.first_lost), *range(self.first_common, self.first_ended))
+        return (*of_sensors, *range(self.first_actuator, self.process))
+
+    @property
+    def without_offset(self) -> tuple[int, ...]:
+        """The hypotheses in which none is."""
+        return tuple(h for h in range(self.hypotheses) if h not in self.with_offset)
 
     @property
     def jumps(self) -> tuple[bool, ...]:

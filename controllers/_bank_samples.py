@@ -55,10 +55,62 @@ LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
 
 
 @cache
+def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: int) -> Callable[..., None]:
+    """Return the step function that conditions a hypothesis, with an ``offset`` or without (1, 0), on one sensor after the other.
+
+    It leaves what the samples tell of the hypothesis: a logarithm, and a factor that has its probability. A sensor that is judged
+    by its own modes is weighed by ``weigh_sensor``.
+    """
+    m, sensor, row_length, width_of_settings = layout.m, layout.sensor, layout.row, layout.width_of_settings
+    n, judged, squares, repeated, scratch = layout.n, layout.judged, layout.squares, layout.repeated, layout.scratch
+    none, stride, kept = layout.first, layout.length, layout.kept
+    told, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
+
+    def condition(h, y, e, present, nominal, C, memory, settings):
+        at = none + h * stride
+        memory[told + h] = 0.0 * memory[at]
+        memory[factor + h] = memory[at]
+        for i in range(m):
+            variance, row, by = nominal[i, i] * memory[i * sensor + NOISE], i * row_length, judged[h * m + i]
+            if by == BY_MODES:
+                spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
+                total = spread + variance
+                error = held(e[i] - expected, minimum(total, ABSURD * variance))
+                own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
+                doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
+                density = weigh_sensor(
+                    error, present[i], total, variance, doubt, change, memory[repeated + i], memory, own, settings, row
+                )
+                memory[told + h] = memory[told + h] + density
+                memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
+                noise = variance / memory[own + TRUSTED]
+                correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
+                part = variance / total
+                memory[squares + h * m + i] = part * (part * error * error + spread)
+            elif offset and by >= 0:
+                spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
+                total = spread + variance
+                error = held(e[i] - expected, minimum(total, ABSURD * variance))
+                own = row + FIRST_SETTINGS + by * width_of_settings
+                density = select(present[i] > 0.5, log_density(error * error, total), 0.0)
+                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
+                correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
+                memory[told + h] = memory[told + h] + density
+                memory[factor + h] = memory[factor + h] * times
+                part = variance / total
+                memory[squares + h * m + i] = part * (part * error * error + spread)
+            if i % 2 == 1 and i < m - 1:  # before the product of many small ones is none
+                memory[told + h] = memory[told + h] + log(memory[factor + h])
+                memory[factor + h] = 1.0 + 0.0 * memory[at]
+
+    return condition
+
+
+@cache
 def make_weigh(
     layout: Layout, weigh_alone: Callable[..., float], weigh_other: Callable[..., float]
 ) -> Callable[..., None]:
-    """Return the step function that conditions each hypothesis on one sensor after the other and gives it its probability.
+    """Return the step function that conditions each hypothesis on the samples and gives it its probability.
 
     Parameters
     ----------
@@ -67,61 +119,25 @@ def make_weigh(
     weigh_alone, weigh_other : function
         Weighing of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
-    n, m, H, judged, has_offset = layout.n, layout.m, layout.hypotheses, layout.judged, layout.has_offset
+    m, H, with_offset, without = layout.m, layout.hypotheses, layout.with_offset, layout.without_offset
     sensor, row_length, width_of_settings = layout.sensor, layout.row, layout.width_of_settings
-    none, stride, kept, first_lost = layout.first, layout.length, layout.kept, layout.first_lost
+    n, none, stride, first_lost = layout.n, layout.first, layout.length, layout.first_lost
     told, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
     U, lost = len(layout.lost), layout.lost or (0,)
-    courses, course, squares, repeated = layout.courses, layout.course, layout.squares, layout.repeated
+    courses, course, repeated = layout.courses, layout.course, layout.repeated
+    # Each of its own, so that a compiler knows how long loops are.
+    condition_first = make_condition(layout, weigh_alone, 0)
+    condition_plain, condition_offset = (make_condition(layout, weigh_other, offset) for offset in (0, 1))
 
     def weigh(y, e, present, nominal, C, memory, settings):
         for i in range(m):
             own, change = i * sensor, y[i] - memory[i * sensor + LAST]
             memory[repeated + i] = repetition(change, nominal[i, i], memory, own, settings, i * row_length)
-        for h in range(H):
-            at = none + h * stride
-            memory[told + h] = 0.0 * memory[none]
-            memory[factor + h] = memory[at]
-            offset = has_offset[h]
-            for i in range(m):
-                variance, row = nominal[i, i] * memory[i * sensor + NOISE], i * row_length
-                doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
-                by = judged[h * m + i]
-                if by >= 0:
-                    spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
-                    total = spread + variance
-                    error = held(e[i] - expected, minimum(total, ABSURD * variance))
-                    own = row + FIRST_SETTINGS + by * width_of_settings
-                    density = select(present[i] > 0.5, log_density(error * error, total), 0.0)
-                    times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
-                    correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
-                    memory[told + h] = memory[told + h] + density
-                    memory[factor + h] = memory[factor + h] * times
-                    part = variance / total
-                    memory[squares + h * m + i] = part * (part * error * error + spread)
-                elif by == BY_MODES:
-                    spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
-                    total = spread + variance
-                    error = held(e[i] - expected, minimum(total, ABSURD * variance))
-                    own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
-                    repeats = memory[repeated + i]
-                    if h == 0:
-                        density = weigh_alone(
-                            error, present[i], total, variance, doubt, change, repeats, memory, own, settings, row
-                        )
-                    else:
-                        density = weigh_other(
-                            error, present[i], total, variance, doubt, change, repeats, memory, own, settings, row
-                        )
-                    memory[told + h] = memory[told + h] + density
-                    memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
-                    noise = variance / memory[own + TRUSTED]
-                    correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
-                    part = variance / total
-                    memory[squares + h * m + i] = part * (part * error * error + spread)
-                if i % 2 == 1 and i < m - 1:  # before the product of many small ones is none
-                    memory[told + h] = memory[told + h] + log(memory[factor + h])
-                    memory[factor + h] = 1.0 + 0.0 * memory[none]
+        condition_first(0, y, e, present, nominal, C, memory, settings)
+        for k in range(1, len(without)):
+            condition_plain(without[k], y, e, present, nominal, C, memory, settings)
+        for k in range(H - len(without)):
+            condition_offset(with_offset[k], y, e, present, nominal, C, memory, settings)
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
@@ -255,6 +271,9 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
     first_lost, U, lost, courses, course = (
         layout.first_lost, len(layout.lost), layout.lost or (0,), layout.courses, layout.course,
     )  # fmt: skip
+    K, groups, first_common, alone, other = (
+        len(layout.kinds), len(layout.groups), layout.first_common, layout.alone, layout.other,
+    )  # fmt: skip
     actuators, actuator, of_actuators = layout.actuators, layout.actuator, layout.actuator_settings
     first_actuator = layout.first_actuator
 
@@ -273,22 +292,25 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 block = own + FIRST + k * width
                 weight, trusted = 0.0 * memory[none], 0.0 * memory[none]
                 size, age = 0.0 * memory[none], 0.0 * memory[none]
-                for h in range(H):
-                    at, u, by = none + h * stride, h - first_lost - i * U, judged[h * m + i]
-                    if by == BY_MODES:
-                        here = at + kept + block
-                        part = memory[at] * memory[here + WEIGHT]
+                for h in range(H if alone[k] + other[k] > 0 else 0):
+                    if judged[h * m + i] == BY_MODES:
+                        here = none + h * stride + kept + block
+                        part = memory[none + h * stride] * memory[here + WEIGHT]
                         size = size + part * memory[here + SIZE]
                         age = age + part * memory[here + AGE]
                         trusted = trusted + part * memory[here + TRUST]
                         weight = weight + part
-                    elif by == BY_COURSE:
-                        if lost[u] == k:
-                            size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
-                            age = age + memory[at] * memory[at + OFFSET_AGE]
-                            weight = weight + memory[at]
-                    elif by == k:
+                for q in range(K + groups):
+                    h = 1 + i * K + q if q < K else first_common + q - K
+                    if judged[h * m + i] == k:
+                        at = none + h * stride
                         size = size + memory[at] * memory[at + STATE + n]
+                        age = age + memory[at] * memory[at + OFFSET_AGE]
+                        weight = weight + memory[at]
+                for u in range(U):
+                    if lost[u] == k:
+                        at = none + (first_lost + i * U + u) * stride
+                        size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
                         age = age + memory[at] * memory[at + OFFSET_AGE]
                         weight = weight + memory[at]
                 memory[block + WEIGHT] = weight
