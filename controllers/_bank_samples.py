@@ -119,7 +119,7 @@ def make_weigh(
     weigh_alone, weigh_other : function
         Weighing of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
-    m, H, with_offset, without = layout.m, layout.hypotheses, layout.with_offset, layout.without_offset
+    m, H, without, with_offset = layout.m, layout.hypotheses, layout.without_offset, layout.with_offset or (0,)
     sensor, row_length, width_of_settings = layout.sensor, layout.row, layout.width_of_settings
     n, none, stride, first_lost = layout.n, layout.first, layout.length, layout.first_lost
     told, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch

@@ -164,7 +164,7 @@ class Offset(FaultMode):
     Parameters
     ----------
     time_to_fault, time_to_recovery
-        See `FaultMode`.
+        See `FaultMode`. Jumps are twice as frequent as other faults, for many of them are short (`SwitchingPrecision`).
     jump : float
         Standard deviation of the offset at its onset, in those of the sensor's noise; if the first innovation is larger, that.
     slope : float
@@ -173,6 +173,7 @@ class Offset(FaultMode):
         Standard deviation of the offset's own random walk, in those of the sensor's noise per sample.
     """
 
+    time_to_fault: float = DefaultTime(150.0)
     jump: float = 1.0
     slope: float = 0.0
     walk: float = 0.01
@@ -204,6 +205,7 @@ class Drifting(Offset):
         See `Offset`.
     """
 
+    time_to_fault: float = DefaultTime(300.0)
     jump: float = 0.0
     slope: float = 0.02
     walk: float = 0.0
@@ -223,6 +225,7 @@ class Ramping(Offset):
         See `Offset`.
     """
 
+    time_to_fault: float = DefaultTime(300.0)
     jump: float = 0.0
     slope: float = 0.3
     walk: float = 0.0

@@ -128,7 +128,7 @@ class SwitchingPrecision(PrecisionLearner):
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
     alike: float = 0.45
-    duration_shape: float = 1.2
+    duration_shape: float = 1.1
     noise_factor: float = 3.0
     noise_strength: float = 5.0
     noise_forgetting: float = 0.9998
