@@ -50,7 +50,7 @@ def drops(e, present, variance, nominal, change, healthy, memory, at, settings, 
     change : float
         The sample minus the last one that there was; NaN if there is none.
     healthy : float
-        Logarithm of the sample's density if the sensor is healthy.
+        Logarithm of the sample's density if the sensor is healthy and its noise is as believed.
     memory : array
         What is kept; the mode's block begins at the place ``at``. ``memory[at + ENTERED]`` is the probability that the mode
         begins with this sample, if it is the sensor's mode at all: only to be read. It may write the precision in nominal ones

@@ -47,7 +47,7 @@ factor{k} = select(present > 0.5, settings[own + MODE_ARRIVES] * memory[block{k}
 """
 
 _TELLS = """\
-told{k} = mode{k}(e, present, variance, nominal, change, sound, memory, block{k}, settings, own + OWN_SETTINGS)
+told{k} = mode{k}(e, present, variance, nominal, change, {healthy}, memory, block{k}, settings, own + OWN_SETTINGS)
 told{k} = select(present > 0.5, told{k}, 0.0)\
 """
 
@@ -110,14 +110,18 @@ def sensor_functions(
     width, settings : int
         Widths of the block of a mode in the memory and in the settings.
     """
-    # A sample that comes all the same is a healthy one: its density is computed once.
+    # Where a mode has nothing of its own to say a sample is a healthy one, whose noise may not be as believed (`wider`): that of
+    # a sensor that has dropped out, and the first one of a sensor that is frozen or on a course of its own.
     telling = [k for k in chosen if evidence[k] is not mode_kernels.drops]
+    waiting = (mode_kernels.freezes, mode_kernels.goes_its_way)
 
     def of_modes(text: str, of: Iterable[int] = chosen) -> list[str]:
         return [
             text.format(
                 k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings,
-                tells=_TELLS.format(k=k) if k in telling else "",
+                tells=_TELLS.format(k=k, healthy="told" if evidence[k] in waiting else "sound")
+                if k in telling
+                else "",
                 share=f"share_of(told{k}, most)" if k in telling else "share",
                 times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
             )

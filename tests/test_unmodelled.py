@@ -9,6 +9,7 @@ from scipy import stats
 from bayesftc import reproduce
 from bayesftc.controllers import (
     BayesianController,
+    DroppedOut,
     Frozen,
     LinearModel,
     Modality,
@@ -397,3 +398,18 @@ def test_an_old_fault_is_forgotten_later_than_a_young_one():
 def test_what_is_no_shape_of_durations(shape):
     with pytest.raises(ModelError, match="duration_shape"):
         SwitchingPrecision(duration_shape=shape)
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_a_first_sample_tells_nothing_of_what_needs_two(joint):
+    """However far it is from what is expected, a sensor is then as probably frozen as before, and as probably dropped out."""
+    modes = [Frozen(), DroppedOut(), *([] if joint else [Unmodelled()])]
+    for far in (0.0, 4.0, 8.0):
+        precision = SwitchingPrecision([*modes, *([Offset(NEVER)] if joint else [])], joint=joint, process_modes=())
+        step = StateEstimator(CAR, precision, initial_mean=20.0, initial_covariance=0.01).online(compiled=False)
+        out = step(y=[20.0 + far, 20.0], u=[100.0])
+        frozen, dropped = out.mode_probability[0, 1:3]
+        assert frozen == pytest.approx(STEP / modes[0].time_to_fault, rel=2e-3)
+        assert dropped < 0.01 * frozen  # it has sent something
+        if not joint:
+            assert out.mode_probability[0, 3] == pytest.approx(frozen, rel=2e-3)
