@@ -191,7 +191,7 @@ class UnbiasedActiveInference(Block):
         (n, _, p), m = self._dimensions, self._sensors
         shapes: dict[str, tuple[int, ...]] = {"u": (p,), "x_hat": (n,), "innovation": (m,), "R": (m, m)}
         shapes |= dict.fromkeys(("precision", "beta", "fault_probability"), (m,))
-        shapes |= {} if self._watched_model() is None else {"model_suspect": ()}
+        shapes |= {} if self.watched_model is None else {"model_suspect": ()}
         shapes |= {"free_energy": (), "eps_x": (n,), "eps_u": (p,)}
         return tuple(port(name, shape) for name, shape in shapes.items())
 
@@ -226,7 +226,7 @@ class UnbiasedActiveInference(Block):
             "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in shapes.items()},
             **law.state, **sensing.state, **screens,
         }  # fmt: skip
-        watched = self._watched_model()
+        watched = self.watched_model
         if watched is not None:
             watching, constants = consistency(watched, self.initial_mean)
             state, parameters = {**state, **watching, "seer_row": np.zeros((1, n))}, parameters | constants
@@ -278,8 +278,9 @@ class UnbiasedActiveInference(Block):
         learner = self.precision.apart("UnbiasedActiveInference").without_covariance()
         return learner.learner(self._learned_model())
 
-    def _watched_model(self) -> LinearModel | None:
-        """Return the model that is checked beside the controller; None if it has none, or its modalities are not linear."""
+    @property
+    def watched_model(self) -> LinearModel | None:
+        """The model that is checked beside the controller; None if it has none, or its modalities are not linear."""
         C = self.measurement_matrix
         if self.state_prior != "kalman" or self.model is None or not np.isfinite(C).all():
             return None

@@ -47,7 +47,7 @@ EXPLAINED = 2.0
 """Mean squared innovation up to which a run is explained."""
 
 NEARLY = 5.0
-"""Log-likelihood ratio within which an explanation with room for much else is nearly as good; a simple one: `EVIDENCE`."""
+"""Log-likelihood ratio within which a flexible explanation counts as nearly as good; for simple ones it is `EVIDENCE`."""
 
 LEAST_SAMPLES = 8
 """Samples without which nothing is said."""
@@ -111,26 +111,31 @@ def diagnose(
     UnknownNameError
         If a signal was not recorded.
     """
-    model = getattr(controller, "model", None)
-    suspect = f"{name}.model_suspect"
-    raised = suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM
-    if isinstance(model, NonlinearModel):
-        words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
-        return ModelFinding("unknown", words) if raised else None
-    if not isinstance(model, LinearModel):
+    model = checked_model(controller)
+    if model is None:
         raise ModelError(f"A diagnosis needs a model, which this {type(controller).__name__} does not have.")
-    source = f"{name}.y" if y is None else y
-    for needed in (source, f"{name}.u"):
+    source, suspect = f"{name}.y" if y is None else y, f"{name}.model_suspect"
+    for needed in (suspect,) if isinstance(model, NonlinearModel) else (source, f"{name}.u"):
         if needed not in signals:
             raise UnknownNameError(
                 f"The diagnosis needs the signal {needed!r}, which was not recorded; add it to record=[...]."
             )
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The diagnosis needs every step; run with decimation=1.")
+    raised = suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM
+    if isinstance(model, NonlinearModel):
+        words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
+        return ModelFinding("unknown", words) if raised else None
     found = diagnose_recording(model, signals[source], signals[f"{name}.u"], controller.initial_mean)
     if found is None and raised:
         return ModelFinding("unknown", sentence("unknown", (), model))
     return found
+
+
+def checked_model(controller: Any) -> LinearModel | NonlinearModel | None:
+    """Return the model by which the samples of a controller or estimator are checked; None if there is none."""
+    model = getattr(controller, "watched_model", getattr(controller, "model", None))
+    return model if isinstance(model, LinearModel | NonlinearModel) else None
 
 
 def diagnose_recording(
@@ -148,7 +153,18 @@ def diagnose_recording(
         What acts from each sample to the next.
     initial_mean : number or vector
         About where the state is at the first sample; nonlinear explanations count from there.
+
+    Raises
+    ------
+    ModelError
+        If there are not as many sensors or controls as in the model.
     """
+    for what, given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
+        if (recorded := 1 if np.ndim(given) == 1 else np.shape(given)[-1]) != columns:
+            raise ModelError(
+                f"The recording to diagnose has {recorded} {what}, the model {columns}; give the samples and controls of the "
+                "sensors and actuators in the model."
+            )
     found = best_explanations(model, y, u, initial_mean)
     if not found:
         return None

@@ -11,6 +11,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers._consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
 from bayesftc.controllers._explanations import delayed, faster
 from bayesftc.controllers._observers import observers
+from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce.wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 WORDS = {
@@ -175,6 +176,23 @@ def test_active_inference_that_has_a_model_is_checked_as_an_estimator_is(effect,
         x = SERVO.A @ x + SERVO.B @ out.u + [1e-3, 1e-2] * rng.standard_normal(2)
         x = np.clip(x, -1e3, 1e3)
     assert (max(found) >= 0.5) == raised
+
+
+def test_active_inference_is_diagnosed_by_what_its_modalities_read():
+    """Its model may have other sensors than the loop: what the loop's sensors read is no error of the plant's model."""
+    model = replace(SERVO, C=[[1.0, 0.0], [0.0, 1.0]], sensor_covariance=[1e-4, 1e-2])
+    sees = controllers.Modality("encoder", matrix=[[1.0, 0.0]], std=0.01)
+    controller = active_inference(model, state_prior="kalman", modalities=sees)
+    step, rng, x, rows = controller.online(compiled=False), np.random.default_rng(1000), np.zeros(2), []
+    for k in range(600):
+        y = x[:1] + 0.01 * rng.standard_normal(1)
+        out = step(y=y, goal=[np.sign(np.sin(k / 30))])
+        rows.append((y, out.u.copy(), float(out.model_suspect)))
+        x = SERVO.A @ x + SERVO.B @ out.u + [1e-3, 1e-2] * rng.standard_normal(2)
+    run = {f"controller.{name}": np.array(of) for name, of in zip(("y", "u", "model_suspect"), zip(*rows), strict=True)}
+    assert controllers.diagnose(run, controller) is None
+    with pytest.raises(ModelError, match="has 2"):
+        controllers.diagnose(run | {"controller.y": np.zeros((600, 2))}, controller)
 
 
 def test_active_inference_without_a_model_of_the_plant_has_nothing_to_check():

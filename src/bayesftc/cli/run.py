@@ -138,14 +138,14 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
 
 def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any] | None:
     """Return how the controller's model is wrong, as far as the run was recorded; None if nothing speaks against it."""
-    from bayesftc.controllers import LinearModel, diagnose
+    from bayesftc.controllers import NonlinearModel, diagnose
+    from bayesftc.controllers.diagnosis import checked_model
 
-    name, needed = _source_of_samples(loop), "controller.u"
-    if not isinstance(getattr(scenario.controller, "model", None), LinearModel) or result.decimation != 1:
+    model, samples = checked_model(scenario.controller), _source_of_samples(loop)
+    needed = ("controller.model_suspect",) if isinstance(model, NonlinearModel) else (samples, "controller.u")
+    if model is None or result.decimation != 1 or not all(name in result for name in needed):
         return None
-    if name is None or name not in result or needed not in result:
-        return None
-    found = diagnose(result, scenario.controller, y=name)
+    found = diagnose(result, scenario.controller, y=samples)
     return None if found is None else without_nan(asdict(found))
 
 
