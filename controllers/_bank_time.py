@@ -73,8 +73,8 @@ def make_pass_time(
         move(
             memory, none, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
         )  # fmt: skip
-        move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings)
-        move_lost(A, Q, start, covariance, largest, memory, settings)
+        move_offsets(e, A, C, Q, nominal, start, covariance, largest, memory, settings)
+        move_lost(A, C, Q, nominal, start, covariance, largest, memory, settings)
         move_common(A, Q, nominal, start, covariance, largest, memory, settings)
         move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings)
         move_process(sampled, A, C, Q, nominal, start, covariance, largest, memory, settings)
@@ -107,7 +107,11 @@ def make_set_out(layout: Layout) -> Callable[..., None]:
 
 @cache
 def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh."""
+    """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh.
+
+    Young ones end sooner than old ones while the state is `measurable`: of one that is hardly known without the sensor each part
+    that ends, small as it may be, would spoil what is believed without a fault.
+    """
     n, m, K = layout.n, layout.m, len(layout.kinds)
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
     fresh, jumps, haste = layout.fresh or (False,), layout.jumps or (False,), layout.haste
@@ -115,7 +119,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
     witnessed, collect, become = make_witnessed(layout), make_collect(layout), make_become(layout)
 
-    def move_offsets(e, A, Q, nominal, start, covariance, largest, memory, settings):
+    def move_offsets(e, A, C, Q, nominal, start, covariance, largest, memory, settings):
         for i in range(m):
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
@@ -134,7 +138,8 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 ends = settings[row + ENDS]
                 if jumps[q]:
-                    ends = ended(ends, memory[at + OFFSET_AGE], settings[haste])
+                    early = settings[haste] * measurable(memory, at, n, C, nominal)
+                    ends = ended(ends, memory[at + OFFSET_AGE], early)
                 collect(memory, at, minimum(ends + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i)
                 if fresh[q]:
                     become(memory, none + (1 + i * K + becomes[q]) * stride, at, i)
@@ -144,13 +149,13 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
 
 @cache
 def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses that a sensor goes its own course, of which some end."""
+    """Return the step function that moves the hypotheses that a sensor goes its own course, of which some end, as offsets do."""
     n, m, U, lost = layout.n, layout.m, len(layout.lost), layout.lost or (0,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
     first_lost, haste, collect = layout.first_lost, layout.haste, make_collect(layout)
 
-    def move_lost(A, Q, start, covariance, largest, memory, settings):
+    def move_lost(A, C, Q, nominal, start, covariance, largest, memory, settings):
         for i in range(m):
             for u in range(U):
                 at = none + (first_lost + i * U + u) * stride
@@ -162,7 +167,8 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
                     memory, at, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
                 )  # fmt: skip
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                collect(memory, at, ended(settings[row + ENDS], memory[at + OFFSET_AGE], settings[haste]), i)
+                early = settings[haste] * measurable(memory, at, n, C, nominal)
+                collect(memory, at, ended(settings[row + ENDS], memory[at + OFFSET_AGE], early), i)
 
     return move_lost
 

@@ -413,3 +413,15 @@ def test_a_first_sample_tells_nothing_of_what_needs_two(joint):
         assert dropped < 0.01 * frozen  # it has sent something
         if not joint:
             assert out.mode_probability[0, 3] == pytest.approx(frozen, rel=2e-3)
+
+
+@pytest.mark.parametrize("sensors", [1, 2])
+@pytest.mark.parametrize("known", [1e2, 1e6, 1e10])
+def test_a_state_of_which_nothing_is_known_is_what_the_sensors_say(sensors, known):
+    """Hypotheses that leave a sensor out then know nothing, and must not spoil what is believed of healthy ones."""
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0]] * sensors, 0.001, 1.0, STEP)
+    x, rng = 1.5 * known**0.5, np.random.default_rng(6)
+    step = StateEstimator(model, SwitchingPrecision(), initial_covariance=known).online(compiled=False)
+    outs = [step(y=list(x + rng.normal(size=sensors)), u=[5.0 * x]) for _ in range(60)]
+    assert max(abs(out.x_hat[0] - x) for out in outs[5:]) < 2.0
+    assert max(out.fault_probability.max() for out in outs[5:]) < 0.2
