@@ -90,6 +90,7 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
     def arrive_offsets(e, nominal, memory, settings, stays, left):
         """Return what stays without any fault, and what is left of the pool."""
         for i in range(m):
+            whole = left
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
                 own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
@@ -102,8 +103,8 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
                 if fresh[q]:
                     continue
                 block = pool + kept + i * sensor + FIRST + kinds[q] * width
-                came = left * memory[block + WEIGHT]
-                left = left - came
+                came = whole * memory[block + WEIGHT]
+                left = maximum(left - came, 0.0)
                 b, bb = memory[block + OWN], memory[block + OWN + 3]
                 cb = memory[block + OWN + 2] + bb
                 cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk

@@ -205,9 +205,10 @@ def make_listen(layout: Layout) -> Callable[..., None]:
 def make_conclude(layout: Layout) -> Callable[..., None]:
     """Return the step function that says what all hypotheses make together of the state.
 
-    Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays. That all sensors
-    of a group have the same offset counts as far as it is more probable than all that is no such offset: an estimate halfway
-    between a plant that moved and sensors that failed would be wrong in both cases, and plants move more often.
+    Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays. The estimate is
+    the mean of all hypotheses, but for those that all sensors of a group have the same offset: they count from nothing where they
+    are as probable as all others to all where these are not. So the estimate follows a plant that may have been kicked. The
+    covariance is the mean squared distance from it, by the probabilities themselves.
     """
     n, H, N = layout.n, layout.hypotheses, layout.n + 2
     none, stride, scratch, counts = layout.first, layout.length, layout.couples, layout.grow + layout.hypotheses
@@ -241,7 +242,7 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
                 for h in range(H):
                     z = none + h * stride + STATE
                     apart = memory[z + a] * memory[z + b]
-                    total = total + memory[counts + h] * (memory[z + N + a * N + b] + apart)
+                    total = total + memory[none + h * stride] * (memory[z + N + a * N + b] + apart)
                 P[a, b] = total
         good = x_hat[0] - x_hat[0] == 0.0
         for a in range(n):

@@ -27,13 +27,16 @@ def wider(squared, variance, noise, doubt):
     """Return the logarithm of Student's t density over the normal one of the same scale: that of a healthy sensor's error.
 
     Its noise has been learned only up to a ``doubt``, the inverse of the degrees of freedom (0: none), and is a part of the
-    error's variance. The logarithm of 1 + x is that by Pade's approximation, which is cheaper and right within 3 % up to x = 5.
+    error's variance. The logarithm of 1 + x is that by Pade's approximation, which is cheaper and right within 3 % up to x = 5:
+    with five degrees of freedom up to five standard deviations. Beyond, the tails are lighter. The constant of the density is
+    its series' first term.
     """
     one = 1.0 / variance
     part, each = noise * one, squared * one
-    x = each * (doubt * part * part)
+    doubt = doubt * part * part
+    x = each * doubt
     log1p_over_x = (30.0 + x * (21.0 + x)) / (30.0 + x * (36.0 + 9.0 * x))
-    return 0.5 * (each - (each + x) * log1p_over_x)
+    return 0.5 * (each - (each + x) * log1p_over_x - 0.5 * doubt)
 
 
 def drops(e, present, variance, nominal, change, healthy, memory, at, settings, first):

@@ -127,7 +127,7 @@ class SwitchingPrecision(PrecisionLearner):
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
-    alike: float = 0.45
+    alike: float = 0.2
     duration_shape: float = 1.1
     noise_factor: float = 3.0
     noise_strength: float = 5.0
@@ -344,7 +344,7 @@ class SwitchingPrecision(PrecisionLearner):
         kick = next((q for q, mode in enumerate(process_modes) if mode.scale > 1), -1)
         common = next((k for k in kinds if getattr(self.modes[k], "jump", 0.0) > 0), -1)
         known = self.alike > 0 and min(kick, common) >= 0
-        groups = tuple(group for group in model.alike if len(group) > 1) if known else ()
+        groups = tuple(group for group in model.alike if 1 < len(group) == model.sensors) if known else ()
         begins += sum(self._jumps_alike(process_modes[kick], step) for _ in groups)
         if begins >= 1:
             raise ModelError(

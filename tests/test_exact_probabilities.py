@@ -205,8 +205,8 @@ def table():
     }
 
 
-def check(name, settings, paces):
-    """Assert that no difference is larger than the page says, which rounds to three digits."""
+def check(name, settings, paces, low=0.0):
+    """Assert that no difference is larger than the page says, which rounds to three digits, nor below the part ``low`` of it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_exact_cases, "ROWS", {name: ROWS[name]})
         patch.setattr(_exact_cases, "paces", lambda settings, row: {pace: PACES(settings, row)[pace] for pace in paces})
@@ -217,8 +217,8 @@ def check(name, settings, paces):
             assert told[pace, form] == ""
             continue
         of = found[pace][form]
-        assert of["largest"] <= float(told[pace, form]) + 0.0005
-        assert of["rms"] <= of["largest"] < 1
+        said = float(told[pace, form])
+        assert low * said - 0.0005 <= of["largest"] <= said + 0.0005
         assert max(each["largest"] for each in of["by_size"].values()) == of["largest"]
 
 
@@ -234,13 +234,13 @@ def test_the_differences_are_no_larger_than_the_page_says(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROWS)
 def test_the_differences_are_those_of_the_page(name):
-    check(name, Probabilities(), [DEFAULT, OFTEN])
+    check(name, Probabilities(), [DEFAULT, OFTEN], low=1.0)
 
 
 def test_what_is_exact_is_within_what_was_aimed_at():
-    """A repetition, a silence and a drift have their exact probability; the page says so of no others."""
+    """A repetition and a silence have their exact probability; the page says so of no others."""
     close = {name for name, of in table().items() if all(float(v or 0) <= Probabilities().close for v in of.values())}
-    assert close >= {"Frozen(healthy_repeats=0)", "DroppedOut"}
+    assert close == {"Frozen(healthy_repeats=0)", "DroppedOut"}
     settings = Probabilities(sequences=3, sizes=(("Frozen", (1.0,)), ("DroppedOut", (1.0,))))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_exact_cases, "ROWS", {name: ROWS[name] for name in ("Frozen(healthy_repeats=0)", "DroppedOut")})

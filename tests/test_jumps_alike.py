@@ -1,5 +1,7 @@
 """All sensors of a quantity jump alike: the plant was kicked, or they all failed; only how it goes on can tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,21 +47,24 @@ def test_it_can_be_left_out():
     np.testing.assert_array_equal(single.x_hat, jumped(1, 5.0, SwitchingPrecision(alike=0.0), others=1).x_hat)
 
 
-def test_only_the_sensors_of_one_quantity_are_meant():
-    out = jumped(2, 5.0, SwitchingPrecision(), others=2)
-    assert out.fault_probability[:2].min() > 0.3 > 0.05 > out.fault_probability[2:].max()
+def test_of_two_quantities_it_is_the_plant_that_jumped():
+    """A kick would have moved the other one, too: how probable that is nobody says, so there is no such hypothesis."""
+    out = jumped(2, 5.0, SwitchingPrecision(alike=0.45), others=2)
+    assert out.fault_probability.max() < 0.05
+    assert abs(out.x_hat[0] - 5.0) < 0.8
 
 
 def test_a_plant_that_does_not_follow_tells_in_time():
-    """The force that holds a car at its speed does not fit the speed that both sensors show."""
+    """The force that holds a car at its speed does not fit the speed that both sensors show; in the mean of ten runs."""
     (case,) = chosen_cases("both sensors: injections of +5 sd")
-    loop = family_loop(case, SwitchingPrecision())
-    result = loop.simulate(14.5, seed=3)
-    p, at = result["controller.fault_probability"], np.searchsorted(result.time, [5.9, 6.3, 13.9, 14.4])
-    assert p[at[0]].max() < 0.1
-    assert np.all((p[at[1]] > 0.3) & (p[at[1]] < 0.6)), "nobody can tell yet"
-    assert p[at[2]].min() > 0.75, "both have failed"
-    assert p[at[3]].max() < 0.1, "both are well again"
+    loop = family_loop(case, SwitchingPrecision(alike=0.45))
+    results = [loop.simulate(14.5, seed=seed) for seed in range(10)]
+    at = np.searchsorted(results[0].time, [5.9, 6.3, 13.9, 14.4])
+    before, first, last, after = np.mean([result["controller.fault_probability"][at] for result in results], axis=0)
+    assert before.max() < 0.1
+    assert np.all((first > 0.3) & (first < 0.6)), "nobody can tell yet"
+    assert last.min() > 0.7, "both have failed"
+    assert after.max() < 0.1, "both are well again"
 
 
 @pytest.mark.parametrize("alike", [-0.1, 1.0, float("nan"), "half"])
@@ -68,13 +73,14 @@ def test_what_cannot_be_a_probability(alike):
         SwitchingPrecision(alike=alike)
 
 
-@pytest.mark.parametrize("likely", [(0.5, 0.0), (0.495, 0.495), (0.6, 0.2), (1.0, 0.0)])
+@pytest.mark.parametrize("likely", [(0.45, 0.0), (0.5, 0.0), (0.495, 0.495), (0.6, 0.2), (1.0, 0.0)])
 def test_an_estimate_is_made_of_whatever_is_left(likely):
     """Also where all sensors of either of two quantities may have jumped alike, and hardly anything else is probable."""
     model = LinearModel(
         np.eye(2), np.zeros((2, 1)), np.repeat(np.eye(2), 2, axis=0), 0.001 * np.eye(2), np.eye(4), 0.02
     )
     layout = SwitchingPrecision()._layout(model, 20, 20, SwitchingPrecision().process_modes)
+    layout = replace(layout, groups=((0, 1), (2, 3)), common=1)
     memory, rest = np.zeros(layout.scratch + 100), max(1.0 - sum(likely), 1e-100)
     for h in range(layout.hypotheses):
         at = layout.first + h * layout.length
@@ -85,7 +91,11 @@ def test_an_estimate_is_made_of_whatever_is_left(likely):
         memory[layout.first + h * layout.length + STATE] = x
     x_hat, P = np.zeros(2), np.zeros((2, 2))
     make_conclude(layout)(np.zeros(2), np.eye(2), memory, x_hat, P)
-    weights = np.array([rest, *np.maximum(np.array(likely) - rest, 0.0)])
-    mean = weights @ [1.0, -3.0, 5.0] / weights.sum()
-    assert x_hat == pytest.approx([mean, 0.0])
-    assert P[0, 0] == pytest.approx(1.0 + weights @ (np.array([1.0, -3.0, 5.0]) - mean) ** 2 / weights.sum())
+    if max(likely) <= 0.5 < 2 * rest:
+        assert x_hat[0] == pytest.approx(1.0), "the plant was kicked"
+    if max(likely) > 0.9:
+        assert x_hat[0] == pytest.approx(-3.0), "the sensors have failed"
+    assert -3.0 <= x_hat[0] <= 5.0
+    assert x_hat[1] == 0.0
+    each = np.array([1.0, -3.0, 5.0])
+    assert P[0, 0] == pytest.approx(1.0 + [rest, *likely] @ (each - x_hat[0]) ** 2), "the mean squared distance"

@@ -299,7 +299,8 @@ class Silent(Kind):
 class Regressed(Kind):
     """A sensor whose innovations follow a regression that is learned, of `Unmodelled`; the state is inferred without it.
 
-    Coefficients and precision of the noise have a normal-gamma distribution, whose natural parameters decay towards the prior's.
+    Coefficients and precision of the noise have a normal-gamma distribution, whose natural parameters decay towards the prior's;
+    so does the beta distribution of the share of samples that are exact repetitions. There must be none in the sequence.
     """
 
     mode: controllers.Unmodelled
@@ -334,7 +335,9 @@ class Regressed(Kind):
         mode = self.mode
         weights, means = np.diag(np.square(mode.deviations) ** -1.0), np.array(mode.means)
         rate = mode.shape * mode.scale**2 + 0.5 * means @ weights @ means
-        return {"weights": weights, "pulls": weights @ means, "shape": mode.shape, "rate": rate}
+        strength = mode.repeats_strength
+        share = {"repeats": mode.repeats * strength, "samples": strength}
+        return {"weights": weights, "pulls": weights @ means, "shape": mode.shape, "rate": rate, **share}
 
     def _follow(self, i: int, y: float, predicted: Floats, deviation: float, courses: Courses) -> Floats:
         """Learn from a sample; return the logarithm of its density, Student's t (Bishop 2006, exercise 3.13)."""
@@ -353,7 +356,9 @@ class Regressed(Kind):
         a, b = now["shape"], now["rate"] - 0.5 * np.einsum("na,na->n", mean, now["pulls"])
         scale = b / a * (1 + np.einsum("na,nab,nb->n", x, covariance, x))
         told: Floats = stats.t.logpdf(r, 2 * a, np.einsum("na,na->n", x, mean), np.sqrt(scale)) - np.log(deviation)
+        told += np.log(1 - now["repeats"] / now["samples"])
         learned = {"weights": x[:, :, None] * x[:, None, :], "pulls": x * r[:, None], "shape": 0.5, "rate": 0.5 * r**2}
+        learned |= {"repeats": 0.0, "samples": 1.0}
         for name, more in learned.items():
             own[name][:, i] = now[name] + more
         own["last"][:, i], own["predicted"][:, i] = r, predicted
