@@ -128,7 +128,9 @@ def learn_modes(
     runs = [_checked(number, run, model) for number, run in enumerate(given)]
     if not runs:
         raise ModelError("learn_modes has no recording to learn from; give at least one RecordedRun.")
-    start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes], duration_shape=inf)
+    # How probable it is that all sensors jump alike is believed, not learned, and would be shared out over their offsets.
+    alike = start.alike
+    start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes], alike=0.0, duration_shape=inf)
     start = start.paced(float(model.step))
     now, settled, step = start, False, float(model.step)
     likelihood: list[float] = []
@@ -141,7 +143,13 @@ def learn_modes(
         now = replace(now, modes=modes)
     onsets, recoveries, healthy, faulty = (tuple(map(float, of)) for of in expected.T[: kernels.FAULTY + 1])
     return LearnedModes(
-        now, onsets, recoveries, tuple(step * s for s in faulty), step * max(healthy), tuple(likelihood), settled
+        replace(now, alike=alike),
+        onsets,
+        recoveries,
+        tuple(step * s for s in faulty),
+        step * max(healthy),
+        tuple(likelihood),
+        settled,
     )
 
 
