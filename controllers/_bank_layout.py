@@ -59,7 +59,7 @@ class Layout:
     common : int
         Which of the sensors' modes such an offset is.
     kick : int
-        Which of the process' modes is as probable a reason, and moves what these sensors read as far.
+        Which of the process' modes competes with such an offset: as large, and as probable by the odds `alike`; -1: none.
     alone, other : tuple of int
         For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
         takes no part.

@@ -70,7 +70,7 @@ def _pushed(judge: Judge) -> list[Explanation]:
     found.append(judge.fitted("load", answers[:, p : 2 * p]))
     effects, answers = answers[:, :p], answers[:, 2 * p :]
     for j in range(p):
-        # All but what else the control might do: how it moves the plant beside other dynamics.
+        # Free all dynamics but control j's own effect, which the fit must give; with and without terms that bend.
         own = (1 + plant + j) * plant
         others = np.concatenate([answers[:, :own], answers[:, own + plant :]], axis=1)
         for last in (first - plant, others.shape[1]):
@@ -130,7 +130,7 @@ def _limits(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> li
     return found
 
 
-@lru_cache(maxsize=128)  # each is made anew for no recording, nor for a shorter part of one
+@lru_cache(maxsize=128)  # recordings do not change it, and each shorter part of one asks again
 def _faster(
     model: LinearModel, sets: tuple[tuple[int, ...], ...], factor: float
 ) -> tuple[LinearModel, Observers] | None:

@@ -26,8 +26,8 @@ CLOSE = 0.07
 """A gain or a time scale closer to 1 than this is right."""
 
 REVERSED, SURELY = (-2.0, -0.5), 3.0
-"""Between what the control's effect beside other dynamics must lie, in the model's, to be called its reverse, and by how many
-standard deviations below the model's."""
+"""A control counts as reversed if its fitted effect is between -2 and -0.5 times the model's, and 3 standard deviations
+below it."""
 
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 """Share by which these, which fit anything, must lessen the mean squared innovation of every set."""

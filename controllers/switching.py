@@ -42,7 +42,7 @@ KNOWN = 1e12
 
 
 def _kept(mode: FaultMode) -> int:
-    """Return how much of a mode's block says something of a fault: if nothing is learned of it, its age is all."""
+    """Return how many numbers of a mode's block are merged: up to its age if nothing is learned of its faults."""
     return TRUST if type(mode).evidence in (mode_kernels.freezes, mode_kernels.drops) else TRUST + len(mode.first)
 
 
@@ -71,9 +71,9 @@ class SwitchingPrecision(PrecisionLearner):
     In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
     slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs.
     Further hypotheses are that a sensor fails in a way that has no mode (`Unmodelled`), where the state is inferred without it;
-    that the plant is moved by more than its process noise, or the model says less than it should; that all sensors of a
-    quantity have jumped alike (`alike`); or that an actuator has failed. The joint form is for controllers with a linear model;
-    with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated, sensors are judged one by one by
+    that the plant is moved by more than its process noise, or the model says less than it should; that all sensors, if they read
+    one quantity, have jumped alike (`alike`); or that an actuator has failed. The joint form is for controllers with a linear
+    model; with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated, sensors are judged one by one by
     their innovation from the common prediction (the per-sensor form).
 
     Parameters
@@ -100,9 +100,10 @@ class SwitchingPrecision(PrecisionLearner):
         first; last that one has ended, as far as that is not settled). Without the joint form, a mode with hypotheses of its own
         (`Offset`, `Unmodelled`) or process noise the default ones are left out.
     alike : float
-        Probability, from 0 to below 1, that a jump which all sensors of a quantity show alike is theirs and not the plant's,
-        as far as a kick (a process mode with a `scale`) explains it: that cannot be known but by how it goes on. The estimate
-        follows them unless a fault is the more probable. A part of the joint form, for offsets that jump.
+        Prior probability, from 0 to below 1, that a jump which all sensors show alike is a fault of the sensors, not a kick of
+        the plant (a process mode with a `scale` above 1): that cannot be known but by how it goes on. The estimate follows the
+        sensors unless a fault is the more probable. A part of the joint form, where two or more sensors all read the same and
+        there are such a mode and an `Offset`; elsewhere it has no effect.
     duration_shape : float
         Shape, above 1, of the Lomax distribution of how long a fault lasts, whose mean is its ``time_to_recovery``: the closer to
         1, the more of them are short and a few very long. Infinite: the distribution is exponential, as that of all other modes,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 INTERPRETED = 10_000
-"""Steps up to which the per-sensor form is not worth the seconds that compiling takes."""
+"""Recordings of up to this many steps run interpreted, for compiling takes seconds."""
 
 
 @dataclass(frozen=True)

@@ -148,6 +148,7 @@ def test_a_course_of_its_own_has_the_evidence_of_the_regression():
     mode, rows = controllers.Unmodelled(forgetting=1.0, fading=0.8), SAMPLES[:, :1]
     mean, covariance = moments(ONE, len(rows))
     prior, first = np.diag(np.square(mode.deviations) ** -1.0), np.array(mode.means)
+    some, others = mode.repeats_strength * np.array([mode.repeats, 1 - mode.repeats])
 
     def density(failed):
         told = read(ONE, rows, ~failed)
@@ -170,6 +171,7 @@ def test_a_course_of_its_own_has_the_evidence_of_the_regression():
             told *= (2 * np.pi) ** (-0.5 * (end - begin)) * b0**mode.shape / b**a
             told *= (np.linalg.det(prior) / np.linalg.det(after)) ** 0.5
             told *= special.gamma(a) / special.gamma(mode.shape)
+            told *= special.beta(some, others + end - begin) / special.beta(some, others)  # none is a repetition
         return told
 
     np.testing.assert_allclose(probabilities(ONE, Regressed(mode), rows)[-1], enumerated(ONE, rows, density), rtol=1e-9)

@@ -65,7 +65,7 @@ def test_a_row_changes_the_settings_that_it_names_and_no_others():
     assert rows["unchanged"] == controllers.SwitchingPrecision()
     frozen, offset, _, ramping, course, noisier, _ = rows["times / 5"].modes
     assert frozen == controllers.Frozen(60.0, 2.0)
-    assert offset == controllers.Offset(60.0, 2.0)
+    assert offset == controllers.Offset(30.0, 2.0)
     assert course == controllers.Unmodelled(60.0, 2.0)
     frozen, offset, _, ramping, course, noisier, _ = rows["sizes x 5"].modes
     assert (frozen, course, noisier) == (controllers.Frozen(), controllers.Unmodelled(), controllers.Noisier())

@@ -333,7 +333,7 @@ def test_cases_and_learners_are_chosen_by_pattern_or_given():
             "oracle loses the plant in the case 'light'",
         ),
         (lambda: reproduce.family(unseen=0), ModelError, "unseen is 0"),
-        (lambda: reproduce.family(unseen=2, cases="healthy"), ModelError, "cases besides"),
+        (lambda: reproduce.family(unseen=2, cases="healthy"), ModelError, "both unseen and cases"),
         (lambda: Family(bar=1.0), ModelError, "bar=1.0"),
         (lambda: Family(oracle_lost=1.0), ModelError, "oracle_lost=1.0"),
         (lambda: Family(behind=-0.1), ModelError, "behind=-0.1"),

@@ -3,8 +3,9 @@
 ``reproduce.arm`` is experiment 1, ``reproduce.tracking`` experiment 2, ``reproduce.detection`` experiment 3;
 ``reproduce.bound`` has the best that a detector could do there, ``reproduce.models`` asks what wrong models do, and
 ``reproduce.beliefs`` how wrong the settings of fault modes may be; ``reproduce.probabilities`` asks whether fault probabilities
-are true. Each returns what its JSON file holds, as plain data: ``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons
-stand in `bayesftc.reproduce.settings`, the paper's own numbers in `bayesftc.reproduce.paper`.
+are true, and ``reproduce.family`` runs all learners over a family of faults. Each returns what its JSON file holds, as plain
+data: ``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons stand in `bayesftc.reproduce.settings`, the paper's own
+numbers in `bayesftc.reproduce.paper`.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -371,7 +371,7 @@ def on_a_grid(
     """Return what `probabilities` does where a failed sensor's noise has another precision, which is not known.
 
     It is gamma distributed, and the same as long as the fault lasts: no forgetting. The state is summed over a grid, the
-    logarithm of each sensor's precision over another; such sums of smooth densities are exact but for rounding.
+    logarithm of each sensor's precision over another; such sums of smooth densities are accurate to 1e-5.
 
     Parameters
     ----------

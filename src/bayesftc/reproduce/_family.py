@@ -26,6 +26,7 @@ from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.signals import ALARM
 from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.reproduce._ensemble import Ensemble, Progress
+from bayesftc.reproduce._family_groups import ratio_of
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
 from bayesftc.reproduce._residuals import SWITCHING
 from bayesftc.reproduce._tracking_bench import CHUNK, ORACLE
@@ -106,7 +107,7 @@ def run(
     if unseen is not None:
         check_size("unseen", unseen, 1, "of cases that are drawn")
         if cases is not None:
-            raise ModelError("family draws unseen cases, and has cases besides; leave one of both out.")
+            raise ModelError("family got both unseen and cases; give one of them.")
     elif not chosen or not known:
         raise ModelError("family has no case or no learner to run; name one at least, or leave cases and learners out.")
     bench = _Bench(settings, Ensemble(seed, jobs, progress), list(range(first, first + settings.runs)))
@@ -279,8 +280,8 @@ def _entry(runs: Runs, oracle: Runs, bar: float) -> dict[str, Any]:
 
 def _summary(name: str, table: Mapping[str, Mapping[str, Any]], settings: Family) -> dict[str, Any]:
     """Return in which cases a learner is at its worst, above the bar, and further behind the best one than allowed."""
-    ratios = {case: _ratio(cells[name]) for case, cells in table.items()}
-    best = {case: min(_ratio(cell) for cell in cells.values()) for case, cells in table.items()}
+    ratios = {case: ratio_of(cells[name]) for case, cells in table.items()}
+    best = {case: min(ratio_of(cell) for cell in cells.values()) for case, cells in table.items()}
     worst = max(ratios, key=ratios.__getitem__)
     return {
         "worst": {"case": worst, "ratio": ratios[worst]},
@@ -288,8 +289,3 @@ def _summary(name: str, table: Mapping[str, Mapping[str, Any]], settings: Family
         "above_the_bar": [case for case, ratio in ratios.items() if ratio > settings.bar],
         "behind_the_best": [case for case, ratio in ratios.items() if ratio > best[case] + settings.behind],
     }
-
-
-def _ratio(cell: Mapping[str, Any]) -> float:
-    """Return the ratio of a cell; infinite if a run has lost its plant."""
-    return np.inf if cell["lost"] else float(cell["ratio"])

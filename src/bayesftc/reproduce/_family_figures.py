@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.reproduce._drawing import figure, heat_map
+from bayesftc.reproduce._family_groups import ratio_of
 from bayesftc.reproduce._tables import broken
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def ratios(report: dict[str, Any]) -> Figure:
     image: Any = None
     for axis, first in zip(axes, range(0, len(cases), size), strict=True):
         few = cases[first : first + size]
-        values = np.array([[_value(cells[case][name]) for name in learners] for case in few])
+        values = np.array([[ratio_of(cells[case][name]) for name in learners] for case in few])
         names = [broken(name) for name in learners]
         image = heat_map(axis, values, few, names, "{:.2f}", cmap="RdBu_r", norm=LogNorm(1 / LIMIT, LIMIT))
         axis.set_ylim(size - 0.5, -0.5)
@@ -42,11 +43,6 @@ def ratios(report: dict[str, Any]) -> Figure:
     bar.set_label("root-mean-square error over that of the oracle, which leaves faulty samples out", fontsize=9)
     bar.outline.set_visible(False)  # type: ignore[operator]
     return made
-
-
-def _value(cell: dict[str, Any]) -> float:
-    """Return a ratio; what is lost is off the scale."""
-    return np.inf if cell["lost"] else float(cell["ratio"])
 
 
 FIGURES = {"family": ratios}

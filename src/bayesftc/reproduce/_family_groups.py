@@ -1,4 +1,4 @@
-"""The family's results by group of cases: what a table of 151 rows comes to."""
+"""The family's results by group of cases: what its long table comes to."""
 
 from __future__ import annotations
 
@@ -40,7 +40,12 @@ def by_group(report: Mapping[str, Any]) -> dict[str, dict[str, Figures]]:
 
 def figures(cells: Sequence[Mapping[str, Any]]) -> Figures:
     """Return the figures of a learner's cells of a report's table."""
-    ratios = [np.inf if cell["lost"] else cell["ratio"] for cell in cells]
+    ratios = [ratio_of(cell) for cell in cells]
     shares = [cell["false_share"] for cell in cells if cell["false_share"] is not None]
     mean = float(np.exp(np.mean(np.log(ratios))))
     return Figures(mean, max(ratios), sum(cell["lost"] for cell in cells), float(np.mean(shares)) if shares else None)
+
+
+def ratio_of(cell: Mapping[str, Any]) -> float:
+    """Return the ratio of a cell of a report's table; infinite if a run has lost its plant."""
+    return np.inf if cell["lost"] else float(cell["ratio"])

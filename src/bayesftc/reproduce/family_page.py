@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayesftc.reproduce._family_groups import Figures, by_group, figures
+from bayesftc.reproduce._family_groups import Figures, by_group, figures, ratio_of
 from bayesftc.reproduce._family_tables import shown_ratio
 from bayesftc.reproduce._tables import sentence_list
 
@@ -39,7 +39,7 @@ def _cell(of: Figures) -> str:
 def _losses(table: Mapping[str, Mapping[str, Any]], name: str) -> str:
     """Return in a sentence in which cases a learner is above the bar, and which one is best there."""
     bad = sorted(
-        (case for case, of in table.items() if _ratio(of[name]) > BAR), key=lambda case: -_ratio(table[case][name])
+        (case for case, of in table.items() if ratio_of(of[name]) > BAR), key=lambda case: -ratio_of(table[case][name])
     )
     if not bad:
         return f"`{name}` is above {BAR:.2f} in no case."
@@ -49,12 +49,8 @@ def _losses(table: Mapping[str, Mapping[str, Any]], name: str) -> str:
 
 
 def _loss(case: str, of: Mapping[str, Any], name: str) -> str:
-    best = min(of, key=lambda other: _ratio(of[other]))
-    return f"{case} {_ratio(of[name]):.2f} (best: `{best}` {_ratio(of[best]):.2f})"
-
-
-def _ratio(cell: Mapping[str, Any]) -> float:
-    return float("inf") if cell["lost"] else float(cell["ratio"])
+    best = min(of, key=lambda other: ratio_of(of[other]))
+    return f"{case} {ratio_of(of[name]):.2f} (best: `{best}` {ratio_of(of[best]):.2f})"
 
 
 def rewritten(page: str, report: Mapping[str, Any]) -> str:
