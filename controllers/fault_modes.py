@@ -61,7 +61,7 @@ class FaultMode:
     ----------
     time_to_fault : float
         Mean time in seconds until a healthy sensor fails in this way. The default is short enough that faults are found soon, and
-        so long that with a fifth of it healthy sensors still pay nothing.
+        so long that even a fifth of it would cost healthy sensors less than 1 % of the error.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
 
