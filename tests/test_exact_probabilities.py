@@ -14,7 +14,7 @@ from bayesftc.reproduce import _exact_cases
 from bayesftc.reproduce._car import model
 from bayesftc.reproduce._ensemble import Ensemble
 from bayesftc.reproduce._exact import Regressed, Shifted, Silent, Stuck, World, on_a_grid, probabilities
-from bayesftc.reproduce._exact_cases import DEFAULT, JOINT, OFTEN, PER_SENSOR, ROWS
+from bayesftc.reproduce._exact_cases import APART, DEFAULT, JOINT, OFTEN, ROWS
 from bayesftc.reproduce.settings import Car, Probabilities, Tracking
 
 TWO = World(0.9, 0.3, 20.0, 0.5, np.array([1.0, 4.0]), begins=0.2, ends=0.3, loss=0.1)
@@ -199,7 +199,7 @@ def table():
     page = (Path(__file__).resolve().parents[1] / "docs" / "precision.md").read_text(encoding="utf-8")
     part = page.split("## How far from the exact posterior")[1].split("\n## ")[0]
     rows = re.findall(r"^\| `?([^`|]+?)`?(, [^|]+?)? \| (.+) \|$", part, re.M)
-    columns = [(DEFAULT, JOINT), (DEFAULT, PER_SENSOR), (OFTEN, JOINT), (OFTEN, PER_SENSOR)]
+    columns = [(DEFAULT, JOINT), (DEFAULT, APART), (OFTEN, JOINT), (OFTEN, APART)]
     return {
         name + more: dict(zip(columns, (re.match(r"[\d.]*", cell)[0] for cell in cells.split(" | ")), strict=True))
         for name, more, cells in rows
@@ -214,7 +214,7 @@ def check(name, settings, paces, low=0.0):
         patch.setattr(_exact_cases, "paces", lambda settings, row: {pace: PACES(settings, row)[pace] for pace in paces})
         found = _exact_cases.distances(settings, model(Car()), Tracking.constant, Ensemble(0))[name]
     told = table()[name]
-    for pace, form in product(paces, (JOINT, PER_SENSOR)):
+    for pace, form in product(paces, (JOINT, APART)):
         if form not in found[pace]:
             assert told[pace, form] == ""
             continue
@@ -249,7 +249,7 @@ def test_what_is_exact_is_within_what_was_aimed_at():
         found = _exact_cases.distances(settings, model(Car()), Tracking.constant, Ensemble(7))
     for of in found.values():
         for pace in (DEFAULT, OFTEN):
-            for form in (JOINT, PER_SENSOR):
+            for form in (JOINT, APART):
                 assert of[pace][form]["largest"] < 0.02
 
 

@@ -18,12 +18,12 @@ from bayesftc import controllers
 from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.reproduce._beliefs_streams import DEFAULTS, LEARNED, TOLD, Learners, Scores, account, learn, score
 from bayesftc.reproduce._ensemble import Ensemble, Progress
-from bayesftc.reproduce._residuals import SWITCHING, switching
+from bayesftc.reproduce._residuals import PER_SENSOR, SWITCHING, switching
 from bayesftc.reproduce._streams import Streams
 from bayesftc.reproduce._tracking_bench import ORACLE, Bench, Errors, Scenario
 from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
 
-FORMS = {SWITCHING: True, f"{SWITCHING}, per sensor": False}
+FORMS = {SWITCHING: True, PER_SENSOR: False}
 """By name whether it is the joint form."""
 UNCHANGED = "unchanged"
 """The row whose settings are as they were."""

@@ -20,7 +20,7 @@ NEVER = 1e15
 """Seconds until an offset that is there for the joint form alone, which has no hypotheses without one."""
 PERIOD = 10
 """Samples of an oscillation."""
-JOINT, PER_SENSOR = "joint", "per sensor"
+JOINT, APART = "joint", "per sensor"
 DEFAULT, OFTEN = "default times", "frequent faults"
 
 
@@ -53,7 +53,7 @@ class Row:
         beside = () if alone else (controllers.Offset(NEVER),)
         common = controllers.SwitchingPrecision((mode, *beside), duration_shape=inf, noise_factor=1.0, process_modes=())
         forms = {JOINT: common}
-        return forms if mode.joint_only else forms | {PER_SENSOR: replace(common, modes=(mode,), joint=False)}
+        return forms if mode.joint_only else forms | {APART: replace(common, modes=(mode,), joint=False)}
 
 
 ROWS: Mapping[str, Row] = {

@@ -28,13 +28,12 @@ from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.reproduce._ensemble import Ensemble, Progress
 from bayesftc.reproduce._family_groups import ratio_of
 from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
-from bayesftc.reproduce._residuals import SWITCHING
+from bayesftc.reproduce._residuals import PER_SENSOR, SWITCHING
 from bayesftc.reproduce._tracking_bench import CHUNK, ORACLE
 from bayesftc.reproduce.family_cases import CASES, PLANTS, Case
 from bayesftc.reproduce.settings import Family, check_size
 from bayesftc.reproduce.unseen_cases import unseen_cases
 
-PER_SENSOR = f"{SWITCHING}, per sensor"
 LOST = 1e9
 """Times the oracle's error: a run with more has lost its plant, as one that could not go on."""
 RESAMPLES = 2_000

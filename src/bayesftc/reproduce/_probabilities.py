@@ -24,11 +24,11 @@ from bayesftc.reproduce import _exact_cases
 from bayesftc.reproduce._car import closed_loop, model
 from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks
 from bayesftc.reproduce._random_faults import RandomFault, random_fault
-from bayesftc.reproduce._residuals import SWITCHING
+from bayesftc.reproduce._residuals import PER_SENSOR, SWITCHING
 from bayesftc.reproduce._tracking_bench import CHUNK
 from bayesftc.reproduce.settings import Car, Probabilities, Tracking
 
-PER_SENSOR, TOLD, GAMMA = f"{SWITCHING}, per sensor", f"{SWITCHING}, told the times", "GammaPrecision, calibrated"
+TOLD, GAMMA = f"{SWITCHING}, told the times", "GammaPrecision, calibrated"
 PROBABILITY = "controller.fault_probability"
 RESAMPLES = 2_000
 """Of the bootstrap: an interval's ends are then known to a few percent of its width."""

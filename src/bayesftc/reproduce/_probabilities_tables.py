@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.reproduce._exact_cases import JOINT, PER_SENSOR
+from bayesftc.reproduce._exact_cases import APART, JOINT
 from bayesftc.reproduce._tables import sentence_list, table
 
 if TYPE_CHECKING:
@@ -37,9 +37,9 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         shape = (
             f"{settings['samples']} samples of two sensors, one mode, {settings['sequences']} sequences of each size"
         )
-        heads = [f"{form}:\nlargest (RMS)" for form in (JOINT, PER_SENSOR)] + ["exact\n.05 to .95"]
+        heads = [f"{form}:\nlargest (RMS)" for form in (JOINT, APART)] + ["exact\n.05 to .95"]
         rows = {
-            name: [*(_difference(of.get(form)) for form in (JOINT, PER_SENSOR)), f"{of['between']:.0%}"]
+            name: [*(_difference(of.get(form)) for form in (JOINT, APART)), f"{of['between']:.0%}"]
             for name, of in cells.items()
         }
         yield table(f"{pace}: difference from the exact fault probability ({shape})", heads, rows, corner="mode")

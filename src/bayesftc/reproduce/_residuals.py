@@ -18,9 +18,10 @@ SIGNALS = ("controller.innovation", "controller.beta", "controller.precision", "
 GRID = ("SER", "beta", "beta (PL of tracking)")
 """The residuals of the grid; each has one loop."""
 SWITCHING = "SwitchingPrecision"
+PER_SENSOR = f"{SWITCHING}, per sensor"
 LABELS = {
     SWITCHING: "SwitchingPrecision (mean times to\nfault and recovery known)",
-    f"{SWITCHING}, per sensor": "SwitchingPrecision, per sensor\n(mean times known)",
+    PER_SENSOR: "SwitchingPrecision, per sensor\n(mean times known)",
     f"{SWITCHING}, default": "SwitchingPrecision (default settings)",
 }
 """What figures call residuals whose names do not say what their learners know."""
@@ -117,7 +118,7 @@ def posteriors(settings: Detection) -> dict[str, Residual]:
     """Return the residuals of the learners of fault modes by name."""
     return {
         SWITCHING: posterior("log odds of a fault, with the experiment's hazards", switching(settings, True)),
-        f"{SWITCHING}, per sensor": posterior("the same, judged sensor by sensor", switching(settings, False)),
+        PER_SENSOR: posterior("the same, judged sensor by sensor", switching(settings, False)),
         f"{SWITCHING}, default": posterior("with default hazards", controllers.SwitchingPrecision()),
     }
 

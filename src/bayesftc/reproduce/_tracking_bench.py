@@ -16,7 +16,7 @@ from bayesftc.cosim.block import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._car import closed_loop
 from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._residuals import SWITCHING
+from bayesftc.reproduce._residuals import PER_SENSOR, SWITCHING
 from bayesftc.reproduce.settings import Car, Tracking
 
 Errors = dict[str, Floats]
@@ -92,7 +92,7 @@ def techniques(settings: Tracking) -> dict[str, controllers.PrecisionLearner]:
         cls.__name__: cls() for cls in controllers.LEARNERS if cls not in named
     }
     if SWITCHING in others:
-        others[f"{SWITCHING}, per sensor"] = controllers.SwitchingPrecision(joint=False)
+        others[PER_SENSOR] = controllers.SwitchingPrecision(joint=False)
     return four | others
 
 
