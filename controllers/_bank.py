@@ -10,7 +10,7 @@ One hypothesis has no fault of these kinds. Each other one has one of the follow
 
 All that needs no moments together with the state (frozen, noisier, dropped out, and the offsets of *further* sensors) each
 hypothesis keeps sensor by sensor, as the per-sensor form does. So for K kinds of offsets, of which J jump, and U courses on m
-sensors, g groups of sensors that read the same, L modes of p actuators and G of the process there are
+sensors, g groups of sensors that read the same (one, if all do, else none), L modes of p actuators and G of the process there are
 1 + m (K + J + U) + 2 g + p L + (G + 1 if there are any) of them, however many sensors fail at once.
 
 At each sample every hypothesis moves; then offsets begin and end. What has ended is merged first (the pool) and goes on from

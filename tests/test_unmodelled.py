@@ -354,7 +354,8 @@ def test_healthy_sensors_are_not_blamed(case, most):
 def test_a_sensor_that_sticks_now_and_then_is_on_one_course_all_the_while():
     """Frozen for some samples, then healthy for one, and so on: without the share it would be healthy in between."""
     rng = np.random.default_rng(3)
-    step = StateEstimator(CAR, SwitchingPrecision(), initial_mean=20.0).online(compiled=True)
+    precision = SwitchingPrecision(duration_shape=np.inf)  # young faults are as lasting as old ones
+    step = StateEstimator(CAR, precision, initial_mean=20.0).online(compiled=True)
     told = []
     for k in range(400):
         y = 20.0 + np.array([1.0, 2.0]) * rng.normal(size=2)
@@ -363,8 +364,7 @@ def test_a_sensor_that_sticks_now_and_then_is_on_one_course_all_the_while():
         out = step(y=list(y), u=[100.0])
         told.append(out.fault_probability[0])
     assert np.max(told[50:200]) < 0.5
-    assert np.min(told[230:]) > 0.5  # blamed with each sample, also with the healthy ones in between
-    assert np.mean(told[230:]) > 0.95
+    assert np.min(told[230:]) > 0.9
 
 
 @pytest.mark.parametrize("mean", [1.0, 20.0, 500.0])
@@ -424,4 +424,4 @@ def test_a_state_of_which_nothing_is_known_is_what_the_sensors_say(sensors, know
     step = StateEstimator(model, SwitchingPrecision(), initial_covariance=known).online(compiled=False)
     outs = [step(y=list(x + rng.normal(size=sensors)), u=[5.0 * x]) for _ in range(60)]
     assert max(abs(out.x_hat[0] - x) for out in outs[5:]) < 2.0
-    assert max(out.fault_probability.max() for out in outs[5:]) < 0.5
+    assert max(out.fault_probability.max() for out in outs[5:]) < 0.3
