@@ -61,7 +61,7 @@ def make_infer(
         start = memory[count] < 0.5
         pass_time(e, present, A, B, C, Q, nominal, start, covariance, largest[0], applied, memory, settings)
         weigh(y, e, present, nominal, C, memory, settings)
-        conclude(mean, covariance, memory, x_hat, P)
+        conclude(mean, covariance, memory, settings, x_hat, P)
         summarise(memory, settings)
         listen(y, present, nominal, memory, settings)
         for i in range(m):

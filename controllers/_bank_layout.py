@@ -35,7 +35,7 @@ class Layout:
     of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each group
     of sensors with the same offset; each mode of each actuator; each of the process, and that one of those has ended), the pool,
     what is kept of the courses, and scratch space. The settings are those of the per-sensor form, then those of each mode of each
-    actuator and of the process, then of each group, last how much sooner young faults end.
+    actuator and of the process, then of each group, then how much sooner young faults end, last what the estimate takes over.
 
     An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
     nothing has contradicted so far, it would hardly be one that jumps.
@@ -60,6 +60,8 @@ class Layout:
         Which of the sensors' modes such an offset is.
     kick : int
         Which of the process' modes competes with such an offset: as large, and as probable by the odds `alike`; -1: none.
+    fades : tuple of int
+        In which of the process' modes the belief fades.
     alone, other : tuple of int
         For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
         takes no part.
@@ -84,6 +86,7 @@ class Layout:
     groups: tuple[tuple[int, ...], ...]
     common: int
     kick: int
+    fades: tuple[int, ...]
     alone: tuple[int, ...]
     other: tuple[int, ...]
     faults: tuple[int, ...]
@@ -170,6 +173,11 @@ class Layout:
         return self.common_settings + len(self.groups)
 
     @property
+    def takes_over(self) -> int:
+        """Where in the settings it stands how much of a deviation the estimate takes over with a sample while a belief fades."""
+        return self.haste + 1
+
+    @property
     def actuator(self) -> int:
         """How many numbers are kept of an actuator."""
         return OF_MODES + 2 * self.actuator_modes
@@ -203,6 +211,11 @@ class Layout:
     def process(self) -> int:
         """Which hypothesis is the first one of a mode of the process; those from here on have no offset."""
         return self.first_actuator + self.p * self.actuator_modes
+
+    @property
+    def fading(self) -> tuple[int, ...]:
+        """The hypotheses in which the belief fades."""
+        return tuple(self.process + q for q in self.fades)
 
     @property
     def kept(self) -> int:

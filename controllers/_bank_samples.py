@@ -207,14 +207,16 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
 
     Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays. The estimate is
     the mean of all hypotheses, but for those that all sensors of a group have the same offset: they count from nothing where they
-    are as probable as all others to all where these are not. So the estimate follows a plant that may have been kicked. The
-    covariance is the mean squared distance from it, by the probabilities themselves.
+    are as probable as all others to all where these are not. So the estimate follows a plant that may have been kicked. As far
+    as a belief fades it takes over no more of the deviation than the settings say. The covariance is the mean squared distance
+    from it, by the probabilities themselves.
     """
     n, H, N = layout.n, layout.hypotheses, layout.n + 2
     none, stride, scratch, counts = layout.first, layout.length, layout.couples, layout.grow + layout.hypotheses
     first_common, first_ended = layout.first_common, layout.first_ended
+    fading, takes_over = layout.fading or (0,), layout.takes_over
 
-    def conclude(mean, covariance, memory, x_hat, P):
+    def conclude(mean, covariance, memory, settings, x_hat, P):
         rest = 0.0 * memory[none]
         for h in range(H):
             memory[counts + h] = memory[none + h * stride]
@@ -226,12 +228,16 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
             whole = whole + memory[counts + h]
         for h in range(H):
             memory[counts + h] = memory[counts + h] / whole
+        fades = 0.0 * rest
+        for h in fading:
+            fades = fades + memory[counts + h]
+        part = 1.0 - fades * (1.0 - settings[takes_over])
         for a in range(n):
             total = 0.0 * mean[a]
             for h in range(H):
                 total = total + memory[counts + h] * memory[none + h * stride + STATE + a]
-            memory[scratch + a] = total
-            x_hat[a] = mean[a] + total
+            memory[scratch + a] = part * total
+            x_hat[a] = mean[a] + memory[scratch + a]
         for h in range(H):
             for a in range(n):
                 z = none + h * stride + STATE + a

@@ -14,6 +14,7 @@ from bayesftc.controllers._bank import make_infer
 from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._checks import as_number, as_vector, check_flags, check_number
 from bayesftc.controllers._default_time import time_at
+from bayesftc.controllers._filter_share import filter_share
 from bayesftc.controllers._given_modes import as_actuator_modes, as_fault_modes, as_process_modes, first_of, settings_of
 from bayesftc.controllers._mode_kernels import TRUST
 from bayesftc.controllers._ports import port
@@ -108,6 +109,10 @@ class SwitchingPrecision(PrecisionLearner):
         Shape, above 1, of the Lomax distribution of how long a fault lasts, whose mean is its ``time_to_recovery``: the closer to
         1, the more of them are short and a few very long. Infinite: the distribution is exponential, as that of all other modes,
         for faults whose mean duration is known. A part of the joint form, for offsets that jump and `Unmodelled`.
+    gain_limit : float
+        While the belief fades (a process mode with `fading` above 1), the estimate takes over at most so many times the part of a
+        deviation that the model's own filter takes over with each sample: sensors followed faster would make the loop unstable
+        where the control comes late. Infinite: no limit, for an estimate that no control hangs on.
     noise_factor : float
         The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
         less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.
@@ -130,6 +135,7 @@ class SwitchingPrecision(PrecisionLearner):
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
     alike: float = 0.2
     duration_shape: float = 1.1
+    gain_limit: float = 1.0
     noise_factor: float = 3.0
     noise_strength: float = 5.0
     noise_forgetting: float = 0.9998
@@ -138,6 +144,7 @@ class SwitchingPrecision(PrecisionLearner):
         check_flags(self, "joint")
         check_number(self, "alike", least=0, below=1)
         check_number(self, "duration_shape", above=1, finite=False)
+        check_number(self, "gain_limit", above=0, finite=False)
         check_number(self, "noise_factor", least=1, most=1e3)
         check_number(self, "noise_strength", above=0)
         check_number(self, "noise_forgetting", above=0, most=1)
@@ -257,6 +264,7 @@ class SwitchingPrecision(PrecisionLearner):
         settings += [value for mode in process_modes for value in mode.settings(step)]
         settings += [self._jumps_alike(process_modes[layout.kick], step) for _ in layout.groups]
         settings.append(1.0 / (self.duration_shape - 1.0))
+        settings.append(min(1.0, self.gain_limit * filter_share(model)) if layout.fades else 1.0)
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
@@ -362,8 +370,9 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
-            becomes=becomes, slow=slow, lost=self._lost, groups=groups, common=common, kick=kick, alone=spans[0],
-            other=spans[1], faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
+            becomes=becomes, slow=slow, lost=self._lost, groups=groups, common=common, kick=kick,
+            fades=tuple(q for q, mode in enumerate(process_modes) if mode.fading > 1), alone=spans[0], other=spans[1],
+            faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
             width=width, width_of_settings=settings,
         )  # fmt: skip
 

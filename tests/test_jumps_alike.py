@@ -89,8 +89,8 @@ def test_an_estimate_is_made_of_whatever_is_left(likely):
     for h, p, x in ((0, rest, 1.0), (layout.first_common, likely[0], -3.0), (layout.first_common + 1, likely[1], 5.0)):
         memory[layout.first + h * layout.length] = p
         memory[layout.first + h * layout.length + STATE] = x
-    x_hat, P = np.zeros(2), np.zeros((2, 2))
-    make_conclude(layout)(np.zeros(2), np.eye(2), memory, x_hat, P)
+    x_hat, P, settings = np.zeros(2), np.zeros((2, 2)), np.ones(layout.takes_over + 1)
+    make_conclude(layout)(np.zeros(2), np.eye(2), memory, settings, x_hat, P)
     if max(likely) <= 0.5 < 2 * rest:
         assert x_hat[0] == pytest.approx(1.0), "the plant was kicked"
     if max(likely) > 0.9:

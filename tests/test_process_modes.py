@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from scipy.linalg import solve_discrete_are
 
 from bayesftc.controllers import (
     BayesianController,
@@ -13,6 +14,7 @@ from bayesftc.controllers import (
     StateEstimator,
     SwitchingPrecision,
 )
+from bayesftc.controllers._filter_share import filter_share
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02
@@ -71,12 +73,12 @@ def test_a_plant_without_noise_has_no_modes():
         SwitchingPrecision(process_modes=[NoisierProcess()]).learner(still)
 
 
-def drive(precision, kick=0.0, bias=0.0, hill=0.0, share=1.0, wave=0.0, seed=0, compiled=False):
+def drive(precision, kick=0.0, bias=0.0, hill=0.0, share=1.0, late=0, wave=0.0, seed=0, compiled=False):
     """Run the car in plain Python: it is kicked at 4 s, and the first sensor is wrong from 6 to 8 s.
 
-    Always is there a hill (a force in N), and only a share of the force; a wave is that of the goal.
+    Always is there a hill (a force in N), and only a share of the force, late by so many samples; a wave is that of the goal.
     """
-    rng, x = np.random.default_rng(seed), 20.0
+    rng, x, forces = np.random.default_rng(seed), 20.0, [0.0] * late
     step = BayesianController(MODEL, precision=precision, initial_mean=20.0).online(compiled=compiled)
     for k in range(500):
         x += kick * (k == 200)
@@ -85,7 +87,8 @@ def drive(precision, kick=0.0, bias=0.0, hill=0.0, share=1.0, wave=0.0, seed=0, 
         goals = [20.0 + wave * np.sin(0.8 * STEP * t) for t in (k, k + 1)]
         out = step(y=list(y), goal=goals[1:])
         yield out, x - goals[0]
-        x = 0.999 * x + 2e-4 * (share * out.u[0] - hill) + 0.001**0.5 * rng.normal()
+        forces.append(out.u[0])
+        x = 0.999 * x + 2e-4 * (share * forces.pop(0) - hill) + 0.001**0.5 * rng.normal()
 
 
 def error(precision, **events):
@@ -134,6 +137,31 @@ def test_a_plant_that_is_not_as_the_model_is_no_fault_of_the_sensors():
             for precision in (FixedPrecision(), SwitchingPrecision(), SwitchingPrecision(process_modes=()))
         )
         assert learned < fixed < blind
+
+
+def test_a_late_control_does_not_make_the_loop_swing():
+    """Its model is wrong, so the belief fades; were the sensors then followed as fast as they may be, the loop would swing."""
+    late = {"late": 10, "wave": 2.0}
+    fixed, learned, unlimited = (
+        error(precision, **late)
+        for precision in (FixedPrecision(), SwitchingPrecision(), SwitchingPrecision(gain_limit=np.inf))
+    )
+    assert learned < 2.0 * fixed < 0.1 * unlimited
+
+
+@pytest.mark.parametrize("model", [MODEL, TWO, MODEL.with_disturbance(4.0)])
+def test_how_fast_the_filter_of_a_model_follows_its_sensors(model):
+    A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
+    P = solve_discrete_are(A.T, C.T, Q, R)
+    assert filter_share(model) == pytest.approx(np.trace(np.linalg.solve(C @ P @ C.T + R, C @ P @ C.T)), rel=1e-4)
+
+
+def test_a_constant_of_the_model_takes_no_part_in_that():
+    affine = LinearModel(
+        [[0.999, 0.1], [0.0, 1.0]], [[2e-4], [0.0]], [[1.0, 0.0], [1.0, 0.0]], np.diag([0.001, 0.0]), 1.0, STEP,
+        disturbances=1, constant=True,
+    )  # fmt: skip
+    assert filter_share(affine) == pytest.approx(filter_share(MODEL))
 
 
 @pytest.mark.parametrize(

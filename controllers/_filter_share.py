@@ -1,0 +1,42 @@
+"""How fast a model's own filter follows the sensors."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from bayesftc.controllers.model import LinearModel
+from bayesftc.cosim.block import Floats
+
+STEPS = 2000
+"""Of the covariance's recursion, at most: a state without noise, which is never known for good, gets a share that falls on."""
+
+
+def filter_share(model: LinearModel) -> float:
+    """Return how much of a deviation of the state the model's Kalman filter takes over with a sample, in steady state.
+
+    That is the trace of gain times C, the degrees of freedom for signal (Rodgers, Inverse Methods for Atmospheric Sounding,
+    2000): between 0 and the number of states.
+    """
+    moving = model.moving
+    names = ("A", "C", "process_covariance", "sensor_covariance")
+    return _share(*((M.shape, M.tobytes()) for M in map(moving.matrix, names)))
+
+
+@lru_cache(maxsize=512)
+def _share(*packed: tuple[tuple[int, ...], bytes]) -> float:
+    A, C, Q, R = (np.frombuffer(items).reshape(shape) for shape, items in packed)
+    P: Floats = Q + np.trace(Q) / len(Q) * np.eye(len(Q))
+    share = 0.0
+    for _ in range(STEPS):
+        K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
+        before, share = share, float(np.trace(K @ C))
+        if abs(share - before) <= 1e-6 * share:
+            break
+        P = A @ (P - K @ C @ P) @ A.T + Q
+        P = (P + P.T) / 2
+    return share
+
+
+__all__ = ["filter_share"]
