@@ -61,7 +61,7 @@ class Layout:
     kick : int
         Which of the process' modes competes with such an offset: as large, and as probable by the odds `alike`; -1: none.
     fades : tuple of int
-        In which of the process' modes the belief fades.
+        For each of the process' modes whether the belief fades in it (1 or 0).
     alone, other : tuple of int
         For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
         takes no part.
@@ -211,11 +211,6 @@ class Layout:
     def process(self) -> int:
         """Which hypothesis is the first one of a mode of the process; those from here on have no offset."""
         return self.first_actuator + self.p * self.actuator_modes
-
-    @property
-    def fading(self) -> tuple[int, ...]:
-        """The hypotheses in which the belief fades."""
-        return tuple(self.process + q for q in self.fades)
 
     @property
     def kept(self) -> int:

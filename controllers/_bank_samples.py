@@ -214,7 +214,7 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
     n, H, N = layout.n, layout.hypotheses, layout.n + 2
     none, stride, scratch, counts = layout.first, layout.length, layout.couples, layout.grow + layout.hypotheses
     first_common, first_ended = layout.first_common, layout.first_ended
-    fading, takes_over = layout.fading or (0,), layout.takes_over
+    G, process, fading, takes_over = layout.process_modes, layout.process, layout.fades or (0,), layout.takes_over
 
     def conclude(mean, covariance, memory, settings, x_hat, P):
         rest = 0.0 * memory[none]
@@ -229,8 +229,9 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
         for h in range(H):
             memory[counts + h] = memory[counts + h] / whole
         fades = 0.0 * rest
-        for h in fading:
-            fades = fades + memory[counts + h]
+        for q in range(G):
+            if fading[q] > 0:
+                fades = fades + memory[counts + process + q]
         part = 1.0 - fades * (1.0 - settings[takes_over])
         for a in range(n):
             total = 0.0 * mean[a]

@@ -264,7 +264,7 @@ class SwitchingPrecision(PrecisionLearner):
         settings += [value for mode in process_modes for value in mode.settings(step)]
         settings += [self._jumps_alike(process_modes[layout.kick], step) for _ in layout.groups]
         settings.append(1.0 / (self.duration_shape - 1.0))
-        settings.append(min(1.0, self.gain_limit * filter_share(model)) if layout.fades else 1.0)
+        settings.append(min(1.0, self.gain_limit * filter_share(model)) if any(layout.fades) else 1.0)
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
@@ -371,7 +371,7 @@ class SwitchingPrecision(PrecisionLearner):
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
             becomes=becomes, slow=slow, lost=self._lost, groups=groups, common=common, kick=kick,
-            fades=tuple(q for q, mode in enumerate(process_modes) if mode.fading > 1), alone=spans[0], other=spans[1],
+            fades=tuple(int(mode.fading > 1) for mode in process_modes), alone=spans[0], other=spans[1],
             faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
             width=width, width_of_settings=settings,
         )  # fmt: skip
