@@ -31,7 +31,7 @@
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
        STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES,
-       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH, REMEMBERS };
+       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH, REMEMBERS, REPEATS };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -160,9 +160,36 @@ static int step(COMPONENT c, double t)
 }
 
 #ifdef FMI2
+#define STATE fmi2FMUstate
+#define GET_STATE fmi2GetFMUstate
+#define SET_STATE fmi2SetFMUstate
+#else
+#define STATE fmi3FMUState
+#define GET_STATE fmi3GetFMUState
+#define SET_STATE fmi3SetFMUState
+#endif
+STATUS GET_STATE(COMPONENT, STATE *);
+STATUS SET_STATE(COMPONENT, STATE);
+
+/* Without the promise that nobody goes back the next step is taken for a repetition of this one (what() is REPEATS). */
+static void repeat(COMPONENT c, int no_return)
+{
+    static STATE before = NULL;
+    if (what(c) != REPEATS) {
+        return;
+    }
+    if (before != NULL) {
+        SET_STATE(c, before);
+    } else if (!no_return) {
+        GET_STATE(c, &before);
+    }
+}
+
+#ifdef FMI2
 STATUS fmi2DoStep(COMPONENT c, double t, double h, int n)
 {
     const int status = step(c, t);
+    repeat(c, n);
     return status >= 0 ? (STATUS)status : original_DoStep(c, t, h, n);
 }
 
@@ -180,6 +207,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 STATUS fmi3DoStep(COMPONENT c, double t, double h, bool n, bool *e, bool *q, bool *r, double *l)
 {
     const int status = step(c, t);
+    repeat(c, n);
     return status >= 0 ? (STATUS)status : original_DoStep(c, t, h, n, e, q, r, l);
 }
 

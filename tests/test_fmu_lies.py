@@ -311,3 +311,30 @@ def test_value_references_that_two_variables_share(tmp_path):
     shown = rewritten("2.0", tmp_path / "shown.fmu", ('valueReference="2"', 'valueReference="0"'))
     assert {v.name for v in describe(shown).variables if v.reference == 0} == {"force", "v"}
     assert run(shown, 5.0, False, steps=2)["car.v"].tolist() == [100.0] * 3
+
+
+# --- promises -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
+@WHERE
+@pytest.mark.parametrize("fmi", FMI)
+def test_steps_are_not_taken_for_repetitions(lying, fmi, isolate, engine):
+    """An FMU may keep its state for a step that is repeated, unless it is promised that nobody goes back."""
+    path, ways = lying(fmi)
+    result = run(path, ways["REPEATS"], isolate, engine=engine)
+    np.testing.assert_allclose(result["car.v"], speeds(ways["REPEATS"], 50), rtol=1e-12)
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize("fmi", FMI)
+def test_no_promise_is_made_that_is_broken(lying, fmi, isolate):
+    """After a state was saved, to which one may go back, steps come without the promise."""
+    path, ways = lying(fmi)
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(cosim.FMU(path, parameters={"b": ways["REPEATS"], "force": 100.0}, isolate=isolate), "car")
+    with diagram.start() as session:
+        session.advance(0.04)
+        session.save_state()
+        with pytest.raises(SimulationError, match=r"is not the time .* at which this instance stands"):
+            session.advance(0.1)  # the first step after that is taken for one that will be repeated

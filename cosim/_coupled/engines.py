@@ -322,6 +322,9 @@ def check_groups(run: Run) -> None:
         names = " and ".join(schedule.nodes[i].name for i in group.nodes)
         for i in group.externals if group.restores else ():
             node, instance = schedule.nodes[i], run.instances[i]
+            expect_return = getattr(instance, "expect_return", None)
+            if expect_return is not None:
+                expect_return()
             if not instance.can_save:
                 what = "step_error" if group.doubling else f"{coupling.method} coupling"
                 raise FMUError(

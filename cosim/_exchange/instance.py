@@ -89,6 +89,10 @@ class ExchangeInstance(ABC):
         """See `bayesftc.cosim.block.External.can_save`."""
         return self._model.can_save
 
+    def expect_return(self) -> None:
+        """See `bayesftc.cosim._fmi.steps.StepFunctions.expect_return`."""
+        self._model.expect_return()
+
     def save(self) -> SavedModel:
         """See `bayesftc.cosim.block.External.save`."""
         return self._model.save()

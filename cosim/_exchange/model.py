@@ -155,7 +155,7 @@ class ExchangeModel:
         table[words.MAJOR], table[words.COMPONENT] = library.description.fmi_major, self.component
         table[words.STATES], table[words.INDICATORS], table[words.X] = self.nx, self.nz, self.places.ctypes.data
         table[words.WANTS_STEPS] = self.info.needs_completed_step
-        table[words.NO_RETURN] = not self.info.can_save  # else someone may go back to a saved state
+        table[words.NO_RETURN] = 1
         into, out = self.ports.rows
         table[words.IN_GROUPS], table[words.IN_GROUP_COUNT] = into.ctypes.data, len(into)
         table[words.OUT_GROUPS], table[words.OUT_GROUP_COUNT] = out.ctypes.data, len(out)
@@ -319,8 +319,13 @@ class ExchangeModel:
     def _is_smooth(self) -> bool:
         return self.info.smooth and self.next_event == math.inf
 
+    def expect_return(self) -> None:
+        """See `bayesftc.cosim._fmi.steps.StepFunctions.expect_return`."""
+        self.table[words.NO_RETURN] = 0
+
     def save(self) -> SavedModel:
         """Return its state; see `bayesftc.cosim.block.External.save`."""
+        self.expect_return()
         own = None if self._is_smooth and not self.states.can_save else self.states.save()
         held = self.inputs.copy(), self.x.copy()
         return SavedModel(own, self.states.token, self.ports.names[0], self.time, self.next_event, *held)

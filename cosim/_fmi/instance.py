@@ -188,6 +188,7 @@ class Instance(StepFunctions):
 
     def save(self) -> SavedState:
         """See `bayesftc.cosim.block.External.save`."""
+        self.expect_return()
         saved = self._states.save()
         saved.beside = self._beside()
         return saved

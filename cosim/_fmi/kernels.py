@@ -31,10 +31,12 @@ UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
 WORDS = 22
 
 # Words of the scratch memory for what fmi3DoStep returns; a C bool takes the lowest byte of its word. Then what the status of
-# fmi2DoStep is asked, the place of a value that does not fit, and what fmi3UpdateDiscreteStates returns.
+# fmi2DoStep is asked, the place of a value that does not fit, and what fmi3UpdateDiscreteStates returns; last whether a promise
+# is made that no state before the step will be restored (noSetFMUStatePriorToCurrentPoint).
 EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
 UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
-SCRATCH_WORDS = 12
+NO_RETURN = 12
+SCRATCH_WORDS = 13
 
 TOLERANCE = 1e-9
 """Part of a step that an FMU may fall short of its end before it counts as an early return."""
@@ -99,27 +101,27 @@ def values3(typingctx, function, component, references, count, values, size):
 
 
 @intrinsic
-def step2(typingctx, function, component, t, h):
-    """int32 (*)(void *, double, double, int): fmi2DoStep, with no promise that nobody goes back: states may be restored."""
+def step2(typingctx, function, component, t, h, no_return):
+    """int32 (*)(void *, double, double, int): fmi2DoStep, with the promise or not that nobody goes back."""
 
     def codegen(context, builder, signature, args):
-        return _call(builder, args[0], [*args[1:], ir.Constant(_I32, 0)])
+        return _call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32)])
 
-    return types.int32(types.int64, types.int64, types.float64, types.float64), codegen
+    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64), codegen
 
 
 @intrinsic
-def step3(typingctx, function, component, t, h, scratch):
+def step3(typingctx, function, component, t, h, no_return, scratch):
     """int32 (*)(void *, double, double, bool, bool *, bool *, bool *, double *): fmi3DoStep.
 
     The bool by value travels in a register, so it is passed as the int that C would widen it to.
     """
 
     def codegen(context, builder, signature, args):
-        places = [builder.add(args[4], ir.Constant(_I64, 8 * i)) for i in (EVENT, TERMINATE, RETURNED_EARLY, REACHED)]
-        return _call(builder, args[0], [*args[1:4], ir.Constant(_I32, 0), *places])
+        places = [builder.add(args[5], ir.Constant(_I64, 8 * i)) for i in (EVENT, TERMINATE, RETURNED_EARLY, REACHED)]
+        return _call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32), *places])
 
-    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64), codegen
+    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64, types.int64), codegen
 
 
 @intrinsic
@@ -216,7 +218,8 @@ def _step2(parameters, inputs, t):
 def do_step2(parameters, t):
     """Make a step of an FMI 2 instance, in parts if it is discarded and the instance can do that."""
     h = number(parameters, STEP_SIZE)
-    status = step2(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h)
+    no_return = word(word(parameters, SCRATCH), NO_RETURN)
+    status = step2(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, no_return)
     if status == DISCARD and word(parameters, REAL_STATUS) != 0:
         return _in_parts2(parameters, t, h)
     return failed(STEP, status)
@@ -225,6 +228,7 @@ def do_step2(parameters, t):
 @callee
 def _in_parts2(parameters, t, h):
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    no_return = word(scratch, NO_RETURN)
     answer = scratch + 8 * ANSWER
     now, end, part, status = t, t + h, h, DISCARD
     for _ in range(TRIES):
@@ -254,7 +258,7 @@ def _in_parts2(parameters, t, h):
             return 0
         if part > left - TOLERANCE * h:
             part = left
-        status = step2(word(parameters, DO_STEP), component, now, part)
+        status = step2(word(parameters, DO_STEP), component, now, part, no_return)
     return ENDLESS
 
 
@@ -276,7 +280,8 @@ def do_step3(parameters, t):
     """Make a step of an FMI 3 instance without event mode, to its end if it returns early or is discarded."""
     h = number(parameters, STEP_SIZE)
     scratch = word(parameters, SCRATCH)
-    status = failed(STEP, step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, scratch))
+    no_return = word(scratch, NO_RETURN)
+    status = failed(STEP, step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, no_return, scratch))
     if status != 0:
         return _go_on3(parameters, t, h, h, status - STEP)
     if word(scratch, TERMINATE) != 0:
@@ -291,7 +296,9 @@ def do_event_step3(parameters, t):
     """Make a step of an FMI 3 instance that uses event mode, with the events within it and at its end."""
     h = number(parameters, STEP_SIZE)
     size = _part3(parameters, t, h, TOLERANCE * h)
-    status = step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, size, word(parameters, SCRATCH))
+    scratch = word(parameters, SCRATCH)
+    no_return = word(scratch, NO_RETURN)
+    status = step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, size, no_return, scratch)
     return _go_on3(parameters, t, h, size, status)
 
 
@@ -299,6 +306,7 @@ def do_event_step3(parameters, t):
 def _go_on3(parameters, t, h, size, status):
     """Bring a step to its end, of which the first part, of this size, has returned this status."""
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    no_return = word(scratch, NO_RETURN)
     events = word(parameters, ENTER_EVENT_MODE) != 0
     now, end, most, slack = t, t + h, h, TOLERANCE * h
     for _ in range(TRIES):
@@ -326,7 +334,7 @@ def _go_on3(parameters, t, h, size, status):
         if left <= slack:
             return 0
         size = _part3(parameters, now, most if most < left - slack else left, slack)
-        status = step3(word(parameters, DO_STEP), component, now, size, scratch)
+        status = step3(word(parameters, DO_STEP), component, now, size, no_return, scratch)
     return ENDLESS
 
 

@@ -20,7 +20,8 @@ EARLY, TERMINATED, ENDLESS = 401, 402, 403
 UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
 EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
 UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
-SCRATCH_WORDS = 12
+NO_RETURN = 12
+SCRATCH_WORDS = 13
 TOLERANCE, SMALLEST, TRIES = 1e-9, 1e-6, 10_000
 DISCARD, FATAL, PENDING = 2, 4, 5
 _LAST_TIME, _TERMINATED = 2, 3
@@ -104,6 +105,7 @@ class StepFunctions:
         self._component, self._addresses = component, addresses
         self._groups = tuple(inputs), tuple(outputs)
         self._scratch = np.zeros(SCRATCH_WORDS, dtype=np.int64)
+        self._scratch[NO_RETURN] = 1
         sides = (inputs, outputs)
         self._plain = not addresses.enter_event_mode and all(
             len(s) <= 1 and not any(g.kind.code for g in s) for s in sides
@@ -125,6 +127,14 @@ class StepFunctions:
             ],
             dtype=np.int64,
         )  # fmt: skip
+
+    def expect_return(self) -> None:
+        """Promise no more, with each step, that no state before it will be restored (noSetFMUStatePriorToCurrentPoint)."""
+        self._scratch[NO_RETURN] = 0
+
+    @property
+    def _no_return(self) -> int:
+        return int(self._scratch[NO_RETURN])
 
     #: The word of the table that holds the step size, of which compiled code finds a copy in memory.
     step_word = 8
@@ -196,12 +206,12 @@ class StepFunctions:
             return status
         h = self._h
         if self._major == 2:
-            status = self._do_step(self._component, t, h, 0)
+            status = self._do_step(self._component, t, h, self._no_return)
             if status == DISCARD and self._addresses.real_status:
                 return self._in_parts(t, h)
             return failed(STEP, status)
         size = self._part(t, h, TOLERANCE * h)
-        return self._go_on(t, h, size, self._do_step(self._component, t, size, False, *self._places[:4]))
+        return self._go_on(t, h, size, self._do_step(self._component, t, size, self._no_return, *self._places[:4]))
 
     def _set(self, inputs: Floats, t: float) -> int:
         """Set the inputs, all of them in event mode if one has changed that may only change at events.
@@ -263,7 +273,7 @@ class StepFunctions:
                 return 0
             if part > left - TOLERANCE * h:
                 part = left
-            status = self._do_step(self._component, now, part, 0)
+            status = self._do_step(self._component, now, part, self._no_return)
         return ENDLESS
 
     def _go_on(self, t: float, h: float, size: float, status: int) -> int:
@@ -293,7 +303,7 @@ class StepFunctions:
             if left <= slack:
                 return 0
             size = self._part(now, most if most < left - slack else left, slack)
-            status = self._do_step(self._component, now, size, False, *self._places[:4])
+            status = self._do_step(self._component, now, size, self._no_return, *self._places[:4])
         return ENDLESS
 
     @property

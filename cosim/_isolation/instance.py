@@ -176,6 +176,10 @@ class Isolated:
         """Make steps of `h` seconds from now on, in interpreted runs."""
         self._h = h
 
+    def expect_return(self) -> None:
+        """See `bayesftc.cosim._fmi.steps.StepFunctions.expect_return`."""
+        self._ask("expect_return")
+
     def _order(self, command: int) -> None:
         self.shared.words[protocol.COMMAND] = command
         with contextlib.suppress(OSError):  # it has died, as whoever waits for the answer will see

@@ -184,6 +184,11 @@ class _Worker:
         """Step in compiled code from now on."""
         self._serve = _CompiledLoop(self._running, self._shared, self._steps, self._step, self._reads_ahead)
 
+    def _do_expect_return(self) -> None:
+        expect_return = getattr(self._running, "expect_return", None)
+        if expect_return is not None:
+            expect_return()
+
     def _do_explain(self, status: int) -> str:
         return self._instance.explain(status) if self._instance else ""
 
