@@ -31,7 +31,7 @@
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
        STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES,
-       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH, REMEMBERS, REPEATS };
+       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH, REMEMBERS, REPEATS, MINUS_ONE };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -105,6 +105,7 @@ static int step(COMPONENT c, double t)
     case ERROR_: return 3;
     case FATAL: return 4;
     case BAD_STATUS: return 77;
+    case MINUS_ONE: return -2;
     case KILLED: raise(SIGKILL); break;
     case RANDOM:
         seed = seed * 1103515245u + 12345u;
@@ -190,7 +191,7 @@ STATUS fmi2DoStep(COMPONENT c, double t, double h, int n)
 {
     const int status = step(c, t);
     repeat(c, n);
-    return status >= 0 ? (STATUS)status : original_DoStep(c, t, h, n);
+    return status == -2 ? (STATUS)-1 : status >= 0 ? (STATUS)status : original_DoStep(c, t, h, n);
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
@@ -208,7 +209,7 @@ STATUS fmi3DoStep(COMPONENT c, double t, double h, bool n, bool *e, bool *q, boo
 {
     const int status = step(c, t);
     repeat(c, n);
-    return status >= 0 ? (STATUS)status : original_DoStep(c, t, h, n, e, q, r, l);
+    return status == -2 ? (STATUS)-1 : status >= 0 ? (STATUS)status : original_DoStep(c, t, h, n, e, q, r, l);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,

@@ -136,10 +136,13 @@ def test_steps_that_are_discarded_for_ever(lying, fmi, isolate):
     assert len(error.result.time) == 6
 
 
-@WHERE
-def test_a_status_that_does_not_exist(lying, isolate):
-    path, ways = lying("2.0")
-    assert "fmi2DoStep returned 77." in str(stopped(path, ways["BAD_STATUS"], isolate))
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
+@pytest.mark.parametrize(("way", "status"), [("BAD_STATUS", 77), ("MINUS_ONE", -1)])
+@EVERYWHERE
+def test_a_status_that_does_not_exist(lying, fmi, isolate, way, status, engine):
+    path, ways = lying(fmi)
+    error = stopped(path, ways[way], isolate, engine=engine)
+    assert f"fmi{fmi[0]}DoStep returned {status}, which is no status of FMI." in str(error)
 
 
 # --- logs ---------------------------------------------------------------------------------------------------------------------

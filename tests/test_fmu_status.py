@@ -84,7 +84,8 @@ def test_both_engines_have_the_same_codes():
     for name in (
         "GET", "SET", "STEP", "EVENTS", "EARLY", "TERMINATED", "ENDLESS", "UNFIT_INPUT", "UNFIT_OUTPUT", "EVENT", "TERMINATE",
         "RETURNED_EARLY", "REACHED", "ANSWER", "UNFIT", "UPDATE", "UPDATE_TERMINATE", "NEXT_DEFINED", "NEXT_TIME",
-        "NO_RETURN", "SCRATCH_WORDS", "TOLERANCE", "SMALLEST", "TRIES", "DISCARD", "_LAST_TIME", "_TERMINATED",
+        "NO_RETURN", "LAST", "ODD", "MOST", "SCRATCH_WORDS", "TOLERANCE", "SMALLEST", "TRIES", "DISCARD",
+        "_LAST_TIME", "_TERMINATED",
     ):  # fmt: skip
         assert getattr(_fmi_steps, name) == getattr(_fmi_kernels, name)
     assert _fmi_groups.EXACT == _fmi_typed_kernels.EXACT

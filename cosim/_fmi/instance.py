@@ -35,6 +35,7 @@ from bayesftc.cosim._fmi.steps import (
     UNFIT_INPUT,
     UNFIT_OUTPUT,
     StepFunctions,
+    decoded,
 )
 from bayesftc.cosim.errors import FMUError, StepSizeError
 from bayesftc.cosim.timebase import show
@@ -219,9 +220,8 @@ class Instance(StepFunctions):
 
     def explain(self, status: int) -> str:
         """Return what a status means in FMI's words, with the instance's last messages."""
-        where = status // 100 * 100
-        code = status % 100 if where in {GET, SET, STEP, EVENTS} else 0
-        self._healthy = code <= DISCARD  # after an error it may not be asked to terminate
+        where, code = decoded(status)
+        self._healthy = 0 <= code <= DISCARD  # after an error it may not be asked to terminate
         if status == TERMINATED:
             return f"The FMU asks to end the simulation (terminateSimulation). {self._messages.quoted()}"
         said = self._messages.quoted()
@@ -244,7 +244,7 @@ class Instance(StepFunctions):
             EVENTS: "An FMI function of event mode",
         }
         function = names.get(where, "An FMI function")
-        word = STATUS[code] if code < len(STATUS) else str(code)
+        word = STATUS[code] if 0 <= code < len(STATUS) else f"{code}, which is no status of FMI"
         self._fatal = code in {FATAL, PENDING}
         more = ""
         if code == PENDING:

@@ -22,6 +22,12 @@ GET, SET, STEP, EVENTS = 100, 200, 300, 500
 EARLY, TERMINATED, ENDLESS = 401, 402, 403
 UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
 
+LAST = 5
+"""The last status that FMI knows."""
+
+ODD, MOST = 100, 4_999
+"""Of any other status: factor of where it came from, and the largest that is told from larger ones."""
+
 # Words of the table.
 (
     COMPONENT, GET_REAL, SET_REAL, DO_STEP, INPUTS, INPUT_COUNT, OUTPUTS, OUTPUT_COUNT, STEP_SIZE, SCRATCH, INPUT_SIZE,
@@ -180,7 +186,12 @@ def put_number(typingctx, address, index, value):
 
 @inlined
 def failed(where, status):
-    return where + status if status > 1 or status < 0 else 0
+    """Return 0 for FMI's OK and Warning, else the status of a step; see `bayesftc.cosim._fmi.steps.decoded`."""
+    if status == 0 or status == 1:
+        return 0
+    if status > 1 and status <= LAST:
+        return where + status
+    return ODD * where + min(max(status, -MOST), MOST) + MOST
 
 
 @inlined
@@ -249,8 +260,8 @@ def _in_parts2(parameters, t, h):
             part = 0.5 * part
             if part < SMALLEST * h:
                 return STEP + DISCARD
-        elif status > 1 or status < 0:
-            return STEP + status
+        elif status != 0 and status != 1:
+            return failed(STEP, status)
         else:
             now = now + part
         left = end - now
@@ -281,9 +292,9 @@ def do_step3(parameters, t):
     h = number(parameters, STEP_SIZE)
     scratch = word(parameters, SCRATCH)
     no_return = word(scratch, NO_RETURN)
-    status = failed(STEP, step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, no_return, scratch))
-    if status != 0:
-        return _go_on3(parameters, t, h, h, status - STEP)
+    status = step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, no_return, scratch)
+    if status != 0 and status != 1:
+        return _go_on3(parameters, t, h, h, status)
     if word(scratch, TERMINATE) != 0:
         return TERMINATED
     if word(scratch, RETURNED_EARLY) != 0:
@@ -314,8 +325,8 @@ def _go_on3(parameters, t, h, size, status):
             most = 0.5 * size  # the FMU has stayed where it was
             if most < SMALLEST * h:
                 return STEP + DISCARD
-        elif status > 1 or status < 0:
-            return STEP + status
+        elif status != 0 and status != 1:
+            return failed(STEP, status)
         elif word(scratch, TERMINATE) != 0:
             return TERMINATED
         else:

@@ -18,6 +18,7 @@ from bayesftc.cosim.block import Floats
 GET, SET, STEP, EVENTS = 100, 200, 300, 500
 EARLY, TERMINATED, ENDLESS = 401, 402, 403
 UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
+LAST, ODD, MOST = 5, 100, 4_999
 EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
 UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
 NO_RETURN = 12
@@ -223,7 +224,7 @@ class StepFunctions:
             if events and group.discrete and not changed:
                 status, changed = group.changed(self._component, inputs)
                 if failed(EVENTS, status):
-                    return EVENTS + status
+                    return failed(EVENTS, status)
         status = failed(EVENTS, self._modes[0](self._component)) if changed else 0
         for group in self._groups[0]:
             if not status and (changed or not events or not group.discrete):
@@ -265,7 +266,7 @@ class StepFunctions:
                 if part < SMALLEST * h:
                     return STEP + DISCARD
             elif failed(STEP, status):
-                return STEP + status
+                return failed(STEP, status)
             else:
                 now = now + part
             left = end - now
@@ -286,7 +287,7 @@ class StepFunctions:
                 if most < SMALLEST * h:
                     return STEP + DISCARD
             elif failed(STEP, status):
-                return STEP + status
+                return failed(STEP, status)
             elif scratch[TERMINATE]:
                 return TERMINATED
             else:
@@ -341,5 +342,16 @@ class StepFunctions:
 
 
 def failed(where: int, status: int) -> int:
-    """Return 0 for FMI's OK and Warning, else the status of a step."""
-    return where + status if status > 1 or status < 0 else 0
+    """Return 0 for FMI's OK and Warning, else the status of a step, see `decoded`."""
+    if status in (0, 1):
+        return 0
+    return where + status if 1 < status <= LAST else ODD * where + min(max(status, -MOST), MOST) + MOST
+
+
+def decoded(status: int) -> tuple[int, int]:
+    """Return what has failed (`GET`, `SET`, `STEP`, `EVENTS`, or another code), and the status that FMI's function returned."""
+    if status >= ODD * GET:
+        where, code = divmod(status, ODD * GET)
+        return where * GET, code - MOST
+    where = status // GET * GET
+    return (where, status - where) if where in {GET, SET, STEP, EVENTS} else (where, 0)
