@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._memory import TABLE
 from bayesftc.cosim._pacing import Pacer
-from bayesftc.cosim.block import External, ExternalBlock
+from bayesftc.cosim.block import External, ExternalBlock, Floats
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule
@@ -51,11 +51,21 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
                 instance = node.block.instantiate(schedule.step * node.every, node.name)
             stack.callback(instance.close)
             instances[i] = instance
+            _take_own_inputs(schedule, i, getattr(instance, "own_inputs", {}), memory)
     run = Run(schedule, seed, memory, instances, selection.places, np.empty((0, 0)), decimation)
     check_groups(run)
     place_tables(run)
     make_room(run, steps)
     return run
+
+
+def _take_own_inputs(schedule: Schedule, node: int, values: Mapping[str, Floats], memory: Floats) -> None:
+    """Write into memory what an FMU has itself given to inputs, for those that nothing is connected to."""
+    begin = schedule.slots[node].start["inputs"]
+    for port in schedule.nodes[node].block.inputs:
+        if port.name in values:
+            memory[begin : begin + port.size] = values[port.name]
+        begin += port.size
 
 
 def place_tables(run: Run) -> None:

@@ -63,9 +63,11 @@ class FMU(ExternalBlock):
     solver : str, optional
         For model exchange: ``"cvode"`` (by default), for any plant; ``"rk45"`` (Runge-Kutta), faster and more accurate for one
         that is not stiff; or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as ``"scipy:LSODA"``.
-    rtol, atol : float, optional
-        For model exchange: relative tolerance (by default the FMU's own, else 1e-6), and absolute tolerance of all states (by
-        default rtol times each state's nominal value).
+    rtol : float, optional
+        Relative tolerance, by default the FMU's own: of the integrator for model exchange (else 1e-6); for co-simulation the
+        FMU is told it, and does with it what it does (else it is told none).
+    atol : float, optional
+        For model exchange: absolute tolerance of all states, by default rtol times each state's nominal value.
     isolate : bool
         Run each instance in a process of its own: what would take this process down becomes `FMUCrashed`.
     time_limit : float, optional
@@ -78,7 +80,7 @@ class FMU(ExternalBlock):
         If the file is missing or damaged, no FMU of FMI 2.0 or 3.0 of that kind, has no binary for this platform, or a
         variable cannot be what it was asked to be.
     ModelError
-        If a solver or tolerance is none, or is given for co-simulation.
+        If a solver or tolerance is none, or a solver or absolute tolerance is given for co-simulation.
     UnknownNameError
         If it has no variable of that name.
 
@@ -265,10 +267,10 @@ class FMU(ExternalBlock):
 
         kind: Literal["plant", "sampled"] = "sampled" if timing == "sampled" else "plant"
         instance = ClockedInstance if has_clocks(description, [*inputs, *outputs]) else Instance
-        return instance(load_library(archive, description), name, step, kind, start, inputs, outputs)
+        return instance(load_library(archive, description), name, step, kind, start, inputs, outputs, self.rtol or 0.0)
 
-    def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value], list[FMUVariable]]:
-        """Return the start values, the inputs with their start values, and the outputs, by variable."""
+    def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value | None], list[FMUVariable]]:
+        """Return the start values, the inputs with their start values (None: the FMU's own), and the outputs, by variable."""
         given = self._given
         variables = resolved(*self._read(), given)
         missing = [n for n in (*(p.name for p in self._ports), *given) if n not in variables]
@@ -277,7 +279,9 @@ class FMU(ExternalBlock):
                 f"The FMU {self.path} was changed since it was read and has no {missing[0]!r} any more; read it again."
             )
         into = [variables[p.name] for p in self._ports[: self._count]]
-        inputs = {variable: value_of(variable, given) for variable in into}
+        described = {v.name: v.start for v in self.description.variables}
+        own = {v for v in into if v.start is None and v.name not in given and described[v.name] is not None}
+        inputs = {variable: None if variable in own else value_of(variable, given) for variable in into}
         start = {variables[n]: value for n, value in given.items()}
         return start, inputs, [variables[p.name] for p in self._ports[self._count :]]
 

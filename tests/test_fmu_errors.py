@@ -147,7 +147,9 @@ def test_kinds(tmp_path):
     assert describe(path).kinds == ("modelExchange",)
     refused(lambda: FMU(SHIPPED["2.0"], kind="model exchange"), "only for co-simulation: leave kind= out")
     refused(lambda: FMU(SHIPPED["2.0"], kind="ME"), "'co-simulation' or 'model exchange'", error=ModelError)
-    refused(lambda: FMU(SHIPPED["2.0"], rtol=1e-4), "rtol=0.0001", "brings its own solver", error=ModelError)
+    refused(lambda: FMU(SHIPPED["2.0"], atol=1e-4), "atol=0.0001", "brings its own solver", error=ModelError)
+    refused(lambda: FMU(SHIPPED["2.0"], rtol=-1e-4), "rtol=-0.0001", "positive number", error=ModelError)
+    refused(lambda: FMU(SHIPPED["2.0"], rtol=1.0), "rtol=1.0", "below 1", error=ModelError)
     refused(lambda: FMU(SHIPPED["2.0"], timing="direct"), "cannot show the inputs of the same", error=ModelError)
 
     def scheduled(text):

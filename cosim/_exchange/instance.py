@@ -89,6 +89,11 @@ class ExchangeInstance(ABC):
         """See `bayesftc.cosim.block.External.can_save`."""
         return self._model.can_save
 
+    @property
+    def own_inputs(self) -> dict[str, Floats]:
+        """See `bayesftc.cosim._fmi.instance.own_inputs`."""
+        return self._model.own_inputs
+
     def expect_return(self) -> None:
         """See `bayesftc.cosim._fmi.steps.StepFunctions.expect_return`."""
         self._model.expect_return()
@@ -157,7 +162,7 @@ def exchange_instance(
     step: Fraction,
     timing: Timing,
     start: dict[FMUVariable, Value],
-    inputs: dict[FMUVariable, Value],
+    inputs: dict[FMUVariable, Value | None],
     outputs: Sequence[FMUVariable],
     solver: tuple[str, float, float | None],
 ) -> ExchangeInstance:

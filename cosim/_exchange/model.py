@@ -17,7 +17,7 @@ from bayesftc.cosim._exchange.port_values import PortValues, StopError
 from bayesftc.cosim._exchange.words import ITERATIONS
 from bayesftc.cosim._exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import element_names
+from bayesftc.cosim._fmi.groups import element_names, own_inputs
 from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.messages import Messages
@@ -85,7 +85,7 @@ class ExchangeModel:
         library: ModelLibrary,
         name: str,
         start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
         outputs: Sequence[FMUVariable],
         tolerance: float,
     ):
@@ -101,10 +101,11 @@ class ExchangeModel:
         self._begin = start, inputs, tolerance
         self.ports = PortValues(library, list(inputs), outputs)
         self.jumps = not all(v.variability == "continuous" and v.is_float for v in inputs)
-        values = [np.ravel(np.asarray(value, dtype=np.float64)) for value in inputs.values()]
-        self.inputs = np.concatenate([np.zeros(0), *values])
         try:
             self._start()
+            self.own_inputs = own_inputs(library, self.component, inputs)
+            values = [self.own_inputs[v.name] if value is None else value for v, value in inputs.items()]
+            self.inputs = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(v, dtype=np.float64)) for v in values)])
             self._fill_table()
             check_written(self)
         except BaseException:

@@ -28,33 +28,36 @@ INTERNAL_STEPS = 100_000
 def checked_settings(
     archive: Archive, description: FMUDescription, exchange: bool, solver: Any, rtol: Any, atol: Any
 ) -> dict[str, Any]:
-    """Return the settings ``solver``, ``rtol`` and ``atol`` with their defaults filled in; all None for co-simulation.
+    """Return the settings ``solver``, ``rtol`` and ``atol`` with their defaults filled in.
+
+    Of co-simulation they are None but for ``rtol``, if it is given or the FMU's own.
 
     Raises
     ------
     ModelError
-        If one of them cannot be, or is given for co-simulation.
+        If one of them cannot be, or a solver or absolute tolerance is given for co-simulation.
     """
-    given = {name: value for name, value in (("solver", solver), ("rtol", rtol), ("atol", atol)) if value is not None}
-    if not exchange:
-        if given:
-            raise ModelError(
-                f"FMU has {' and '.join(f'{n}={v!r}' for n, v in given.items())}, but {archive.path.name} is used for "
-                "co-simulation and brings its own solver: leave it out, or give kind='model exchange'."
-            )
-        return {"solver": None, "rtol": None, "atol": None}
+    given = {name: value for name, value in (("solver", solver), ("atol", atol)) if value is not None}
+    if given and not exchange:
+        raise ModelError(
+            f"FMU has {' and '.join(f'{n}={v!r}' for n, v in given.items())}, but {archive.path.name} is used for "
+            "co-simulation and brings its own solver: leave it out, or give kind='model exchange'."
+        )
     known = ["cvode", "rk45", *(f"scipy:{method}" for method in METHODS)]
-    chosen = "cvode" if solver is None else solver
-    if chosen not in known:
+    chosen = ("cvode" if solver is None else solver) if exchange else None
+    if exchange and chosen not in known:
         raise ModelError(f"FMU has solver={solver!r}; it must be one of {', '.join(known)}.")
-    for name in ("rtol", "atol"):
-        value = given.get(name)
+    for name, value in (("rtol", rtol), ("atol", atol)):
         is_number = isinstance(value, Real) and not isinstance(value, bool)
         if value is not None and not (is_number and 0 < float(value) < math.inf):
             raise ModelError(f"FMU has {name}={value!r}; it must be a positive number, as 1e-6.")
     own = description.default_experiment.get("tolerance", 0.0)
     if rtol is None:
-        rtol = own if 0 < own < 1 else DEFAULT_TOLERANCE
-    if not rtol < 1:
+        rtol = own if 0 < own < 1 else DEFAULT_TOLERANCE if exchange else None
+    if rtol is not None and not rtol < 1:
         raise ModelError(f"FMU has rtol={rtol!r}; it is a relative tolerance and must be below 1.")
-    return {"solver": chosen, "rtol": float(rtol), "atol": None if atol is None else float(atol)}
+    return {
+        "solver": chosen,
+        "rtol": None if rtol is None else float(rtol),
+        "atol": None if atol is None else float(atol),
+    }

@@ -79,14 +79,15 @@ class ClockedInstance(Instance):
         step: Fraction,
         timing: Literal["plant", "sampled"],
         start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
         outputs: Sequence[FMUVariable],
+        tolerance: float = 0.0,
     ):
         self._clocks = [Ticks(v.name, v.reference, v.clock) for v in _timed(library.description) if v.clock]
         self._reason, self._end = "", -math.inf
         self._sizes = sum(math.prod(v.shape) for v in inputs), sum(math.prod(v.shape) for v in outputs)
         self._inputs, self._held = np.zeros(self._sizes[0]), np.zeros(self._sizes[1])
-        super().__init__(library, name, step, timing, start, inputs, outputs)
+        super().__init__(library, name, step, timing, start, inputs, outputs, tolerance)
         arguments = self._sizes, self.resize, self.step_word, RAISED
         self._callbacks_of_engine = [Callback(self.output, *arguments), Callback(self.update, *arguments)]
         try:

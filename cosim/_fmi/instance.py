@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import Group, element_names, groups
+from bayesftc.cosim._fmi.groups import Group, element_names, groups, own_inputs
 from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError, Library
 from bayesftc.cosim._fmi.messages import STATUS, Messages
@@ -60,8 +60,9 @@ class Instance(StepFunctions):
         step: Fraction,
         timing: Literal["plant", "sampled"],
         start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
         outputs: Sequence[FMUVariable],
+        tolerance: float = 0.0,
     ):
         _check_step(library, name, step)
         self._library, self._name = library, name
@@ -71,18 +72,21 @@ class Instance(StepFunctions):
         into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
         into, out = self._arranged((into, groups(outputs, major, "Get", find)))
         try:
-            self._start(start, inputs)
+            self._start(start, inputs, tolerance)
         except BaseException:
             self._healthy = False
             self.close()
             raise
         super().__init__(major, addresses, self._component, into, out, float(step), timing, self._cut())
         self._elements = element_names(list(inputs)), element_names(outputs)
+        self.own_inputs = own_inputs(library, self._component, inputs)
         if addresses.enter_event_mode:
             self._first_events()
         self._check_written()
 
-    def _start(self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]) -> None:
+    def _start(
+        self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value | None], tolerance: float
+    ) -> None:
         library, name = self._library, self._name
         model = library.description.name
         if library.alive and library.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
@@ -105,7 +109,7 @@ class Instance(StepFunctions):
         library.alive += 1
         self._states = States(library, component, name)
         try:
-            library.initialize(component, start, inputs, meanwhile=self._initializing)
+            library.initialize(component, start, inputs, tolerance, meanwhile=self._initializing)
         except CallError as error:
             self._fatal = error.status == FATAL
             raise FMUError(

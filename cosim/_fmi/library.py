@@ -103,15 +103,15 @@ class Library(ABC):
         self,
         component: int,
         start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
         tolerance: float = 0.0,
         time: float = 0.0,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Set the start values, go through initialization mode, and leave it ready for the first step.
 
-        A `tolerance` above 0 is that of the integrator, so that the FMU solves its own equations as well as that needs.
-        `time` is when it begins. `meanwhile` is called in initialization mode, when all is set.
+        Inputs whose value is None keep what the FMU gives them. The FMU is told a `tolerance` above 0: it solves its equations
+        as well as that needs. `time` is when it begins. `meanwhile` is called in initialization mode, when all is set.
         """
 
     @abstractmethod
@@ -219,7 +219,7 @@ class Library2(Library):
         self,
         component: int,
         start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
         tolerance: float = 0.0,
         time: float = 0.0,
         meanwhile: Callable[[], None] = lambda: None,
@@ -295,7 +295,7 @@ class Library3(Library):
         self,
         component: int,
         start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
         tolerance: float = 0.0,
         time: float = 0.0,
         meanwhile: Callable[[], None] = lambda: None,
@@ -350,11 +350,12 @@ class Library3(Library):
 
 
 def _in_their_modes(
-    start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value]
+    start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value | None]
 ) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value]]:
     """Return what is set before initialization mode, and in it: inputs, also those that are no ports."""
     before = {v: value for v, value in start.items() if v.causality != "input"}
-    return before, {**{v: value for v, value in start.items() if v not in before}, **inputs}
+    known = {v: value for v, value in inputs.items() if value is not None}
+    return before, {**{v: value for v, value in start.items() if v not in before}, **known}
 
 
 _lock = threading.RLock()

@@ -117,6 +117,7 @@ class Isolated:
                 self._reply(STARTING)
             abilities = self._ask(plain, step, name)
             self.can_save, self.can_resize = bool(abilities["can_save"]), bool(abilities["can_resize"])
+            self.own_inputs: dict[str, Floats] = abilities["own_inputs"]
             self._is_ready = True
         except BaseException:
             self._process.end()

@@ -139,7 +139,8 @@ class _Worker:
         instance = self._instance = self._block.instantiate(self._step, self._name)
         words[protocol.PHASE] = protocol.IDLE
         can_resize = bool(getattr(instance, "can_resize", False)) and getattr(instance, "step_word", 0) > 0
-        return {"can_save": instance.can_save, "can_resize": can_resize}
+        own = getattr(instance, "own_inputs", {})
+        return {"can_save": instance.can_save, "can_resize": can_resize, "own_inputs": own}
 
     def _step_once(self) -> int:
         """Do what `kernels.serve` does, in Python and for one command."""

@@ -26,7 +26,7 @@ typedef struct {
     double event;
     int8_t byte;
     int64_t wide, mode;
-    bool flag, event_mode, early, configuring, started;
+    bool flag, event_mode, early, configuring, started, told;
     float single;
     uint16_t word;
     char label[32];
@@ -56,6 +56,10 @@ void *fmi3InstantiateCoSimulation(const char *name, const char *token, const cha
     p->event_mode = events;
     p->early = early;
     strcpy(p->label, "none");
+    p->told = strstr(name, "told") != NULL;
+    for (int i = 0; i < MOST && strstr(name, "moved"); i++) {
+        p->u[i] = i + 1.0;
+    }
     identity(p);
     return p;
 }
@@ -63,7 +67,15 @@ void *fmi3InstantiateCoSimulation(const char *name, const char *token, const cha
 void fmi3FreeInstance(void *c) { free(c); }
 int fmi3EnterConfigurationMode(void *c) { ((Plant *)c)->configuring = true; return OK; }
 int fmi3ExitConfigurationMode(void *c) { ((Plant *)c)->configuring = false; identity(c); return OK; }
-int fmi3EnterInitializationMode(void *c, bool d, double tolerance, double t, bool s, double stop) { return OK; }
+int fmi3EnterInitializationMode(void *c, bool d, double tolerance, double t, bool s, double stop)
+{
+    Plant *p = c;
+    for (int i = 0; i < MOST && p->told; i++) {
+        p->u[i] = d ? tolerance : -1.0;
+    }
+    return OK;
+}
+
 int fmi3ExitInitializationMode(void *c) { ((Plant *)c)->started = true; ((Plant *)c)->settling = ((Plant *)c)->event_mode; return OK; }
 int fmi3Terminate(void *c) { return OK; }
 

@@ -41,6 +41,44 @@ def test_arrays_are_vector_and_matrix_ports_as_large_as_structural_parameters_sa
         FMU(breadth("3"), parameters={"n": 0}, outputs=["y"])
 
 
+START = 'name="u" valueReference="2" causality="input" start="0"'
+
+
+def rewritten(path, target, before, after):
+    """Copy an FMU with other words in its model description."""
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name).replace(before.encode(), after.encode()))
+    return target
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize(
+    ("own", "rtol", "told"), [("", None, -1.0), ("", 1e-3, 1e-3), ("1e-5", None, 1e-5), ("1e-5", 0.5, 0.5)]
+)
+def test_a_co_simulation_is_told_the_tolerance(breadth, run_both, tmp_path, own, rtol, told, isolate):
+    path = rewritten(breadth("3"), tmp_path / "Some.fmu", START, START.replace('"0"', '"1 2"'))
+    experiment = f'<DefaultExperiment tolerance="{own}"/>' if own else ""
+    path = rewritten(path, tmp_path / "Told.fmu", "<ModelVariables>", f"{experiment}<ModelVariables>")
+    diagram = cosim.Diagram(dt="1/64")
+    block = FMU(path, parameters={"n": 3}, isolate=isolate, rtol=rtol, **REALS3)
+    assert block.rtol == (None if told < 0 else told)
+    diagram.add(block, "told")
+    np.testing.assert_allclose(run_both(diagram, 1)["told.y"][-1], told, rtol=1e-13)
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+@pytest.mark.parametrize("n", [2, 3])
+def test_an_input_that_nothing_feeds_keeps_its_start_value(breadth, run_both, tmp_path, n, isolate):
+    """Of another size the description has none, and the FMU's own counts; but for what parameters say."""
+    path = rewritten(breadth("3"), tmp_path / "Moved.fmu", START, START.replace('"0"', '"1 2"'))
+    for given, u in (({}, [1.0, 2.0, 3.0][:n]), ({"u": [4.0, 5.0, 6.0][:n]}, [4.0, 5.0, 6.0][:n])):
+        diagram = cosim.Diagram(dt="1/64")
+        diagram.add(FMU(path, parameters={"n": n, **given}, isolate=isolate, **REALS3), "moved")
+        run = run_both(diagram, 1)
+        np.testing.assert_allclose(run["moved.y"], np.outer(run.time, u), rtol=1e-13)
+
+
 @pytest.mark.parametrize("n", [2, 3])
 def test_an_array_fmu_gives_the_numbers_of_fmpy_in_both_engines(breadth, alone, run_both, n):
     import fmpy
