@@ -400,7 +400,10 @@ def _rest(
     ways += [(np.concatenate([z, u[list(free)]]), change)] if len(free) else []
     ways += [(z, lambda z: np.where(still, 0.0, change(z)))] if still.any() else []
     for start, f in ways:
-        found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        try:
+            found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        except (ValueError, np.linalg.LinAlgError):  # where something is no number
+            continue
         if np.abs(found.fun).max() <= 1e-8:
             inputs = u.copy()
             if len(start) > n:

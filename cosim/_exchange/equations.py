@@ -97,8 +97,10 @@ class ModelEquations:
         smooth = [v.is_float for _, v in element_names(outputs)]
         self._rows = np.flatnonzero([True] * self._model.nx + smooth)
         self.x0, self.u0 = self._model.x.copy(), self._model.inputs.copy()
-        self.nominals = np.ones(self._model.nx)
-        self._try(lambda: self._model.read("get_nominals", self.nominals))
+        self._try(self._read_nominals)
+
+    def _read_nominals(self) -> None:
+        self.nominals = self._model.nominals()
 
     def derivatives(self, x: ArrayLike, u: ArrayLike, t: float = 0.0) -> Floats:
         """Return dx/dt.

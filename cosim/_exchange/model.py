@@ -240,6 +240,12 @@ class ExchangeModel:
         if len(array):
             self.call(role, array.ctypes.data, len(array))
 
+    def nominals(self) -> Floats:
+        """Return the nominal values of the states, positive: 1 where the FMU gives none that can be one."""
+        values = np.ones(self.nx)
+        self.read("get_nominals", values)
+        return np.where(np.isfinite(values) & (values != 0.0), np.abs(values), 1.0)
+
     def write_inputs(self, values: Floats) -> None:
         """Set the inputs, in the mode in which it is."""
         self.inputs[:] = values

@@ -44,10 +44,7 @@ class ScipySolver:
 
     def set_tolerances(self) -> None:
         """Set the tolerances anew, as the nominal values are now."""
-        nominals = np.ones(self._model.nx)
-        self._model.read("get_nominals", nominals)
-        nominals = np.where(np.isfinite(nominals) & (nominals != 0.0), np.abs(nominals), 1.0)
-        atol = self._rtol * nominals if self._atol is None else np.full(self._model.nx, self._atol)
+        atol = self._rtol * self._model.nominals() if self._atol is None else np.full(self._model.nx, self._atol)
         self._absolute = atol if self._model.nx else np.ones(1)
 
     def integrate(self, t: float, end: float) -> bool:

@@ -11,7 +11,7 @@
  *   nan      x' = -1 + 0 sqrt(x), x(0) = 0.35
  *   fails    x' = 1, an error from t = 0.35 on
  *   past     announces time events in the past, from t = 0.2 on
- *   lag      x' = u - x for arrays of three, in FMI 3 only; y = x
+ *   lag      x' = u - x for arrays of three, in FMI 3 only; y = x; its nominal values are 0, 1e-4 and none
  *   clock    a time event every second; no states, no indicators; n counts them
  *   edge     x' = u; n = (x > 0), which changes in events alone
  *   fine     x' = -s, s changes its sign where |x| = w: an event each 2 w seconds
@@ -266,7 +266,8 @@ static int read_states(Instance *m, double *x, size_t n) {
 
 static int nominals(Instance *m, double *x, size_t n) {
     if (m->s.model == SCALE && m->s.flag && m->s.v[10] == 2) return say(m, 3, "no nominal values");
-    for (size_t i = 0; i < n; i++) x[i] = m->s.model == SCALE && m->s.flag && !m->s.v[10] ? 1e-6 : 1;
+    for (size_t i = 0; i < n && m->s.model == LAG; i++) x[i] = i == 1 ? 1e-4 : i == 2 ? NAN : 0;
+    for (size_t i = 0; i < n && m->s.model != LAG; i++) x[i] = m->s.model == SCALE && m->s.flag && !m->s.v[10] ? 1e-6 : 1;
     return 0;
 }
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
+from bayesftc.controllers.linearization import linearize
 from bayesftc.cosim._exchange.equations import ModelEquations
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError
 from bayesftc.cosim.fmu import FMU
@@ -195,6 +196,16 @@ def test_arrays_are_vector_ports(built, run_both):
         np.testing.assert_array_equal(model.derivatives([1, 2, 3], [0, 2, 5]), [-1, 0, 2])
         known = -np.eye(3), np.eye(3), np.eye(3), np.zeros((3, 3))
         np.testing.assert_allclose(model.jacobians([1, 2, 3], [0, 2, 5]), known, atol=1e-9)
+
+
+def test_nominal_values_that_are_none_count_as_one(built):
+    """They are 0, 1e-4 and NaN, as those of tools that say nothing; the plant must be brought to rest first."""
+    with ModelEquations(FMU(built("lag", "3.0"))) as model:
+        np.testing.assert_array_equal(model.nominals, [1.0, 1e-4, 1.0])
+    lag = FMU(built("lag", "3.0"), parameters={"u": [0.5, -1.0, 2.0]})
+    linear = linearize(lag, measured="y", actuated="u", dt=0.1)
+    np.testing.assert_allclose(linear.x, [0.5, -1.0, 2.0], atol=1e-9)
+    np.testing.assert_allclose(linear.A, math.exp(-0.1) * np.eye(3), rtol=1e-7, atol=1e-12)
 
 
 def test_coupled_with_iteration_and_with_steps_of_any_size(built, run_both):
