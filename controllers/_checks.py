@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Floats
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 
 if TYPE_CHECKING:
     Matrix = ArrayLike
@@ -37,10 +37,10 @@ def as_numbers(name: str, value: object, example: str) -> Floats:
     try:
         array = np.asarray(value, dtype=np.float64)
         text = np.asarray(value).dtype.kind in "US"
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         text = True
     if text:
-        raise ModelError(f"{name} is {value!r}; {example}.")
+        raise ModelError(f"{name} is {brief(value)}; {example}.")
     return array
 
 
@@ -166,14 +166,13 @@ def as_number(
         (most, "at most", lambda v: v <= most),
     ]
     given = [(f"{word} {bound:g}", holds) for bound, word, holds in bounds if bound is not None]
-    if isinstance(value, Real) and not isinstance(value, bool):
-        number = float(value)
-        proper = not np.isnan(number) and (np.isfinite(number) or not (finite or whole))
-        if proper and (not whole or number.is_integer()) and all(holds(number) for _, holds in given):
-            return number
+    number = real(value)
+    proper = not np.isnan(number) and (np.isfinite(number) or not (finite or whole))
+    if proper and (not whole or number.is_integer()) and all(holds(number) for _, holds in given):
+        return number
     kind = "whole number" if whole else "finite number" if finite else "number"
     wanted = " and ".join(text for text, _ in given)
-    raise ModelError(f"{title}={value!r}; it must be a {kind} {wanted}".rstrip() + f"{also}.")
+    raise ModelError(f"{title}={brief(value)}; it must be a {kind} {wanted}".rstrip() + f"{also}.")
 
 
 def check_number(owner: object, name: str, *, optional: bool = False, **bounds: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import inf
 
 import numpy as np
 
@@ -17,7 +18,7 @@ def filter_share(model: LinearModel) -> float:
     """Return how much of a deviation of the state the model's Kalman filter takes over with a sample, in steady state.
 
     That is the trace of gain times C, the degrees of freedom for signal (Rodgers, Inverse Methods for Atmospheric Sounding,
-    2000): between 0 and the number of states.
+    2000): between 0 and the number of states. It is infinite where rounding leaves nothing of the sensors' noise.
     """
     moving = model.moving
     names = ("A", "C", "process_covariance", "sensor_covariance")
@@ -30,7 +31,10 @@ def _share(*packed: tuple[tuple[int, ...], bytes]) -> float:
     P: Floats = Q + np.trace(Q) / len(Q) * np.eye(len(Q))
     share = 0.0
     for _ in range(STEPS):
-        K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
+        try:
+            K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
+        except np.linalg.LinAlgError:
+            return inf
         before, share = share, float(np.trace(K @ C))
         if abs(share - before) <= 1e-6 * share:
             break

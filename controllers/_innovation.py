@@ -65,9 +65,10 @@ def steady_covariance(model: LinearModel) -> Floats:
     A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     try:
         P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
-    except (np.linalg.LinAlgError, ValueError):
-        P = np.full_like(A, np.nan)
-    if not np.isfinite(P).all() or np.abs(np.linalg.eigvals(_memory(A, C, P, R)[0])).max() >= SLOWEST:
+        size = float(np.abs(np.linalg.eigvals(_memory(A, C, P, R)[0])).max())
+    except (np.linalg.LinAlgError, ValueError):  # also where P is no number
+        size = np.inf
+    if not size < SLOWEST:
         raise ModelError(
             "The model's filter has no steady state, so no threshold holds for ever: a state is neither seen by a sensor nor "
             "stable, or is a constant without process noise, of which the filter grows ever more certain; give it a little "

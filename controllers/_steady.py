@@ -12,9 +12,14 @@ import numpy as np
 
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP
 from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
 
 Packed = tuple[tuple[int, ...], bytes]
 """A matrix as a key: its shape, and its elements."""
+
+
+_NAMES = ("A", "B", "C", "what the goal is about", "the process covariance", "the sensors' covariance", "the goal's covariance",
+          "the control prior's precision", "the initial covariance")  # fmt: skip
 
 
 def steady_gains(
@@ -35,9 +40,22 @@ def steady_gains(
         Covariance of the initial belief.
     joint : bool
         Whether what the goal says counts as known of the state.
+
+    Raises
+    ------
+    ModelError
+        If rounding leaves nothing of one of the matrices beside the others.
     """
     matrices = (A, B, C, G, Q, R, goal_covariance, prior, start)
-    K, L, T = _gains(joint, *((np.shape(M), np.asarray(M, float).tobytes()) for M in matrices))
+    try:
+        K, L, T = _gains(joint, *((np.shape(M), np.asarray(M, float).tobytes()) for M in matrices))
+    except np.linalg.LinAlgError:
+        sizes = {name: f"{np.abs(M).max(initial=0.0):.3g}" for name, M in zip(_NAMES, matrices, strict=True)}
+        raise ModelError(
+            "The model's numbers are too far apart for filter and control to be computed in double precision: the largest are "
+            f"{', '.join(f'{size} in {name}' for name, size in sizes.items())}. Choose units in which they are closer, and "
+            "variances that are not negligible beside others (of two equal sensors at least 1e-12 of the state's)."
+        ) from None
     return K.copy(), L.copy(), T.copy()
 
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from numbers import Real
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_matrix, as_numbers, as_vector
 from bayesftc.controllers._ports import port
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import both, either, maximum, minimum, select
@@ -244,7 +244,7 @@ class PID(ProportionalDerivative):
                 f"PID has anti_windup={self.anti_windup!r}; it must be 'clamping', 'back-calculation', 'both' or 'none'."
             )
         time = self.tracking_time
-        if isinstance(time, bool) or not isinstance(time, Real) or not (math.isfinite(time) and time > 0):
+        if not 0 < real(time) < math.inf:
             raise ModelError(f"PID has tracking_time={time!r}; it must be a positive number of seconds.")
 
     @property

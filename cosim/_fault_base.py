@@ -6,15 +6,16 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
-from math import inf, isfinite, isnan
+from math import inf, isfinite
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim import _fault_kernels as kernels
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import show
 
@@ -69,18 +70,19 @@ class Fault(Block):
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
-        if self.sensor < 0 or self.sensor != int(self.sensor):
-            raise ModelError(f"{kind} has sensor={self.sensor!r}; it must be the number of a channel, from 0.")
-        if self.channels is not None and (self.channels < 1 or self.channels != int(self.channels)):
-            raise ModelError(f"{kind} has channels={self.channels!r}; it must be a whole number, at least 1.")
+        if not (real(self.sensor) >= 0 and real(self.sensor).is_integer()):
+            raise ModelError(f"{kind} has sensor={brief(self.sensor)}; it must be the number of a channel, from 0.")
+        if self.channels is not None and not (real(self.channels) >= 1 and real(self.channels).is_integer()):
+            raise ModelError(f"{kind} has channels={brief(self.channels)}; it must be a whole number, at least 1.")
         if self.channels is not None and self.sensor >= self.channels:
             raise ModelError(
                 f"{kind} is to befall sensor {self.sensor}, but there are {self.channels}, numbered from 0; "
                 f"take a number up to {self.channels - 1}."
             )
-        if not isfinite(self.start) or isnan(self.stop) or not self.start < self.stop:
+        start = real(self.start)
+        if not isfinite(start) or not start < real(self.stop):
             raise ModelError(
-                f"{kind} has start={self.start!r} and stop={self.stop!r}; it must start, at a finite time, "
+                f"{kind} has start={brief(self.start)} and stop={brief(self.stop)}; it must start, at a finite time, "
                 "before it stops."
             )
         if (self.mean_time_to_fault is None) != (self.mean_time_to_recovery is None):
@@ -89,8 +91,8 @@ class Fault(Block):
             )
         for which in ("mean_time_to_fault", "mean_time_to_recovery"):
             mean = getattr(self, which)
-            if mean is not None and not (isfinite(mean) and mean > 0):
-                raise ModelError(f"{kind} has {which}={mean!r}; it must be a positive, finite number of seconds.")
+            if mean is not None and not 0 < real(mean) < inf:
+                raise ModelError(f"{kind} has {which}={brief(mean)}; it must be a positive, finite number of seconds.")
         self.check()
 
     def check(self) -> None:
@@ -98,12 +100,15 @@ class Fault(Block):
         own = [f.name for f in fields(self) if f.name not in COMMON]
         for name, value in zip(own, self.settings, strict=True):
             if not isfinite(value):
-                raise ModelError(f"{type(self).__name__} has {name}={value!r}; it must be a finite number.")
+                raise ModelError(
+                    f"{type(self).__name__} has {name}={brief(getattr(self, name))}; it must be a finite number."
+                )
 
     @property
     def settings(self) -> tuple[float, ...]:
         """The kind's own settings in the order of its fields."""
-        return tuple(float(getattr(self, f.name)) for f in fields(self) if f.name not in COMMON)
+        own = (getattr(self, f.name) for f in fields(self) if f.name not in COMMON)
+        return tuple(float(value) if isinstance(value, bool) else real(value) for value in own)
 
     def numbers(self, step: Fraction) -> tuple[float, ...]:
         """Return the settings as the kind's function finds them, at a sample time of `step` seconds."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.errors import ModelError
 
 Invalid = float | Sequence[float] | Sequence[Sequence[float]]
@@ -45,7 +45,7 @@ def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
             "numbers for all sensors, or a list for each."
         )
     for value in (value for row in each for value in row):
-        if isinstance(value, bool | np.bool_) or not isinstance(value, Real) or not np.isfinite(float(value)):
+        if not np.isfinite(real(value)):
             raise ModelError(
                 f"{who} has invalid={given!r}; its values must be finite numbers, such as [-9999, 65535] for all sensors, or a "
                 "list of them for each sensor (NaN and infinities are missing samples anyway)."

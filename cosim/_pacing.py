@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from fractions import Fraction
 from math import inf
-from numbers import Real
 from typing import Any
 
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.errors import ModelError
 
 PACK = 1e-3
@@ -36,7 +36,7 @@ class Pacer:
     """
 
     def __init__(self, pace: Any, step: Fraction, k: int):
-        if not isinstance(pace, Real) or isinstance(pace, bool) or not 0 < float(pace) < inf:
+        if not 0 < real(pace) < inf:
             raise ModelError(
                 f"pace is {pace!r}; it must be a positive number of simulated seconds for each second, 1.0 for real time."
             )

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any, Literal
 
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.errors import ModelError
 
 Method = Literal["gauss-seidel", "jacobi", "iterated"]
@@ -70,7 +71,7 @@ class Coupling:
             given: Any = getattr(self, name)
             if given is None and name == "step_error":
                 continue
-            if isinstance(given, bool) or not isinstance(given, Real) or not 0 < float(given) < inf:
+            if not 0 < real(given) < inf:
                 raise ModelError(f"{name}={given!r}; it must be a positive number.")
             object.__setattr__(self, name, float(given))
         if isinstance(self.iterations, bool) or not isinstance(self.iterations, Integral) or self.iterations < 1:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._invalid import invalid_values
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import (
@@ -250,7 +251,7 @@ def _names(given: Names, what: str) -> list[str]:
 
 def _references(given: Block | float | Sequence[Block | float]) -> list[tuple[str, Block]]:
     several = list(given) if isinstance(given, Sequence | np.ndarray) else [given]
-    blocks: list[Any] = [Constant(float(r)) if isinstance(r, Real) else r for r in several]
+    blocks: list[Any] = [Constant(real(r)) if isinstance(r, Real) else r for r in several]
     return [("reference" if len(blocks) == 1 else f"reference_{i}", block) for i, block in enumerate(blocks)]
 
 

@@ -9,8 +9,9 @@ from math import isfinite
 
 import numpy as np
 
+from bayesftc.cosim._numbers import real, reals
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import isnan, maximum, minimum, select
 from bayesftc.cosim.ports import Port
 
@@ -45,16 +46,13 @@ class Gain(Block):
     output_unit: str | None = None
 
     def __post_init__(self) -> None:
-        try:
-            gain = np.asarray(self.gain, float)
-        except (TypeError, ValueError):  # no numbers, or rows of different lengths
-            gain = np.empty(0)
+        gain = reals(self.gain)
         if gain.ndim not in {0, 2} or not gain.size or not np.isfinite(gain).all():
             raise ModelError(
-                f"Gain is {self.gain!r}; it must be a finite number, or a matrix with a row for each output."
+                f"Gain is {brief(self.gain)}; it must be a finite number, or a matrix with a row for each output."
             )
-        if not isfinite(self.offset):
-            raise ModelError(f"Gain has offset={self.offset!r}; it must be a finite number.")
+        if not isfinite(real(self.offset)):
+            raise ModelError(f"Gain has offset={brief(self.offset)}; it must be a finite number.")
         object.__setattr__(self, "gain", tuple(tuple(row) for row in gain.tolist()) if gain.ndim else float(gain))
 
     @property

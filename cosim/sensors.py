@@ -12,9 +12,13 @@ import numpy as np
 
 from bayesftc.cosim import _sensor_kernels as kernels
 from bayesftc.cosim._invalid import Invalid, invalid_values
+from bayesftc.cosim._numbers import reals
 from bayesftc.cosim.block import Block, Definition, Floats, Kernel
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
+
+MOST = 10_000
+"""How many sensors, or signals, there may be: each has memory, and with a controller a matrix has a row for each."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +82,8 @@ class Sensors(Block):
     def __post_init__(self) -> None:
         for name in ("count", "signals"):
             number = getattr(self, name)
-            if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
-                raise ModelError(f"Sensors has {name}={number!r}; it must be a whole number, at least 1.")
+            if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= MOST:
+                raise ModelError(f"Sensors has {name}={brief(number)}; it must be a whole number from 1 to {MOST:,}.")
         for name in ("std", "bias", "resolution"):
             self._check_each(name, negative=name == "bias")
         invalid_values("Sensors", self.invalid, self.count)
@@ -145,14 +149,14 @@ class Sensors(Block):
 
     def _check_each(self, name: str, negative: bool) -> None:
         value = getattr(self, name)
-        numbers = np.asarray(value, float)
+        numbers = reals(value)
         if numbers.shape not in {(), (self.count,)}:
             raise ModelError(
-                f"Sensors has {name}={value!r} for {self.count} sensors; give one number, or one for each."
+                f"Sensors has {name}={brief(value)} for {self.count} sensors; give one number, or one for each."
             )
         if not np.isfinite(numbers).all() or (not negative and (numbers < 0).any()):
             raise ModelError(
-                f"Sensors has {name}={value!r}; it must be finite{'' if negative else ' and not negative'}."
+                f"Sensors has {name}={brief(value)}; it must be finite{'' if negative else ' and not negative'}."
             )
         object.__setattr__(self, name, tuple(numbers.tolist()) if numbers.ndim else float(numbers))
 
@@ -160,20 +164,13 @@ class Sensors(Block):
         value = getattr(self, name)
         if value is None:
             return
-        numbers = _numbers(value)
+        numbers = reals(value)
         if numbers.shape != (self.count, columns) or not np.isfinite(numbers).all():
             raise ModelError(
                 f"Sensors has {name}={value!r}; it must have a row of {columns} finite numbers for each of the "
                 f"{self.count} sensors."
             )
         object.__setattr__(self, name, tuple(tuple(row) for row in numbers.tolist()))
-
-
-def _numbers(value: Any) -> Floats:
-    try:
-        return np.asarray(value, float)
-    except ValueError:  # rows of different lengths
-        return np.empty(0)
 
 
 def _check_function(function: Callable[..., None]) -> None:

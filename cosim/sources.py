@@ -6,23 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import isfinite, tau
-from numbers import Real
 
 import numpy as np
 
+from bayesftc.cosim._numbers import real, reals
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import select, sin
 from bayesftc.cosim.ports import Port
 
 TAU = tau
-
-
-def _is_finite(value: Real) -> bool:
-    try:
-        return isfinite(value)
-    except OverflowError:  # a whole number beyond all doubles
-        return False
 
 
 @dataclass(frozen=True)
@@ -37,7 +30,7 @@ class Source(Block):
     def _check(self, *names: str) -> None:
         for name in names:
             value = getattr(self, name)
-            if np.ndim(value) != 0 or not isinstance(value, Real) or not _is_finite(value):
+            if not isfinite(real(value)):
                 raise ModelError(f"{type(self).__name__} has {name}={brief(value)}; it must be a finite number.")
 
 
@@ -251,10 +244,16 @@ class Gaussian(Block):
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        std = np.asarray(self.std, float)
-        if std.ndim > 1 or not std.size or not np.isfinite(std).all() or (std < 0).any() or not isfinite(self.mean):
+        std = reals(self.std)
+        if (
+            std.ndim > 1
+            or not std.size
+            or not np.isfinite(std).all()
+            or (std < 0).any()
+            or not isfinite(real(self.mean))
+        ):
             raise ModelError(
-                f"Gaussian has std={self.std!r}, mean={self.mean!r}; they must be finite and std not negative."
+                f"Gaussian has std={brief(self.std)}, mean={brief(self.mean)}; they must be finite and std not negative."
             )
         object.__setattr__(self, "std", tuple(std.tolist()) if std.ndim else float(std))
 

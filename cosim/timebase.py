@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from numbers import Rational, Real
+from numbers import Rational
 
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.errors import ModelError, StepSizeError, brief
 
 _ROUNDING = Fraction(1, 10**15)
@@ -77,10 +78,9 @@ def step_at(t: float, step: Fraction) -> int:
 
 def whole_number(value: object, what: str) -> int:
     """Return a number of steps as an integer; `what` begins the sentence if it is none, as ``"decimation="``."""
-    if isinstance(value, Real):
-        number = float(value)
-        if number.is_integer() and 1 <= number <= EXACT:
-            return int(number)
+    number = real(value)
+    if 1 <= number <= EXACT and number.is_integer():
+        return int(number)
     raise ModelError(f"{what}{value!r}; it must be a whole number of steps, at least 1.")
 
 

@@ -156,6 +156,14 @@ def test_how_fast_the_filter_of_a_model_follows_its_sensors(model):
     assert filter_share(model) == pytest.approx(np.trace(np.linalg.solve(C @ P @ C.T + R, C @ P @ C.T)), rel=1e-4)
 
 
+@pytest.mark.parametrize("noise", [1e-30, 1e-300])
+def test_sensors_of_whose_noise_rounding_leaves_nothing(noise):
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, noise, STEP)
+    assert filter_share(model) == np.inf
+    out = StateEstimator(model).online(compiled=False)(y=[2.0, 2.0], u=[0.0])
+    assert np.isfinite(out.x_hat).all()
+
+
 def test_a_constant_of_the_model_takes_no_part_in_that():
     affine = LinearModel(
         [[0.999, 0.1], [0.0, 1.0]], [[2e-4], [0.0]], [[1.0, 0.0], [1.0, 0.0]], np.diag([0.001, 0.0]), 1.0, STEP,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from numbers import Real
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -48,8 +48,7 @@ def checked_settings(
     if exchange and chosen not in known:
         raise ModelError(f"FMU has solver={solver!r}; it must be one of {', '.join(known)}.")
     for name, value in (("rtol", rtol), ("atol", atol)):
-        is_number = isinstance(value, Real) and not isinstance(value, bool)
-        if value is not None and not (is_number and 0 < float(value) < math.inf):
+        if value is not None and not 0 < real(value) < math.inf:
             raise ModelError(f"FMU has {name}={value!r}; it must be a positive number, as 1e-6.")
     own = description.default_experiment.get("tolerance", 0.0)
     if rtol is None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numbers import Real
-
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.errors import ModelError
 
 DEFAULT_LIMIT = 10.0
@@ -22,7 +21,7 @@ def check_isolation(isolate: object, time_limit: object) -> None:
         raise ModelError(f"FMU has isolate={isolate!r}; it must be True or False.")
     if time_limit is None:
         return
-    if isinstance(time_limit, bool) or not isinstance(time_limit, Real) or not float(time_limit) > 0:
+    if not real(time_limit) > 0:
         raise ModelError(f"FMU has time_limit={time_limit!r}; it must be a positive number of seconds, or None.")
     if not isolate:
         raise ModelError(

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.registry import CONTROLLERS
 from bayesftc.cosim import faults, sources
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.sensors import Sensors
@@ -108,7 +109,7 @@ def reference(value: object, place: Place) -> list[Block]:
 def _source(value: object, place: Place) -> Block:
     if isinstance(value, int | float) and not isinstance(value, bool):
         with place.named():
-            return sources.Constant(float(value))
+            return sources.Constant(real(value))
     return build_one_of(SOURCES, value, place)  # type: ignore[no-any-return]
 
 
