@@ -246,11 +246,12 @@ def test_thousands_of_lives_leave_no_memory_behind(fmi, lives):
 
     for _ in range(100):
         live()
+    others = set(_fmi_messages._open)  # of runs that other tests have not let go of
     before = memory_in_use()
     for _ in range(lives):
         live()
     assert memory_in_use() - before < 1e6
-    assert not _fmi_messages._open
+    assert set(_fmi_messages._open) <= others
 
 
 def test_runs_in_threads_do_not_mix():
