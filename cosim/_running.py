@@ -15,6 +15,7 @@ import numpy as np
 
 from bayesftc.cosim._coupled.engines import check_groups, place_words
 from bayesftc.cosim._fmi.embedded import interrupts
+from bayesftc.cosim._fmi.messages import ENDS
 from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._memory import TABLE
@@ -153,7 +154,7 @@ def advance(
             until = 0  # what belongs to t_0 is not to wait for t_1
         if pacer:
             pacer.wait(until)
-        run.sound = False
+        run.sound, run.ended = False, False
         with (
             one_processor(run.instances.values()),
             kept() if run.instances else nullcontext() as changed,
@@ -215,6 +216,9 @@ def explain(failure: Failure, run: Run) -> str:
         )
     own = run.instances.get(failure.node)
     detail = own.explain(failure.status) if own is not None else ""
+    run.ended = detail.startswith(ENDS)
+    if run.ended:
+        return f"The run has ended {when}, as {node.name!r} wanted. {detail}"
     if _date_crash(own, failure.k, t):
         return f"The run stopped {when}: t{detail[1:]}"
     return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()

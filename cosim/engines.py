@@ -54,6 +54,8 @@ class Run:
         The last step whose outputs are complete; -1 before the first.
     sound : bool
         Whether memory and FMUs stand as that step has left them: not after a failure or an interruption.
+    ended : bool
+        Whether an FMU has asked to end it.
     state_functions : dict
         For each external node that groups save by way of Python: what they call.
     """
@@ -68,6 +70,7 @@ class Run:
     before: int = 0
     k: int = -1
     sound: bool = True
+    ended: bool = False
     state_functions: dict[int, StateFunctions] = field(default_factory=dict)
 
     def streams(self) -> np.ndarray[Any, np.dtype[np.uint64]]:

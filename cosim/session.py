@@ -6,6 +6,7 @@ all else that a run remembers stands in its memory and in its FMUs.
 
 from __future__ import annotations
 
+import warnings
 import weakref
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, closing, nullcontext
@@ -163,6 +164,11 @@ class Session:
         SimulationError
             If the run has to stop; its ``result`` has the signals of this piece up to the last complete step. After the failure
             of a block the session goes on only after `restore` or `reset`.
+
+        Warns
+        -----
+        UserWarning
+            If an FMU has asked to end the simulation: the result then ends there, and its ``stopped`` says why.
         """
         run = self._sound_run()
         step = self._schedule.step
@@ -205,7 +211,9 @@ class Session:
             metadata=metadata,
             stopped=stopped,
         )
-        if stopped:
+        if run.ended:
+            warnings.warn(str(stopped), stacklevel=2)
+        elif stopped:
             raise failed(stopped, result, run)
         return result
 

@@ -90,9 +90,9 @@ def campaign_as_alone():
             result = campaign.run(executor=cosim.Threads(1))
         data, table = result.dataset, result.table
         for number, reason in enumerate(table["reason"]):
-            said = ""
             try:
                 alone = campaign.replay(number, record=settings["record"], decimation=settings.get("decimation", 1))
+                said = alone.stopped or ""  # an FMU has ended it
             except SimulationError as error:
                 alone, said = error.result, str(error)
             assert reason == said

@@ -20,7 +20,7 @@ from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.groups import element_names, own_inputs
 from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.library import CallError
-from bayesftc.cosim._fmi.messages import Messages
+from bayesftc.cosim._fmi.messages import ENDS, Messages
 from bayesftc.cosim._fmi.states import SavedState, States
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError
@@ -292,7 +292,7 @@ class ExchangeModel:
             self.check("update_discrete", update(self.component, info))
             nominals = nominals or bool(info.nominals)
             if info.terminate:
-                raise StopError("The FMU asks to end the simulation (terminateSimulation)")
+                raise StopError(f"{ENDS} (terminateSimulation)")
             if not info.needed:
                 break
         else:

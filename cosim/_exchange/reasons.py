@@ -8,7 +8,7 @@ from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.model import ExchangeModel
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim._fmi.library import CallError
-from bayesftc.cosim._fmi.messages import STATUS
+from bayesftc.cosim._fmi.messages import ENDS, STATUS
 
 REMEDY = "give larger tolerances, a shorter step or another solver, or look at what the model does there"
 
@@ -47,8 +47,8 @@ def reason(model: ExchangeModel, solver: str, said: str) -> str:
         return _call(model, role, status, float(reals[words.WHEN]))
     now, reached = model.time, max(model.time, float(reals[words.REACHED]))
     sentences = {
-        words.ENDS: "The FMU asks to end the simulation (terminateSimulation)",
-        words.ENDS_AFTER_STEP: "The FMU asks to end the simulation (terminateSimulation, after a step of the integrator)",
+        words.ENDS: f"{ENDS} (terminateSimulation)",
+        words.ENDS_AFTER_STEP: f"{ENDS} (terminateSimulation, after a step of the integrator)",
         words.ENDLESS: f"Its event iteration does not end: after {words.ITERATIONS} turns at t = {now:g} s it still wants "
         f"another {model.library.names['update_discrete']}",
         words.NO_TIME: "The FMU says that its next event is at t = NaN",

@@ -12,6 +12,7 @@ from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._exchange.reasons import REMEDY, nan_derivative
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim._exchange.words import PRECISION
+from bayesftc.cosim._fmi.messages import ENDS
 from bayesftc.cosim.block import Floats
 
 
@@ -131,5 +132,5 @@ class ScipySolver:
         )
         model.check("completed_step", status)
         if self._terminate.value:
-            raise StopError("The FMU asks to end the simulation (terminateSimulation, after a step of the integrator)")
+            raise StopError(f"{ENDS} (terminateSimulation, after a step of the integrator)")
         return bool(self._enter.value)

@@ -13,7 +13,7 @@ from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.groups import Group, element_names, groups, own_inputs
 from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError, Library
-from bayesftc.cosim._fmi.messages import STATUS, Messages
+from bayesftc.cosim._fmi.messages import ENDS, STATUS, Messages
 from bayesftc.cosim._fmi.refusals import function_of, misfit
 from bayesftc.cosim._fmi.states import SavedState, States
 from bayesftc.cosim._fmi.steps import (
@@ -227,7 +227,7 @@ class Instance(StepFunctions):
         where, code = decoded(status)
         self._healthy = 0 <= code <= DISCARD  # after an error it may not be asked to terminate
         if status == TERMINATED:
-            return f"The FMU asks to end the simulation (terminateSimulation). {self._messages.quoted()}"
+            return f"{ENDS} (terminateSimulation). {self._messages.quoted()}"
         said = self._messages.quoted()
         reached = self._scratch.view(np.float64)[REACHED]
         if status == EARLY:
@@ -255,6 +255,8 @@ class Instance(StepFunctions):
             more = "Steps that go on by themselves are not waited for: export the FMU so that it makes them at once."
         if code == DISCARD:
             more = self._library.last_words(self._component) if where == STEP else "It does not take such a value."
+            if more.startswith(ENDS):
+                return f"{more} {said}"
         return " ".join(s for s in (f"{function} returned {word}.", more, said) if s)
 
     def _called(self, side: int) -> str:

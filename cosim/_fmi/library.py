@@ -15,7 +15,7 @@ from typing import Any
 from bayesftc.cosim._fmi.archive import Archive, extract
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value, flattened
 from bayesftc.cosim._fmi.embedded import in_this_python
-from bayesftc.cosim._fmi.messages import STATUS, Messages, callback3, callbacks2
+from bayesftc.cosim._fmi.messages import ENDS, STATUS, Messages, callback3, callbacks2
 from bayesftc.cosim._fmi.sources import compiled, read_sources
 from bayesftc.cosim._fmi.steps import Addresses
 from bayesftc.cosim._fmi.surroundings import kept
@@ -254,7 +254,7 @@ class Library2(Library):
         try:
             self.call("fmi2GetBooleanStatus", component, 3, ctypes.byref(ended))
             if ended.value:
-                return "It asks to end the simulation."
+                return f"{ENDS} (terminated)."
             self.call("fmi2GetRealStatus", component, 2, ctypes.byref(reached))
         except CallError:
             return ""

@@ -117,8 +117,8 @@ def test_steps_that_come_nowhere_end_in_a_sentence(breadth, alone, engine, stall
 # --- discarded steps ------------------------------------------------------------------------------------------------------------
 
 
-def ramp(alone, path, **parameters):
-    block = FMU(path, parameters=parameters, outputs=["x", "steps"], inputs=["u"])
+def ramp(alone, path, isolate=False, **parameters):
+    block = FMU(path, parameters=parameters, outputs=["x", "steps"], inputs=["u"], isolate=isolate)
     return alone(block, "1/8", ("u", cosim.Constant(1.0)))
 
 
@@ -147,10 +147,27 @@ def test_discarded_steps_that_cannot_go_on_end_in_a_sentence(breadth, alone, eng
         ),
         (breadth("2", VARIABLE), {"most": 0.01, "lie": -3.0}, "fmi2DoStep returned Discard."),
         (breadth("2", VARIABLE), {"most": 0.01, "lie": float("1e300")}, "fmi2DoStep returned Discard."),
-        (breadth("2", VARIABLE), {"end": 0.3}, "It asks to end the simulation."),
     ):
         with pytest.raises(SimulationError, match=re.escape(words)):
             ramp(alone, path, **parameters).simulate(1, engine=engine)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+@pytest.mark.parametrize("isolate", [False, True])
+def test_an_fmu_may_end_the_run(breadth, alone, isolate, engine):
+    """By fmi2Discard with terminated, say: what it has come to is the result, and the session goes on from its beginning only."""
+    diagram = ramp(alone, breadth("2", VARIABLE), end=0.3, isolate=isolate)
+    with pytest.warns(UserWarning, match=r"The run has ended .* as 'b' wanted. The FMU asks to end the simulation"):
+        result = diagram.simulate(1, engine=engine)
+    assert 0 < len(result.time) < 1 / diagram.step
+    assert "wanted" in result.stopped
+    with diagram.start(engine=engine) as session:
+        with pytest.warns(UserWarning, match="has ended"):
+            session.advance(1)
+        with pytest.raises(ModelError, match="reset"):
+            session.advance(1)
+        session.reset()
+        assert session.advance("1/8").stopped is None
 
 
 # --- what an FMU cannot do ------------------------------------------------------------------------------------------------------

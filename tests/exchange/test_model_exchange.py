@@ -286,7 +286,6 @@ def test_an_fmu_with_discrete_states_that_cannot_save(built):
     ("model", "sentence", "kept"),
     [
         ("endless", r"Its event iteration does not end: after 1000 turns at t = 0\.5 s", 5),
-        ("ends", r"asks to end the simulation \(terminateSimulation\)\. Its log says: the tank is empty", 4),
         ("nan", r"The derivative 'der\(x\)' came out NaN or infinite at t = 0\.3", 4),
         ("fails", r"(Derivatives|StateDerivatives) returned Error.* Its log says: the valve is stuck", 4),
         ("past", r"Its events do not end at t = 0\.2 s: the time that it gives for the next one.* t = 0\.2 s\. ", 2),
