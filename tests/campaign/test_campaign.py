@@ -306,7 +306,7 @@ def test_pieces_have_each_run_once(counts, size):
         ({"grid": {"injection_0.magnitude[0]": [1.0]}}, r"there is no element \[0\]"),
         (
             {"grid": {"injection_0.start": ["late"]}},
-            "Injection does not take what 'injection_0.start' would have it be",
+            "Injection has start='late' and stop=inf; it must start, at a finite time",
         ),
         ({"grid": {"sensors.count": [3]}}, "size 2, which is connected, has size 3. Where .* a function"),
         ({"grid": {"controller.model.dt": [0.04]}}, "must run every 0.04 s, but the diagram runs it every 0.02 s"),
