@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from types import FunctionType
@@ -85,6 +85,10 @@ class Block:
     def one_unit(self) -> tuple[str, ...]:
         """Names of ports that have one unit, whichever it is, as the input and the output of a delay."""
         return ()
+
+    def watching(self, names: Iterable[str]) -> Block:
+        """Return the same block with further variables of these names among its outputs, as far as it has such; else itself."""
+        return self
 
     @property
     def default_name(self) -> str:

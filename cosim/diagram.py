@@ -229,6 +229,26 @@ class Diagram:
             other.build(self._coupling)
         return other
 
+    def watching(self, names: Iterable[object] | None) -> Diagram:
+        """Return the diagram with what is named besides outputs, as local variables of FMUs; itself if nothing is.
+
+        Parameters
+        ----------
+        names : iterable of str, optional
+            Signals as results are to have them: ``"plant.mass.s"``. What is no such name is left alone.
+        """
+        blocks = {name: node.block for name, node in self._nodes.items()}
+        asked: dict[str, list[str]] = {}
+        for name in names or ():
+            nodes = [node for node in blocks if isinstance(name, str) and name.startswith(f"{node}.")]
+            if nodes:
+                node = max(nodes, key=len)
+                asked.setdefault(node, []).append(str(name)[len(node) + 1 :].partition("[")[0])
+        watching = {node: blocks[node].watching(variables) for node, variables in asked.items()}
+        if all(block is blocks[node] for node, block in watching.items()):
+            return self
+        return self.rewired(blocks | watching)
+
     def build(self, coupling: Coupling | Method | None = None, **settings: Any) -> Diagram:
         """Check the diagram, fix the order of its blocks and freeze it; `simulate` does this by itself.
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Literal, cast
 from bayesftc.cosim._exchange.settings import checked_settings
 from bayesftc.cosim._fmi.archive import Archive, absolute, open_archive
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Given, Value, read_description
-from bayesftc.cosim._fmi.ports import choose, choose_tunable, late_outputs, ticking_clocks
+from bayesftc.cosim._fmi.ports import WATCHED, choose, choose_tunable, late_outputs, ticking_clocks
 from bayesftc.cosim._fmi.values import as_floats, resolved, start_values, value_of
 from bayesftc.cosim._isolation.settings import check_isolation
 from bayesftc.cosim.block import External, ExternalBlock
@@ -40,7 +40,8 @@ class FMU(ExternalBlock):
         parameters say how large arrays are; enumerations are names or numbers. After construction: plain values in the
         variables' own units.
     inputs, outputs : sequence of str, optional
-        Names of the variables that become ports; all numbers by default. Arrays are vector and matrix ports; whole numbers,
+        Names of the variables that become ports; by default all inputs and outputs that are numbers. Local variables and
+        parameters may be outputs as well. Arrays are vector and matrix ports; whole numbers,
         Booleans (0 or 1) and enumerations are converted exactly, and an input that its type does not hold stops the run. An
         input that is left out keeps its start value. After construction these hold the ports.
     tunable : sequence of str, optional
@@ -161,7 +162,10 @@ class FMU(ExternalBlock):
             for side in ("input", "output")
         }
         chosen["input"] += choose_tunable(archive, variables, self.tunable)
-        through = [description.feedthrough.get(v.name) for v in chosen["output"]]
+        states = {v.name for v in description.exchange.states} if exchange and description.exchange else set()
+        # A state, or a parameter, depends on no input of the same instant.
+        still = states | {v.name for v in chosen["output"] if "arameter" in v.causality}
+        through = [() if v.name in still else description.feedthrough.get(v.name) for v in chosen["output"]]
         reaching = {
             # The model structure names inputs alone: an output may depend on any tunable parameter.
             v.name
@@ -172,7 +176,7 @@ class FMU(ExternalBlock):
             set_(self, "timing", "plant")  # there it is the same
         resized = {v.name for v in description.variables if v.start is not None}
         for side, ports in chosen.items():
-            set_(self, f"{side}s", tuple(self._port(v, reaching, description.units, resized) for v in ports))
+            set_(self, f"{side}s", tuple(self._port(v, side, reaching, description.units, resized) for v in ports))
         if asked is None and self.timing == "plant" and not exchange:
             late = late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
             if late:
@@ -233,6 +237,20 @@ class FMU(ExternalBlock):
                 f"The FMU {Path(self.path).name} has no variable {name!r}; {did_you_mean(name, starts)}"
             )
         return starts[name]
+
+    def watching(self, names: Iterable[str]) -> FMU:
+        """See `Block.watching`: an FMU has local variables and parameters."""
+        variables = {v.name: v for v in self.description.variables}
+        there = {port.name for port in self._ports}
+        further = [
+            n for n in names if n not in there and n in variables and variables[n].causality in ("output", *WATCHED)
+        ]
+        if not further:
+            return self
+        outputs = [port.name for port in self._ports[self._count :]]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what was to be said was said when the block was made
+            return replace(self, outputs=[*outputs, *dict.fromkeys(further)])
 
     def instantiate(self, step: Fraction, name: str) -> External:
         """Return a new initialized instance that makes steps of `step` seconds; close it in the end.
@@ -312,13 +330,14 @@ class FMU(ExternalBlock):
     def _port(
         self,
         variable: FMUVariable,
+        side: str,
         reaching: Container[str],
         units: Mapping[str, UnitDefinition],
         resized: Container[str],
     ) -> Port:
         definition = units.get(variable.unit or "")
         meaning = definition.unit if definition else None
-        if variable.causality == "output":
+        if side == "output":
             return Port(variable.name, variable.shape, variable.unit, meaning=meaning)
         # A start value that is NaN or infinite is none: a zero in its place would look like one.
         known = variable.start is not None or variable.name in self._given or variable.name in resized

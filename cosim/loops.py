@@ -104,6 +104,7 @@ def closed_loop(
         )
     diagram = Diagram(step)
     goals = [diagram.add(block, name) for name, block in _references(reference)]
+    plant = plant.watching(_names(measured, "measured"))
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
     outputs = [node[name] for name in _names(measured, "measured")]
     sensors = _fitted(sensors, sum(map(len, outputs)))

@@ -110,6 +110,9 @@ class Session:
         decimation: int = 1,
         engine: Literal["auto", "compiled", "interpreted"] = "auto",
     ):
+        if isinstance(record, Iterable) and not isinstance(record, str):
+            record = list(record)
+            diagram = diagram.watching(record)
         self._schedule: Schedule = diagram.schedule
         self._decimation = whole_number(decimation, "decimation is ")
         self._selection = select_signals(self._schedule, record)

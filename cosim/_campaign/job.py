@@ -117,7 +117,7 @@ class Job:
             raise ModelError(
                 f"The loop of a campaign must be a Diagram, or a function that returns one, not {diagram!r}."
             )
-        return diagram.build()
+        return diagram.watching(self.record).build()
 
     def run(self, piece: Piece, wanted: Wanted = lambda: True, aside: Aside = lambda: None) -> Outcome:
         """Make the runs of a piece.

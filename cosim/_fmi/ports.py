@@ -10,6 +10,9 @@ from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable
 from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
 
+WATCHED = ("local", "calculatedParameter", "parameter")
+"""Of which causality variables are outputs if they are asked for."""
+
 
 def choose(
     archive: Archive,
@@ -18,10 +21,15 @@ def choose(
     wanted: Sequence[str | Port] | None,
     ticking: Container[int] = (),
 ) -> list[FMUVariable]:
-    """Return the variables that become ports of one side; of clocked ones, those with a clock among `ticking`."""
+    """Return the variables that become ports of one side; of clocked ones, those with a clock among `ticking`.
+
+    Outputs may be local variables and parameters as well, which can be read at any time: those that are wanted by name.
+    """
     candidates = {v.name: v for v in variables.values() if v.causality == causality}
     if wanted is None:
         return [v for v in candidates.values() if not _obstacle(v, ticking) and not v.alias]
+    if causality == "output":
+        candidates |= {v.name: v for v in variables.values() if v.causality in WATCHED}
     if not isinstance(wanted, list | tuple) or not all(isinstance(item, str | Port) for item in wanted):
         example = [wanted] if isinstance(wanted, str) else [*candidates][:1] or ["y"]
         raise ModelError(f"FMU has {causality}s={wanted!r}; give a list of names, as {example}.")
