@@ -1,8 +1,13 @@
-"""Where this package keeps compiled code and extracted FMUs: one directory per user."""
+"""Where this package keeps compiled code and extracted FMUs: one directory per user, in which nobody else can leave anything.
+
+What lies there is run. So a folder that belongs to someone else, or that others can write, is refused; and what others have left
+in one that was open to them before is made anew.
+"""
 
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -11,20 +16,53 @@ from platformdirs import user_cache_path
 
 from bayesftc.cosim.errors import BayesFTCError
 
+OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+
 
 @cache
 def _directory(root: str | None, kind: str) -> Path:
-    path = (Path(root) if root else user_cache_path("bayesftc", appauthor=False)) / kind
+    base = Path(root) if root else user_cache_path("bayesftc", appauthor=False)
+    path = base / kind
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        base.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.mkdir(mode=0o700, exist_ok=True)
         tempfile.TemporaryFile(dir=path).close()  # mkdir does not tell whether an existing folder can be written
     except OSError as error:
         raise BayesFTCError(
             f"The cache folder {path} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be written."
         ) from None
+    for folder in (base, path):
+        _check(folder)
     return path
 
 
+def _check(folder: Path) -> None:
+    if not hasattr(os, "geteuid"):  # Windows: a user's folders are the user's own
+        return
+    found = folder.stat()
+    if not is_own(folder):
+        raise BayesFTCError(
+            f"The cache folder {folder} belongs to another user (number {found.st_uid}), who could have left code there that "
+            "would be run here; set BAYESFTC_CACHE to a folder of your own."
+        )
+    if found.st_mode & OTHERS_WRITE:
+        raise BayesFTCError(
+            f"Other users can write into the cache folder {folder} and could leave code there that would be run here; take that "
+            f"away (chmod go-w {folder}), or set BAYESFTC_CACHE to another folder of your own."
+        )
+
+
+def is_own(path: Path) -> bool:
+    """Return whether a file or folder that is there is this user's own, no matter whose what a link leads to is."""
+    return not hasattr(os, "geteuid") or path.lstat().st_uid == os.geteuid()
+
+
 def cache_directory(kind: str) -> Path:
-    """Return the folder for ``compiled`` code or ``fmus``, made if need be; ``BAYESFTC_CACHE`` moves it."""
+    """Return the folder for ``compiled`` code or ``fmus``, made if need be; ``BAYESFTC_CACHE`` moves it.
+
+    Raises
+    ------
+    BayesFTCError
+        If it cannot be written, belongs to someone else, or others can write there.
+    """
     return _directory(os.environ.get("BAYESFTC_CACHE"), kind)

@@ -29,7 +29,7 @@ from numba.core.errors import NumbaError
 from numba.extending import intrinsic, overload
 
 from bayesftc.cosim import _numba_ops
-from bayesftc.cosim._cache import cache_directory
+from bayesftc.cosim._cache import cache_directory, is_own
 from bayesftc.cosim._fingerprint import (
     depends_on,
     fingerprint,
@@ -250,6 +250,7 @@ def _load(name: str, text: str, namespace: dict[str, Any], functions: list[Funct
         if name not in _modules:
             _register(functions)
             path = cache_directory("compiled") / f"{name}.py"
+            _drop_what_others_left(path)
             _write_once(path, text)
             try:
                 module = _execute(path, text, namespace)
@@ -295,9 +296,28 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
+def _drop_what_others_left(path: Path) -> None:
+    """Remove the files of a module if one of them is not the user's own: the folder may have been open to others before."""
+    files = [path, path.parent / "__pycache__", *_of_numba(path)]
+    if all(is_own(file) for file in files if os.path.lexists(file)):
+        return
+    try:
+        _forget(path)
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise BayesFTCError(
+            f"The cache folder {path.parent} holds files of another user, which would be run here, and they cannot be removed "
+            f"({error.strerror}); remove the folder, or set BAYESFTC_CACHE to another one of your own."
+        ) from None
+
+
+def _of_numba(path: Path) -> list[Path]:
+    return [*path.parent.glob(f"__pycache__/{path.stem}.*.nb[ic]")]
+
+
 def _forget(path: Path) -> bool:
     """Remove numba's files for a module; return whether there were any."""
-    files = [*path.parent.glob(f"__pycache__/{path.stem}.*.nb[ic]")]
+    files = _of_numba(path)
     for file in files:
         file.unlink(missing_ok=True)
     return bool(files)

@@ -15,8 +15,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import pytest
 
-from bayesftc import cosim
+from bayesftc import cosim, fmus
 from bayesftc.cosim import Port, _compiler, ops
+from bayesftc.cosim._cache import cache_directory
 from bayesftc.cosim._fingerprint import fingerprint, service_fingerprint
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import both, exp, select, sqrt, square
@@ -557,6 +558,72 @@ def test_cache_folders_that_cannot_be_used(tmp_path, monkeypatch, make_block):
         with pytest.raises(cosim.BayesFTCError, match=r"cannot be written \(Permission denied\); set BAYESFTC_CACHE"):
             block.online(1)
     assert block.online(1)().y == 1.25
+
+
+posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no owners as these")
+
+
+@posix
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o775, 0o757])
+@pytest.mark.parametrize("which", ["", "compiled"])
+def test_a_cache_folder_that_others_can_write_is_refused(tmp_path, monkeypatch, which, mode):
+    folder = tmp_path / "open" / which
+    folder.mkdir(parents=True)
+    folder.chmod(mode)
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "open"))
+    with pytest.raises(cosim.BayesFTCError, match=r"Other users can write into .* take that away \(chmod go-w "):
+        cache_directory("compiled")
+    folder.chmod(0o755)
+    assert cache_directory("compiled") == tmp_path / "open" / "compiled"
+    assert oct((tmp_path / "open" / "compiled").stat().st_mode)[-3:] in {"700", "755"}
+
+
+@posix
+@pytest.mark.parametrize("kind", ["compiled", "fmus"])
+def test_a_cache_folder_of_someone_else_is_refused(tmp_path, monkeypatch, kind):
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "theirs"))
+    (tmp_path / "theirs" / kind).mkdir(parents=True)
+    own = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: own + 1)  # as if someone else had made them
+    with pytest.raises(
+        cosim.BayesFTCError, match=rf"belongs to another user \(number {own}\), who could have left code"
+    ):
+        cache_directory(kind)
+
+
+THEIRS = """
+import os
+from bayesftc.cosim import _compiler
+is_own = _compiler.is_own
+_compiler.is_own = lambda path: path.suffix != SUFFIX and is_own(path)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".py", ".nbi", ".nbc"])
+def test_files_that_others_have_left_are_made_anew(python, tmp_path, suffix):
+    """The folder is the user's own now, but was open to others before."""
+    first = python(SMALL, cache=tmp_path)
+    assert python(SMALL, cache=tmp_path) == [{"compiled": 0, "loaded": 1}, first[1]]
+    again = python(THEIRS.replace("SUFFIX", repr(suffix)) + SMALL, cache=tmp_path)
+    assert again == [{"compiled": 1, "loaded": 0}, first[1]]
+
+
+@posix
+def test_an_fmu_that_others_have_unpacked_is_unpacked_anew(tmp_path, monkeypatch):
+    from bayesftc.cosim._fmi import archive
+
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path))
+    opened = archive.open_archive(Path(fmus.path("CruiseControl")))
+    folder = archive.extract(opened, "modelDescription.xml")
+    (folder / "modelDescription.xml").write_text("theirs")
+    assert (archive.extract(opened, "modelDescription.xml") / "modelDescription.xml").read_text() == "theirs"
+    theirs = [True]
+    monkeypatch.setattr(archive, "is_own", lambda path: not theirs)
+    original = archive._unpack
+    monkeypatch.setattr(archive, "_unpack", lambda *arguments: (theirs.clear(), original(*arguments)))
+    assert (
+        "fmiModelDescription" in (archive.extract(opened, "modelDescription.xml") / "modelDescription.xml").read_text()
+    )
 
 
 FULL = """

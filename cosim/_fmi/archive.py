@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from stat import S_ISDIR, S_ISREG
 
 from bayesftc.cosim import _zip
-from bayesftc.cosim._cache import cache_directory
+from bayesftc.cosim._cache import cache_directory, is_own
 from bayesftc.cosim._zip import FMU_FILE, Kind
 from bayesftc.cosim.errors import BayesFTCError
 
@@ -159,11 +159,11 @@ def extract(archive: Archive, wanted: str) -> Path:
 
     root = cache_directory(archive.kind.folder)
     folder = root / archive.digest
-    if (folder / wanted).exists():
+    if _is_there(folder, wanted):
         return folder
     try:
         with FileLock(root / f"{archive.digest}.lock"):
-            if not (folder / wanted).exists():  # else another process was faster
+            if not _is_there(folder, wanted):  # else another process was faster
                 for left in (
                     folder,
                     *root.glob(f".{archive.digest[:16]}-*"),
@@ -176,6 +176,12 @@ def extract(archive: Archive, wanted: str) -> Path:
             "there, or set BAYESFTC_CACHE to another folder."
         ) from None
     return folder
+
+
+def _is_there(folder: Path, wanted: str) -> bool:
+    """Return whether an FMU was unpacked, by this user: what others have left in the cache is not trusted."""
+    entry = folder / wanted
+    return entry.exists() and is_own(folder) and is_own(entry)
 
 
 def _unpack(archive: Archive, folder: Path) -> None:
