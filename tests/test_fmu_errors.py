@@ -7,6 +7,7 @@ import zipfile
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
@@ -188,6 +189,29 @@ def test_invalid_descriptions(tmp_path):
     refused(lambda: FMU(broken), "modelDescription.xml", "is damaged (mismatched tag")
     typo = replaced("2.0", tmp_path / "start.fmu", 'start="5.0"', 'start="five"')
     refused(lambda: FMU(typo, validate=False), "'b'", "the start value 'five', which is no Real")
+
+
+HARMLESS = {
+    "another attribute": ('modelName="', 'vendor="someone" modelName="', "attribute 'vendor'"),
+    "another element": ("<ModelVariables>", "<Vendor/><ModelVariables>", "'Vendor': This element is not expected"),
+    "no start value": (' start="5.0"', "", "has no start value"),
+}
+
+
+@pytest.mark.parametrize("way", HARMLESS)
+def test_descriptions_that_break_rules_on_which_nothing_hangs(tmp_path, way):
+    before, after, words = HARMLESS[way]
+    path = replaced("2.0", tmp_path / "lax.fmu", before, after)
+    with pytest.warns(UserWarning, match="but not so that anything were computed otherwise") as caught:
+        block = FMU(path, parameters={"b": 5.0, "force": 100.0})
+    assert words in str(caught[0].message)
+    diagram, usual = cosim.Diagram(dt=0.02), cosim.Diagram(dt=0.02)
+    diagram.add(block, "car")
+    usual.add(FMU(SHIPPED["2.0"], parameters={"force": 100.0}), "car")
+    np.testing.assert_array_equal(diagram.simulate(1.0)["car.v"], usual.simulate(1.0)["car.v"])
+    both = replaced("2.0", tmp_path / "both.fmu", 'name="v0"', 'name="m"')
+    both = edited(both, tmp_path / "two.fmu", lambda text: text.replace(before, after))
+    refused(lambda: FMU(both), 'The variable name "m" (line', "is not unique")  # which is looked at after the schema
 
 
 def test_binaries_that_cannot_be_loaded(tmp_path):

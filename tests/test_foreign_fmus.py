@@ -400,3 +400,35 @@ def test_what_they_say_of_themselves(lag, tool):
     assert description.kinds == ("coSimulation",)
     assert description.feedthrough == {"y": None}  # it does not say
     assert version(tool) in description.generation_tool
+
+
+VALVE = """
+from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Integer
+
+
+class Valve(Fmi2Slave):
+    def __init__(self, **settings):
+        super().__init__(**settings)
+        self.is_open, self.count = False, 0
+        self.register_variable(Boolean("is_open", causality=Fmi2Causality.output))
+        self.register_variable(Integer("count", causality=Fmi2Causality.output))
+
+    def do_step(self, now, step):
+        self.count += 1
+        self.is_open = self.count > 2
+        return True
+"""
+
+
+def test_boolean_and_integer_variables_as_pythonfmu_writes_them(tmp_path):
+    """It gives them no variability, which in FMI means continuous, as they cannot be."""
+    builder = pytest.importorskip("pythonfmu.builder")
+    (tmp_path / "valve.py").write_text(VALVE)
+    path = builder.FmuBuilder.build_FMU(tmp_path / "valve.py", dest=tmp_path)
+    with pytest.warns(UserWarning, match="must have variability != .*is_open|is_open.* must have variability != "):
+        block = FMU(path)
+    diagram = cosim.Diagram(dt=H)
+    diagram.add(block, "p")
+    result = diagram.simulate(0.4, engine="interpreted")
+    np.testing.assert_array_equal(result["p.count"], [0, 1, 2, 3, 4])
+    np.testing.assert_array_equal(result["p.is_open"], [0, 0, 0, 1, 1])

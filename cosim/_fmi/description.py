@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import threading
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -281,23 +283,53 @@ def _check_identifier(archive: Archive, identifier: str) -> None:
         )
 
 
+HARMLESS = re.compile(
+    r"This element is not expected|The attribute '.*' is not allowed|Missing child element|"
+    r"The attribute '(generationDateAndTime|version|author|name)' is required|"
+    r'must have variability != "continuous"|has no start value|but provides a start value|[Uu]nit ".*" .* is not defined|'
+    r"The combination causality=.* is not allowed|ModelStructure|dependenciesKind"
+)
+"""What of the rules of FMI a description may break: nothing is computed otherwise for it."""
+
+
 def _parse(archive: Archive, validate: bool) -> ModelDescription:
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError
+    from fmpy.validation import validate_model_description
 
     try:
-        return read_model_description(_checked_xml(archive), validate=validate)
-    except ValidationError as error:
-        problems = [str(p).removesuffix(".") for p in error.problems]
+        try:
+            return read_model_description(_checked_xml(archive), validate=validate)
+        except ValidationError as error:
+            broken = [str(p).removesuffix(".") for p in error.problems]
+            problems = _harmful(broken)
+            if not problems:
+                model = read_model_description(_checked_xml(archive), validate=False)
+                # An error of the schema comes alone: what fmpy looks at after it is to be looked at, too.
+                broken += [str(p).removesuffix(".") for p in validate_model_description(model)]
+                problems = _harmful(broken)
+            if not problems:
+                warnings.warn(
+                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI, but not so that anything were computed "
+                    f"otherwise: {_listed([*dict.fromkeys(broken)])}.",
+                    stacklevel=2,
+                )
+                return model
     except KeyError as error:
         problems = [f"it refers to a variable {error}, which it does not define"]
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
         problems = [(" ".join(str(error).split()) or type(error).__name__).removesuffix(".")]
-    more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
     remedy = f"Ask its maker for a valid one, or {LAX}" if validate else "Export it again."
-    raise FMUError(
-        f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {'; '.join(problems[:_SHOWN])}{more}. {remedy}"
-    )
+    raise FMUError(f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {_listed(problems)}. {remedy}")
+
+
+def _harmful(problems: Sequence[str]) -> list[str]:
+    return [problem for problem in problems if not HARMLESS.search(problem)]
+
+
+def _listed(problems: Sequence[str]) -> str:
+    more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+    return "; ".join(problems[:_SHOWN]) + more
 
 
 def _checked_xml(archive: Archive) -> io.BytesIO:
