@@ -1,10 +1,10 @@
 """Zip files from anywhere: their table of contents is checked before anything of them is believed, and reading has limits.
 
 Refused is whatever could be unpacked outside of its folder, over another entry, or to more than it says: names that are
-absolute or lead upwards, links and devices, names that occur twice (capital letters and the ways to write an accent make no
-difference to some systems), entries that lie over each other in the file (a bomb that needs no nesting), more bytes than an
-honest file has, and packings other than the two that FMI and SSP allow (zipfile unpacks the others in one piece, whatever
-their size).
+absolute or lead upwards, links and devices, names that occur twice with other contents (capital letters and the ways to write an
+accent make no difference to some systems), entries that lie over each other in the file (a bomb that needs no nesting), more
+bytes than an honest file has, and packings other than the two that FMI and SSP allow (zipfile unpacks the others in one piece,
+whatever their size).
 """
 
 from __future__ import annotations
@@ -85,8 +85,9 @@ def check(path: Path, kind: Kind) -> tuple[str, ...]:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            _check_table(path, kind, entries, path.stat().st_size)
+            twice = _check_table(path, kind, entries, path.stat().st_size)
             _check_places(path, kind, archive)
+            _check_twins(path, kind, archive, twice)
     except (OSError, *_DAMAGE) as error:
         if isinstance(error, OSError) and error.errno != errno.EINVAL:  # as of a place before the file's beginning
             raise kind.error(
@@ -145,7 +146,7 @@ def unpack(path: Path, kind: Kind, folder: Path, shown: Path | None = None) -> N
     folder.mkdir()
     shown = shown or path
     with _reading(shown, kind), zipfile.ZipFile(path) as archive:
-        for entry in archive.infolist():
+        for entry in {entry.filename: entry for entry in archive.infolist()}.values():  # twins are alike
             target = folder.joinpath(*_parts(entry.filename))
             if entry.is_dir():
                 target.mkdir(parents=True, exist_ok=True)
@@ -237,10 +238,15 @@ def _parts(name: str) -> tuple[str, ...]:
     return PurePosixPath(name).parts
 
 
-def _check_table(path: Path, kind: Kind, entries: list[zipfile.ZipInfo], packed: int) -> None:
+def _check_table(
+    path: Path, kind: Kind, entries: list[zipfile.ZipInfo], packed: int
+) -> list[tuple[zipfile.ZipInfo, zipfile.ZipInfo]]:
+    """Refuse what no honest tool writes; return entries that are there twice, of the same length and sum."""
     end = "nothing was unpacked. Do not use this file; ask its maker for one"
     seen: dict[tuple[str, ...], bool] = {}
     written: dict[tuple[str, ...], str] = {}
+    first: dict[str, zipfile.ZipInfo] = {}
+    twice = []
     for entry in entries:
         name, parts, folder = entry.filename, _parts(entry.filename), entry.filename.endswith("/")
         whole = entry.orig_filename  # zipfile ends the other name at a NUL
@@ -253,10 +259,11 @@ def _check_table(path: Path, kind: Kind, entries: list[zipfile.ZipInfo], packed:
         mode = S_IFMT(entry.external_attr >> 16)
         if mode not in {0, S_IFREG, S_IFDIR}:
             raise kind.error(f"{whose}, which is a link or a device and no file; {end} with plain files alone.")
-        if parts in seen and not (folder and seen[parts]):
-            raise kind.error(
-                f"{whose} twice, so that nobody knows which of the two counts; {end} in which names are unique."
-            )
+        other = first.setdefault(name, entry)
+        if other is not entry and not folder and (other.file_size, other.CRC) == (entry.file_size, entry.CRC):
+            twice.append((other, entry))
+        elif parts in seen and not (folder and seen[parts]):
+            raise _doubtful(path, kind, name)
         if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in parts):
             raise kind.error(
                 f"The {kind.noun} {path} has an entry called {name[:40]!r} and so on, which is too long for the name of a file; "
@@ -293,6 +300,24 @@ def _check_table(path: Path, kind: Kind, entries: list[zipfile.ZipInfo], packed:
             f"The {kind.noun} {path} has {len(entries)} entries, which no honest {kind.noun} has; nothing was unpacked. Ask its "
             "maker for one without such filling."
         )
+    return twice
+
+
+def _doubtful(path: Path, kind: Kind, name: str) -> FMUError:
+    return kind.error(
+        f"The {kind.noun} {path} has an entry called {name!r} twice, so that nobody knows which of the two counts; nothing was "
+        "unpacked. Do not use this file; ask its maker for one in which names are unique."
+    )
+
+
+def _check_twins(
+    path: Path, kind: Kind, archive: zipfile.ZipFile, twice: list[tuple[zipfile.ZipInfo, zipfile.ZipInfo]]
+) -> None:
+    """Refuse entries of one name that differ, although their lengths and sums do not."""
+    for one, other in twice:
+        contents = (_pieces(path, kind, archive, entry) for entry in (one, other))
+        if any(a != b for a, b in zip(*contents, strict=True)):
+            raise _doubtful(path, kind, one.filename)
 
 
 def _check_places(path: Path, kind: Kind, archive: zipfile.ZipFile) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from bayesftc import fmus
+from bayesftc import cosim, fmus
 from bayesftc.cosim import BayesFTCError, FMUError, _zip
 from bayesftc.cosim._fmi import archive as _fmi_archive
 from bayesftc.cosim.fmu import FMU, describe
@@ -81,8 +81,25 @@ def test_links_and_devices(tmp_path, cache, kind):
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @pytest.mark.parametrize("name", [DESCRIPTION, f"./{DESCRIPTION}", f".//{DESCRIPTION}"])
 def test_names_that_occur_twice(tmp_path, cache, name):
-    path = archive_of(tmp_path / "twice.fmu", [(named(name), XML)])
+    path = archive_of(tmp_path / "twice.fmu", [(named(name), XML + XML[-1:])])
     refused(path, f"{name!r} twice", "nobody knows which of the two counts", cache=cache)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_a_file_that_is_there_twice_alike_counts_once(tmp_path, cache):
+    """Some tools write one so; but what has the same length and sum is compared to the last byte."""
+    path = archive_of(tmp_path / "alike.fmu", [("resources/a", b"abc"), ("resources/a", b"abc")])
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(FMU(path), "car")
+    assert len(diagram.simulate(0.1, engine="interpreted")["car.v"]) == 6
+    assert [p.read_bytes() for p in cache.rglob("resources/a")] == [b"abc"]
+    other = b"abcd", b"wxyz"
+    path = archive_of(tmp_path / "sums.fmu", [("resources/b", other[0]), ("resources/b", other[1])])
+    content = path.read_bytes()
+    sums = [zlib.crc32(each).to_bytes(4, "little") for each in other]
+    (tmp_path / "lies.fmu").write_bytes(content.replace(sums[0], sums[1]))
+    with pytest.raises(FMUError, match=r"twice|damaged"):
+        describe(tmp_path / "lies.fmu")
 
 
 @pytest.mark.parametrize(
@@ -327,7 +344,7 @@ def test_whatever_the_names_all_lands_in_the_folder(tmp_path_factory, names):
     _zip.unpack(path, _zip.FMU_FILE, folder / "content")
     assert {p.name for p in folder.iterdir()} == {"x.zip", "content"}
     found = [p for p in (folder / "content").rglob("*") if p.is_file()]
-    assert len(found) == len([n for n in listed if not n.endswith("/")])
+    assert len(found) == len({n for n in listed if not n.endswith("/")})
     assert all(p.read_text() == "content" and not p.is_symlink() for p in found)
 
 
