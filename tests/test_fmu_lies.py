@@ -341,3 +341,47 @@ def test_no_promise_is_made_that_is_broken(lying, fmi, isolate):
         session.save_state()
         with pytest.raises(SimulationError, match=r"is not the time .* at which this instance stands"):
             session.advance(0.1)  # the first step after that is taken for one that will be repeated
+
+
+# --- what it prints, and how long it may take ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
+@pytest.mark.parametrize("fmi", FMI)
+def test_what_an_isolated_fmu_prints_is_logged(lying, fmi, capfd, caplog, engine):
+    path, ways = lying(fmi)
+    with caplog.at_level(logging.INFO, "bayesftc.fmu"):
+        result = run(path, ways["PRINTS"], isolate=True, engine=engine)
+    assert len(result.time) == 51
+    assert {"car: the pump starts", "car: a bearing is hot"} <= set(caplog.messages)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_time_without_a_processor_does_not_count(monkeypatch):
+    """A process that others keep from running is waited for as much longer, and no more."""
+    from bayesftc.cosim._isolation import process
+
+    class Busy:
+        """Is ready at 0.3 s; was kept from running for half of the time up to then."""
+
+        began = time.monotonic()
+
+        def wait(self, end):
+            time.sleep(max(0.0, min(end, self.began + 0.3) - time.monotonic()))
+            return ["answer"] if time.monotonic() >= self.began + 0.3 else []
+
+        def queued(self):
+            return 0.5 * min(time.monotonic() - self.began, 0.3)
+
+    assert process.Patience(Busy(), 0.2).wait() == ["answer"]
+    idle = Busy()
+    idle.began, idle.queued = time.monotonic(), lambda: 1.0
+    assert process.Patience(idle, 0.2).wait() == []
+    assert time.monotonic() - idle.began < 0.29
+    worker = process.WorkerProcess(1, 1, 1.0)
+    try:
+        worker.wait(time.monotonic() + 60)
+        assert 0.0 <= worker.queued() < 60.0
+    finally:
+        worker.end()
+    assert worker.queued() == 0.0  # nobody says

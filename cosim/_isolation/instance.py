@@ -13,11 +13,11 @@ import ctypes
 import logging
 import pickle
 import sys
-import time
 import weakref
 from collections import deque
 from fractions import Fraction
 from functools import cache
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -26,7 +26,7 @@ from bayesftc.cosim import errors
 from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, extract
 from bayesftc.cosim._fmi.messages import KEPT, quoted
 from bayesftc.cosim._isolation import protocol
-from bayesftc.cosim._isolation.process import WorkerProcess
+from bayesftc.cosim._isolation.process import Patience, WorkerProcess
 from bayesftc.cosim._isolation.settings import DEFAULT_LIMIT
 from bayesftc.cosim._isolation.spares import give, take
 from bayesftc.cosim._isolation.states import IsolatedState
@@ -88,6 +88,8 @@ class Isolated:
     def __init__(self, block: ExternalBlock, step: Fraction, name: str, time_limit: float):
         self.crash: FMUCrashed | None = None
         self._name, self._step, self._h, self._limit = name, step, float(step), time_limit
+        path = getattr(block, "path", None)
+        self._file = f" ({Path(path).name})" if path else ""
         self._lines: deque[str] = deque(maxlen=KEPT)
         self._interrupt: BaseException | None = None
         self._states: weakref.WeakSet[IsolatedState] = weakref.WeakSet()
@@ -214,10 +216,9 @@ class Isolated:
     def _await_answer(self) -> None:
         if self.crash is not None:
             self._die()
-        process = self._process
-        end = time.monotonic() + self._limit
+        process, patience = self._process, Patience(self._process, self._limit)
         while True:
-            ready = process.wait(end)
+            ready = patience.wait()
             if process.steps in ready:
                 with contextlib.suppress(OSError):
                     if process.steps.recv(protocol.MESSAGE):
@@ -317,10 +318,9 @@ class Isolated:
             raise
 
     def _reply(self, limit: float) -> Any:
-        process = self._process
-        end = time.monotonic() + limit
+        process, patience = self._process, Patience(self._process, limit)
         while True:
-            ready = process.wait(end)
+            ready = patience.wait()
             if process.talk in ready:
                 message = self._note()
                 if message is None:
@@ -369,7 +369,7 @@ class Isolated:
 
     def _note_crash(self, what: str) -> None:
         lines = tuple(self._lines)
-        self.crash = FMUCrashed(f"The FMU of {self._name!r} {what} {quoted(lines)}", log=lines)
+        self.crash = FMUCrashed(f"The FMU of {self._name!r}{self._file} {what} {quoted(lines)}", log=lines)
 
     def _die(self) -> NoReturn:
         # Another one each time: the traceback of what is raised would keep this instance alive through its own attribute.

@@ -20,6 +20,9 @@ from bayesftc.cosim.errors import FMUError
 GLANCE = 0.5
 """Seconds after which it is seen whether a process that does not answer is alive."""
 
+SOON = 0.01
+"""Seconds within which most answers come."""
+
 LEAVING = 5.0
 """Seconds for a process to end by itself, or to vanish once it was killed."""
 
@@ -102,6 +105,14 @@ class WorkerProcess:
             if self._is_dead():  # and something that the FMU has started holds the other ends open
                 return [self.steps]
 
+    def queued(self) -> float:
+        """Return for how many seconds in all the process could not run, for others had the processors; 0 if nobody says."""
+        try:
+            with open(f"/proc/{self._process.pid}/schedstat", encoding="ascii") as file:
+                return int(file.read().split()[1]) * 1e-9
+        except (OSError, ValueError, IndexError):
+            return 0.0
+
     def kill(self) -> None:
         """Kill the process and all that it has started, if it is this process's own."""
         if not self.is_anothers:
@@ -151,6 +162,37 @@ class WorkerProcess:
         gone.close()
         os.dup2(deaf.fileno(), self.steps.fileno(), inheritable=False)
         deaf.close()
+
+
+class Patience:
+    """Waits for a process as long as it may take: time in which it was not given a processor does not count.
+
+    Parameters
+    ----------
+    process : WorkerProcess
+        Whose answer is awaited.
+    limit : float
+        Seconds that it may take.
+    """
+
+    def __init__(self, process: WorkerProcess, limit: float):
+        self._process, self._end = process, time.monotonic() + limit
+        self._queued: float | None = None
+
+    def wait(self) -> Collection[object]:
+        """Return what of the process can be read, see `WorkerProcess.wait`; nothing once its time is over."""
+        if self._queued is None:  # most answers come before it is worth while to look at this
+            ready = self._process.wait(min(self._end, time.monotonic() + SOON))
+            if ready:
+                return ready
+            self._queued = self._process.queued()
+        while True:
+            ready = self._process.wait(self._end)
+            more = self._process.queued() - self._queued
+            if ready or more <= 0.0:
+                return ready
+            self._end += more
+            self._queued += more
 
 
 _alive: weakref.WeakSet[WorkerProcess] = weakref.WeakSet()

@@ -13,8 +13,10 @@ import pickle
 import resource
 import signal
 import socket
+import threading
 import time
 import traceback
+from contextlib import suppress
 from fractions import Fraction
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any, cast
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
     from bayesftc.cosim.block import VariableStep
 
 _LOST = {errno.EPIPE, errno.ECONNRESET, errno.EBADF, errno.ENOTSOCK}
+
+LINE_BUFFERED = 1
+"""C's _IOLBF."""
 
 QUICK = 2e-4
 """Seconds for a step and all that the host does in between, up to which the FMU's process keeps to the host's processor."""
@@ -82,6 +87,18 @@ class _Forward(logging.Handler):
             self.release()
 
 
+def _caught_output() -> int:
+    """Lead what is printed in this process, in whatever language, into a pipe; return its other end."""
+    reading, writing = os.pipe()
+    for descriptor in (1, 2):
+        os.dup2(writing, descriptor)
+    os.close(writing)
+    with suppress(OSError, ValueError):  # C would keep whole pages for a pipe, and lose them where the FMU crashes
+        here = ctypes.CDLL(None)
+        here.setvbuf(ctypes.c_void_p.in_dll(here, "stdout"), None, LINE_BUFFERED, 0)
+    return reading
+
+
 class _Worker:
     """One instance and the loop that steps it."""
 
@@ -108,6 +125,18 @@ class _Worker:
         log.propagate = False
         self._forward = _Forward(talk, self._shared)
         log.addHandler(self._forward)
+        threading.Thread(target=self._overhear, args=(_caught_output(),), daemon=True).start()
+
+    def _overhear(self, source: int) -> None:
+        """Log what the FMU prints, line by line."""
+        with open(source, "rb", buffering=0) as file, suppress(OSError, ValueError):
+            rest = b""
+            while piece := file.read(messages.LENGTH):
+                *lines, rest = (rest + piece).split(b"\n")
+                if len(rest) >= messages.LENGTH:
+                    lines, rest = [*lines, rest], b""
+                for line in lines:
+                    messages.logger.info("%s: %s", self._name, line.decode("utf-8", errors="replace").rstrip())
 
     def run(self) -> int:
         """Answer until the host has gone, which ends this process when it needs it no more; return the exit code."""

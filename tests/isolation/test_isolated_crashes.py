@@ -72,6 +72,7 @@ def test_a_crash_stops_the_run_and_keeps_the_result(way, rows, sentence, engine,
         alone(lying, way, fmi, time_limit=limit).simulate(1.0, engine=engine)
     error = caught.value
     assert str(error).startswith("The run stopped at t = 0.1 s (step 5): the FMU of 'car' ")
+    assert "the FMU of 'car' (Lying.fmu) " in str(error)
     assert isinstance(error, SimulationError)
     assert (error.step, error.time) == (5, 0.1)
     assert error.log == (("these are my last words",) if way == "LAST_WORDS" else ())
@@ -112,7 +113,7 @@ def test_a_crash_while_it_is_freed_is_a_warning(lying, caplog, nothing_left):
     with caplog.at_level(logging.WARNING, "bayesftc.fmu"):
         result = alone(lying, "CRASH_IN_FREE").simulate(0.5, engine="interpreted")
     assert len(result.time) == 26
-    assert "car: while it was freed: The FMU of 'car' crashed" in caplog.text
+    assert "car: while it was freed: The FMU of 'car' (Lying.fmu) crashed" in caplog.text
 
 
 def test_what_an_fmu_has_started_ends_with_it(lying, nothing_left, until):
@@ -143,7 +144,10 @@ def test_a_crash_is_seen_and_all_is_ended_where_a_child_holds_everything_open(ly
 def test_what_an_fmu_does_to_its_connections(engine, lying, nothing_left):
     fmi = FMI[engine == "compiled"]
     # In its step, or in the answer after it: the compiled loop says in which.
-    sentence = r"at t = 0\.1 s \(step 5\): the FMU of 'car' crashed( in its step)?: its connections to this process were closed\."
+    sentence = (
+        r"at t = 0\.1 s \(step 5\): the FMU of 'car' \(Lying\.fmu\) crashed( in its step)?: its connections to this process "
+        r"were closed\."
+    )
     with pytest.raises(FMUCrashed, match=sentence):
         alone(lying, "CLOSES_ALL", fmi).simulate(1.0, engine=engine)
     # A child that goes on as if it were the FMU's process comes to an end, and each answer is there once.

@@ -298,7 +298,7 @@ def test_a_scenario_file_isolates_and_keeps_what_was_before_the_crash(lying, tmp
     done = CliRunner().invoke(app, ["run", str(scenario), "--engine", "interpreted", "--out", str(out), "--quiet"])
     assert done.exit_code == FMUCrashed.exit_code == 17
     said = " ".join(done.output.split())
-    assert "The run stopped at t = 0.1 s (step 5): the FMU of 'plant' crashed in its step" in said
+    assert "The run stopped at t = 0.1 s (step 5): the FMU of 'plant' (Lying.fmu) crashed in its step" in said
     assert "result.npz" in said
     assert len(Result.load(out / "result.npz").time) == 6
 
