@@ -37,24 +37,27 @@ def _directory(root: str | None, kind: str) -> Path:
 
 
 def _check(folder: Path) -> None:
+    """Refuse a folder of someone else, or one that others can write."""
     if not hasattr(os, "geteuid"):  # Windows: a user's folders are the user's own
         return
     found = folder.stat()
-    if not is_own(folder):
+    if found.st_uid != os.geteuid() or not is_own(folder):
         raise BayesFTCError(
             f"The cache folder {folder} belongs to another user (number {found.st_uid}), who could have left code there that "
             "would be run here; set BAYESFTC_CACHE to a folder of your own."
         )
     if found.st_mode & OTHERS_WRITE:
         raise BayesFTCError(
-            f"Other users can write into the cache folder {folder} and could leave code there that would be run here; take that "
-            f"away (chmod go-w {folder}), or set BAYESFTC_CACHE to another folder of your own."
+            f"Other users can write into the cache folder {folder} and could leave code there that would be run here; remove "
+            f"what is in it and take that away (chmod go-w {folder}), or set BAYESFTC_CACHE to another folder of your own."
         )
 
 
 def is_own(path: Path) -> bool:
-    """Return whether a file or folder that is there is this user's own, no matter whose what a link leads to is."""
-    return not hasattr(os, "geteuid") or path.lstat().st_uid == os.geteuid()
+    """Return whether a file or folder that is there is this user's own; of a link also what it leads to."""
+    if not hasattr(os, "geteuid"):
+        return True
+    return path.lstat().st_uid == os.geteuid() == path.stat().st_uid
 
 
 def cache_directory(kind: str) -> Path:

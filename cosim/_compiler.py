@@ -298,10 +298,14 @@ def _no_collection() -> Iterator[None]:
 
 def _drop_what_others_left(path: Path) -> None:
     """Remove the files of a module if one of them is not the user's own: the folder may have been open to others before."""
-    files = [path, path.parent / "__pycache__", *_of_numba(path)]
-    if all(is_own(file) for file in files if os.path.lexists(file)):
+    files = [path, *_of_numba(path)]
+    beside = path.parent / "__pycache__"
+    own = is_own(beside) if beside.exists() else True
+    if own and all(is_own(file) for file in files if file.exists()):
         return
     try:
+        if not own:
+            raise PermissionError(1, "it is theirs", str(beside))
         _forget(path)
         path.unlink(missing_ok=True)
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from fractions import Fraction
@@ -56,11 +57,13 @@ def repeat(
 def _fail(diagram: Diagram, duration: float | str | Fraction, seed: int, record: Iterable[str], reason: str) -> None:
     """Raise what a run that has to stop raises, with what it has come to."""
     try:
-        diagram.simulate(duration, seed=seed, record=record)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it is raised
+            result = diagram.simulate(duration, seed=seed, record=record)
     except SimulationError as error:
         error.args = (f"With seed {seed}: {error}",)
         raise
-    raise SimulationError(f"With seed {seed}: {reason}")
+    raise SimulationError(f"With seed {seed}: {reason}", result)
 
 
 __all__ = ["repeat"]

@@ -243,7 +243,7 @@ class Diagram:
             nodes = [node for node in blocks if isinstance(name, str) and name.startswith(f"{node}.")]
             if nodes:
                 node = max(nodes, key=len)
-                asked.setdefault(node, []).append(str(name)[len(node) + 1 :].partition("[")[0])
+                asked.setdefault(node, []).append(str(name)[len(node) + 1 :])
         watching = {node: blocks[node].watching(variables) for node, variables in asked.items()}
         if all(block is blocks[node] for node, block in watching.items()):
             return self

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -131,6 +132,8 @@ class FMU(ExternalBlock):
         set_ = object.__setattr__
         set_(self, "path", path)
         archive, description = self._read()
+        if description.lax:
+            warnings.warn(description.lax, stacklevel=3)  # at the line that makes the block
         kind = _chosen_kind(archive, description, self.kind)
         exchange = kind == "model exchange"
         set_(self, "kind", kind)
@@ -242,15 +245,18 @@ class FMU(ExternalBlock):
         """See `Block.watching`: an FMU has local variables and parameters."""
         variables = {v.name: v for v in self.description.variables}
         there = {port.name for port in self._ports}
+        # In FMI 2 ``body.r[1]`` is the name of a variable; in FMI 3 it may be an element of ``body.r``.
+        whole = [name if name in variables else re.sub(r"\[[\d,]+\]$", "", name) for name in names]
         further = [
-            n for n in names if n not in there and n in variables and variables[n].causality in ("output", *WATCHED)
+            n for n in whole if n in variables and n not in there and variables[n].causality in ("output", *WATCHED)
         ]
         if not further:
             return self
         outputs = [port.name for port in self._ports[self._count :]]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what was to be said was said when the block was made
-            return replace(self, outputs=[*outputs, *dict.fromkeys(further)])
+        watching = replace(self, outputs=[*outputs, *dict.fromkeys(further)])
+        # What is looked at changes nothing: inputs feed through to whom they fed through before.
+        object.__setattr__(watching, "inputs", self.inputs)
+        return watching
 
     def instantiate(self, step: Fraction, name: str) -> External:
         """Return a new initialized instance that makes steps of `step` seconds; close it in the end.
@@ -376,7 +382,12 @@ def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescript
     FMUError
         If the file is missing or damaged, or no FMU of FMI 2.0 or 3.0.
     """
-    return read_description(open_archive(absolute(path, "describe", "an .fmu file", FMUError)), validate=validate)
+    description = read_description(
+        open_archive(absolute(path, "describe", "an .fmu file", FMUError)), validate=validate
+    )
+    if description.lax:
+        warnings.warn(description.lax, stacklevel=2)
+    return description
 
 
 def _chosen_kind(archive: Archive, description: FMUDescription, asked: str | None) -> str:

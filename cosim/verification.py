@@ -15,6 +15,7 @@ from bayesftc.cosim._export.deviations import Deviation, deviation
 from bayesftc.cosim._export.stand_in import PLACED, Place, StandIn
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import Diagram
+from bayesftc.cosim.errors import SimulationError
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.result import Result
 
@@ -201,6 +202,8 @@ def verify_fmu(
     recorded = [f"{block}.{port}" for block, port, _ in (*stands.into, *stands.out)]
     shown = [f"{n.name}.{p.name}" for n in diagram.nodes for p in n.block.outputs]
     real = diagram.simulate(duration, seed=seed, engine=engine, record=[*dict.fromkeys([*recorded, *shown])])
+    if real.stopped:
+        raise SimulationError(real.stopped, real)
     fed = np.column_stack([np.zeros(len(real.time)), *(_column(real, place) for place in stands.into)])
 
     alone = Diagram(diagram.step)

@@ -571,7 +571,7 @@ def test_a_cache_folder_that_others_can_write_is_refused(tmp_path, monkeypatch, 
     folder.mkdir(parents=True)
     folder.chmod(mode)
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "open"))
-    with pytest.raises(cosim.BayesFTCError, match=r"Other users can write into .* take that away \(chmod go-w "):
+    with pytest.raises(cosim.BayesFTCError, match=r"Other users can write into .* and take that away \(chmod go-w "):
         cache_directory("compiled")
     folder.chmod(0o755)
     assert cache_directory("compiled") == tmp_path / "open" / "compiled"

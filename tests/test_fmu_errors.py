@@ -192,10 +192,21 @@ def test_invalid_descriptions(tmp_path):
 
 
 HARMLESS = {
-    "another attribute": ('modelName="', 'vendor="someone" modelName="', "attribute 'vendor'"),
-    "another element": ("<ModelVariables>", "<Vendor/><ModelVariables>", "'Vendor': This element is not expected"),
+    "another attribute of the model": ('modelName="', 'vendor="someone" modelName="', "attribute 'vendor'"),
     "no start value": (' start="5.0"', "", "has no start value"),
 }
+HARMFUL = {
+    "an element that nobody knows": ("<ModelVariables>", "<Vendor/><ModelVariables>", "'Vendor'"),
+    "a start value that is misspelt": (' start="5.0"', ' strat="5.0"', "'strat'"),
+    "a causality that is misspelt": ('causality="input"', 'causalty="input"', "'causalty'"),
+    "a capability that is misspelt": ("canGetAndSetFMUstate", "canGetAndSetState", "'canGetAndSetState'"),
+}
+
+
+@pytest.mark.parametrize("way", HARMFUL)
+def test_descriptions_that_may_mean_something_else_are_refused(tmp_path, way):
+    before, after, words = HARMFUL[way]
+    refused(lambda: FMU(replaced("2.0", tmp_path / "typo.fmu", before, after)), "breaks the rules of FMI", words)
 
 
 @pytest.mark.parametrize("way", HARMLESS)
@@ -205,6 +216,9 @@ def test_descriptions_that_break_rules_on_which_nothing_hangs(tmp_path, way):
     with pytest.warns(UserWarning, match="but not so that anything were computed otherwise") as caught:
         block = FMU(path, parameters={"b": 5.0, "force": 100.0})
     assert words in str(caught[0].message)
+    assert caught[0].filename == __file__
+    with pytest.warns(UserWarning, match="computed otherwise"):  # each time
+        describe(path)
     diagram, usual = cosim.Diagram(dt=0.02), cosim.Diagram(dt=0.02)
     diagram.add(block, "car")
     usual.add(FMU(SHIPPED["2.0"], parameters={"force": 100.0}), "car")

@@ -193,7 +193,11 @@ class ManyRuns:
             self._states = self._saved()
 
     def _saved(self) -> np.ndarray[Any, np.dtype[np.int64]] | None:
-        """Save each FMU's state; return how compiled code puts them back, or None if one does not do what it says it can."""
+        """Save each FMU's state; return how compiled code puts them back, or None if one does not do what it says it can.
+
+        FMUs are promised all the same that nobody goes back within a run: some repeat their first step for ever without that, and
+        one that cannot go back to the beginning for it is found out by the comparison of two runs.
+        """
         rows = []
         for instance in self._run.instances.values():
             addresses = getattr(instance, "state_functions", None)

@@ -349,6 +349,7 @@ class ExchangeModel:
                 f"What {self.name!r} was to be restored to is of a block of the FMU {self.library.description.name!r} with other "
                 f"inputs or sizes ({', '.join(saved.names) or 'no inputs'}); save it in a run of the same block."
             )
+        self.expect_return()
         try:
             if saved.state is not None:
                 self.states.restore(saved.state)

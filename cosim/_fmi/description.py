@@ -6,7 +6,6 @@ import io
 import math
 import re
 import threading
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -160,6 +159,8 @@ class FMUDescription:
     finite : bool
         Whether a NaN among its outputs means that something went wrong: not where that annotation says that it is a missing
         sample.
+    lax : str or None
+        Which rules of FMI the description breaks, if it does in ways on which nothing hangs: a sentence.
     """
 
     name: str
@@ -181,6 +182,7 @@ class FMUDescription:
     blocks: tuple[str, ...] = ()
     origins: Mapping[str, str] = field(default_factory=dict, repr=False)
     finite: bool = True
+    lax: str | None = None
 
     @property
     def fmi_major(self) -> int:
@@ -230,7 +232,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
             "model in one of these."
         )
     check_structure(archive, root, validate=validate)
-    model = _parse(archive, validate)
+    model, lax = _parse(archive, validate)
     kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
     for kind in kinds:
         _check_identifier(archive, getattr(model, kind).modelIdentifier or "")
@@ -264,6 +266,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         units={u.name: _unit(u) for u in model.unitDefinitions},
         exchange=read_exchange(model, root, variables),
         blocks=tuple(name for annotation in annotations for name in annotation.get("blocks", "").split()),
+        lax=lax,
         finite=all(annotation.get("finite") != "false" for annotation in annotations),
         origins={s.get("name", ""): s.get("origin", "") for a in annotations for s in a.iter("Signal")},
     )
@@ -284,22 +287,23 @@ def _check_identifier(archive: Archive, identifier: str) -> None:
 
 
 HARMLESS = re.compile(
-    r"This element is not expected|The attribute '.*' is not allowed|Missing child element|"
-    r"The attribute '(generationDateAndTime|version|author|name)' is required|"
-    r'must have variability != "continuous"|has no start value|but provides a start value|[Uu]nit ".*" .* is not defined|'
-    r"The combination causality=.* is not allowed|ModelStructure|dependenciesKind"
+    r"Element '(fmiModelDescription|Category|Tool)', attribute '[^']*': The attribute '[^']*' is not allowed|"
+    r"The attribute '(generationDateAndTime|version|author)' is required|"
+    r'must have variability != "continuous"|has no start value|but provides a start value|[Uu]nit ".*" .* is not defined'
 )
-"""What of the rules of FMI a description may break: nothing is computed otherwise for it."""
+"""What of the rules of FMI a description may break: nothing is computed otherwise for it. An unknown element, or attribute of a
+variable, is none of that, for it may be a known one that is misspelt; and what comes after it is not looked at."""
 
 
-def _parse(archive: Archive, validate: bool) -> ModelDescription:
+def _parse(archive: Archive, validate: bool) -> tuple[ModelDescription, str | None]:
+    """Return the description, and in a sentence which rules it breaks on which nothing hangs."""
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError
     from fmpy.validation import validate_model_description
 
     try:
         try:
-            return read_model_description(_checked_xml(archive), validate=validate)
+            return read_model_description(_checked_xml(archive), validate=validate), None
         except ValidationError as error:
             broken = [str(p).removesuffix(".") for p in error.problems]
             problems = _harmful(broken)
@@ -309,12 +313,10 @@ def _parse(archive: Archive, validate: bool) -> ModelDescription:
                 broken += [str(p).removesuffix(".") for p in validate_model_description(model)]
                 problems = _harmful(broken)
             if not problems:
-                warnings.warn(
+                return model, (
                     f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI, but not so that anything were computed "
-                    f"otherwise: {_listed([*dict.fromkeys(broken)])}.",
-                    stacklevel=2,
+                    f"otherwise: {_listed([*dict.fromkeys(broken)])}."
                 )
-                return model
     except KeyError as error:
         problems = [f"it refers to a variable {error}, which it does not define"]
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing

@@ -73,13 +73,13 @@ class Instance(StepFunctions):
         into, out = self._arranged((into, groups(outputs, major, "Get", find)))
         try:
             self._start(start, inputs, tolerance)
+            self.own_inputs = own_inputs(library, self._component, inputs)
         except BaseException:
             self._healthy = False
             self.close()
             raise
         super().__init__(major, addresses, self._component, into, out, float(step), timing, self._cut())
         self._elements = element_names(list(inputs)), element_names(outputs)
-        self.own_inputs = own_inputs(library, self._component, inputs)
         if addresses.enter_event_mode:
             self._first_events()
         self._check_written()
@@ -205,6 +205,7 @@ class Instance(StepFunctions):
                 f"The FMU {self._library.description.name!r} ({self._name!r}) has returned Fatal, or Pending, after which FMI "
                 "allows no call of it any more; begin anew with reset()."
             )
+        self.expect_return()
         self._states.restore(saved)
         self._put_beside(cast("SavedState", saved).beside)
         self._healthy = True  # an FMU that has failed may be put back to where it had not

@@ -79,6 +79,19 @@ def test_a_campaign_keeps_it_as_well():
     np.testing.assert_array_equal(kept, np.repeat([[80.0], [100.0]], 6, axis=1))
 
 
+def test_watching_changes_nothing_else(built):
+    """Neither which inputs feed through, nor what an indexed name means."""
+    block = FMU(built("heater"))
+    watched = block.watching(["T", "P", "none", "Ta"])
+    assert watched.inputs == block.inputs
+    assert [port.name for port in watched.outputs] == ["on", "y", "T", "P"]
+    assert block.watching(["none[1]", "y"]) is block
+    lag = FMU(built("lag", "3.0"), outputs=["y"])
+    assert [port.name for port in lag.watching(["x[1]", "x[0]", "x"]).outputs] == ["y", "x"]
+    result = alone(lag, 0.1).simulate(0.2, record=["plant.x"])
+    assert result["plant.x"].shape == (3, 3)
+
+
 def test_inputs_cannot_be_outputs():
     with pytest.raises(UnknownNameError, match="no output 'force'; it is of causality input"):
         car(outputs=["force"])
