@@ -113,7 +113,8 @@ class Ensemble:
         for i, loop in enumerate(loops):
             if self.progress:
                 self.progress("Preparing", i, len(loops))
-            loop.simulate(loop.step, record=[])
+            with loop.start(record=[]) as session:
+                session.advance(loop.step)
 
     def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
         """Run all tasks, see `in_parallel`."""
