@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal
 
-from bayesftc.cosim._fault_base import Fault
 from bayesftc.cosim.session import Session
-from bayesftc.cosim.timebase import whole_steps
 
 if TYPE_CHECKING:
     from bayesftc.cosim._running import Progress
@@ -65,7 +62,7 @@ def simulate(
     Warns
     -----
     UserWarning
-        If a fault begins after the end of the run, or an FMU has ended it: then ``result.stopped`` says why.
+        If an FMU has ended the run: ``result.stopped`` says why.
 
     Raises
     ------
@@ -77,23 +74,7 @@ def simulate(
         discarded; to keep those of a run that may take too long, give it a ``time_limit``.
     """
     with Session(diagram, seed=seed, record=record, decimation=decimation, engine=engine) as session:
-        _warn_of_late_faults(diagram, whole_steps(duration, diagram.step, "The duration") * diagram.step)
         return session.advance(duration, progress=progress, time_limit=time_limit, pace=pace)
-
-
-def _warn_of_late_faults(diagram: Diagram, end: Fraction) -> None:
-    late = [
-        (node.name, node.block.start)
-        for node in diagram.nodes
-        if isinstance(node.block, Fault) and node.block.start > end
-    ]
-    if late:
-        named = ", ".join(f"{name!r} at {start:g} s" for name, start in late[:3])
-        warnings.warn(
-            f"The run ends at t = {float(end):g} s, before faults begin: {named}{' and more' if late[3:] else ''}. Give a longer "
-            "duration, or let them begin earlier.",
-            stacklevel=4,
-        )
 
 
 __all__ = ["simulate"]

@@ -1,7 +1,6 @@
 """Every kind of fault, scheduled and at random, against formulas over the whole time at once."""
 
 import pickle
-import warnings
 from dataclasses import MISSING, dataclass, fields, replace
 from math import inf, nan, pi
 
@@ -385,18 +384,3 @@ def test_what_only_the_diagram_can_know():
     hasty = cosim.Freeze(channels=CHANNELS, mean_time_to_fault=1.0, mean_time_to_recovery=0.01)
     with pytest.raises(ModelError, match="shorter than a step"):
         diagram_of(hasty).build()
-
-
-def test_faults_that_begin_after_the_end_of_the_run_are_said():
-    diagram = cosim.Diagram(dt=0.1)
-    signal = diagram.add(cosim.Constant(1.0))["y"]
-    for start in (0.0, 1.0, 1.1, 30.0):
-        fault = diagram.add(cosim.Injection(magnitude=1.0, start=start, channels=1, name=f"at_{start:g}"))
-        diagram.connect(signal, fault["u"])
-    with pytest.warns(
-        UserWarning, match=r"ends at t = 1 s, before faults begin: 'at_1.1' at 1.1 s, 'at_30' at 30 s\. Give"
-    ):
-        diagram.simulate(1.0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        diagram.simulate(30.0)

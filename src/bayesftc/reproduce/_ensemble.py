@@ -113,8 +113,7 @@ class Ensemble:
         for i, loop in enumerate(loops):
             if self.progress:
                 self.progress("Preparing", i, len(loops))
-            with loop.start(record=[]) as session:
-                session.advance(loop.step)
+            loop.simulate(loop.step, record=[])
 
     def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
         """Run all tasks, see `in_parallel`."""
