@@ -7,13 +7,15 @@ from math import inf
 
 import numpy as np
 
+from bayesftc.controllers._innovation import steady_covariance
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim.errors import ModelError
 
 STEPS = 2000
-"""Of the covariance's recursion, at most: a state without noise, which is never known for good, gets a share that falls on."""
+"""Of the covariance's recursion, at most, where there is no steady state: a state without noise gets a share that falls on."""
 
 
+@lru_cache(maxsize=512)
 def filter_share(model: LinearModel) -> float:
     """Return how much of a deviation of the state the model's Kalman filter takes over with a sample, in steady state.
 
@@ -21,16 +23,13 @@ def filter_share(model: LinearModel) -> float:
     2000): between 0 and the number of states. It is infinite where rounding leaves nothing of the sensors' noise.
     """
     moving = model.moving
-    names = ("A", "C", "process_covariance", "sensor_covariance")
-    return _share(*((M.shape, M.tobytes()) for M in map(moving.matrix, names)))
-
-
-@lru_cache(maxsize=512)
-def _share(*packed: tuple[tuple[int, ...], bytes]) -> float:
-    A, C, Q, R = (np.frombuffer(items).reshape(shape) for shape, items in packed)
-    P: Floats = Q + np.trace(Q) / len(Q) * np.eye(len(Q))
+    A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
+    try:
+        P, steps = steady_covariance(moving), 1
+    except ModelError:
+        P, steps = Q + np.trace(Q) / len(Q) * np.eye(len(Q)), STEPS
     share = 0.0
-    for _ in range(STEPS):
+    for _ in range(steps):
         try:
             K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
         except np.linalg.LinAlgError:

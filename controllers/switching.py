@@ -110,9 +110,11 @@ class SwitchingPrecision(PrecisionLearner):
         1, the more of them are short and a few very long. Infinite: the distribution is exponential, as that of all other modes,
         for faults whose mean duration is known. A part of the joint form, for offsets that jump and `Unmodelled`.
     gain_limit : float
-        While the belief fades (a process mode with `fading` above 1), the estimate takes over at most so many times the part of a
-        deviation that the model's own filter takes over with each sample: sensors followed faster would make the loop unstable
-        where the control comes late. Infinite: no limit, for an estimate that no control hangs on.
+        When it is certain that the belief fades (a process mode with `fading` above 1), the estimate takes over with each sample
+        at most so many times the part of a deviation that the model's own filter takes over; in proportion where it is not
+        certain. Sensors that are followed faster would make the loop unstable where the control comes late. From a product of 1
+        on, as of many sensors or precise ones, there is no limit; infinite: none at all, for an estimate that no control hangs
+        on. A part of the joint form.
     noise_factor : float
         The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
         less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.

@@ -298,21 +298,15 @@ def _no_collection() -> Iterator[None]:
 
 def _drop_what_others_left(path: Path) -> None:
     """Remove the files of a module if one of them is not the user's own: the folder may have been open to others before."""
-    files = [path, *_of_numba(path)]
     beside = path.parent / "__pycache__"
-    own = is_own(beside) if beside.exists() else True
-    if own and all(is_own(file) for file in files if file.exists()):
-        return
-    try:
-        if not own:
-            raise PermissionError(1, "it is theirs", str(beside))
+    if beside.exists() and not is_own(beside):
+        raise BayesFTCError(
+            f"The folder {beside} belongs to another user, and what lies in it would be run here; remove it, or set "
+            "BAYESFTC_CACHE to another folder of your own."
+        )
+    if not all(is_own(file) for file in (path, *_of_numba(path)) if file.exists()):
         _forget(path)
         path.unlink(missing_ok=True)
-    except OSError as error:
-        raise BayesFTCError(
-            f"The cache folder {path.parent} holds files of another user, which would be run here, and they cannot be removed "
-            f"({error.strerror}); remove the folder, or set BAYESFTC_CACHE to another one of your own."
-        ) from None
 
 
 def _of_numba(path: Path) -> list[Path]:
