@@ -20,9 +20,11 @@ def filter_share(model: LinearModel) -> float:
     """Return how much of a deviation of the state the model's Kalman filter takes over with a sample, in steady state.
 
     That is the trace of gain times C, the degrees of freedom for signal (Rodgers, Inverse Methods for Atmospheric Sounding,
-    2000): between 0 and the number of states. It is infinite where rounding leaves nothing of the sensors' noise.
+    2000): between 0 and the number of states. Estimated disturbances, as a sensor's own error is one, are not counted: no loop
+    hangs on them. It is infinite where rounding leaves nothing of the sensors' noise.
     """
     moving = model.moving
+    plant = moving.states - moving.disturbances
     A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     try:
         P, steps = steady_covariance(moving), 1
@@ -34,7 +36,7 @@ def filter_share(model: LinearModel) -> float:
             K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
         except np.linalg.LinAlgError:
             return inf
-        before, share = share, float(np.trace(K @ C))
+        before, share = share, float(np.trace(K[:plant] @ C[:, :plant]))
         if abs(share - before) <= 1e-6 * share:
             break
         P = A @ (P - K @ C @ P) @ A.T + Q

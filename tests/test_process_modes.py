@@ -164,6 +164,12 @@ def test_how_fast_the_filter_of_a_model_follows_its_sensors(model):
     assert filter_share(model) == pytest.approx(np.trace(one.K @ one.H), rel=1e-5)
 
 
+def test_sensors_errors_take_no_part_in_how_fast_the_filter_follows():
+    """Each sensor that wanders follows itself, which is no sign of how fast the plant is followed."""
+    wandering = TWO.with_sensor_errors(1.0, 0.05)
+    assert 0.0 < filter_share(wandering) < filter_share(TWO)
+
+
 @pytest.mark.parametrize("noise", [1e-30, 1e-300])
 def test_sensors_of_whose_noise_rounding_leaves_nothing(noise):
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, noise, STEP)
