@@ -56,8 +56,18 @@ def completed(typingctx, function, component, no_return, enter, terminate):
 
 
 @intrinsic
+def update1(typingctx, function, component, info):
+    """int32 (*)(void *, char, fmiEventInfo *): fmiEventUpdate, to the end of the event iteration."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], [args[1], ir.Constant(_I32, 0), args[2]])
+
+    return types.int32(types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
 def update2(typingctx, function, component, info):
-    """int32 (*)(void *, fmi2EventInfo *): fmi2NewDiscreteStates."""
+    """int32 (*)(void *, fmi2EventInfo *): fmi2NewDiscreteStates; fmiCompletedIntegratorStep."""
 
     def codegen(context, builder, signature, args):
         return _call(builder, args[0], args[1:])

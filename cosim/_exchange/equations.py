@@ -85,9 +85,11 @@ class ModelEquations:
         )
         given: Any = fmu.parameters or {}
         variables = resolved(archive, description, given)
-        self.state_names, self.input_names, self.output_names = (
-            tuple(name for name, _ in element_names(side))
-            for side in ([variables[v.name] for v in info.states], list(inputs), outputs)
+        states = [variables[v.name] for v in info.states]
+        names = [name for name, _ in element_names(states)] if states else self._model.state_names
+        self.state_names: tuple[str, ...] = tuple(names)
+        self.input_names, self.output_names = (
+            tuple(name for name, _ in element_names(side)) for side in (list(inputs), outputs)
         )
         self.has_directional_derivatives = info.directional
         self._knowns = np.array([v.reference for v in (*info.states, *inputs)], dtype=np.uint32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
@@ -21,7 +22,10 @@ class ExchangeInfo:
     identifier : str
         Name of the binary.
     states, derivatives : tuple of FMUVariable
-        The continuous states and their derivatives, in the order of the model structure; an array of FMI 3 is one of each.
+        The continuous states and their derivatives, in the order of the model structure; an array of FMI 3 is one of each. Of FMI
+        1 none: there the binary says which they are.
+    count : int
+        How many numbers the continuous states are.
     indicators : int
         How many event indicators it declares.
     needs_completed_step : bool
@@ -40,6 +44,7 @@ class ExchangeInfo:
     identifier: str
     states: tuple[FMUVariable, ...]
     derivatives: tuple[FMUVariable, ...]
+    count: int
     indicators: int
     needs_completed_step: bool
     directional: bool
@@ -51,8 +56,12 @@ class ExchangeInfo:
 
 def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVariable, ...]) -> ExchangeInfo | None:
     """Return the model exchange part of a description that fmpy has parsed; None where it has none."""
+    if model.modelExchange is None:
+        return None
+    if model.fmiVersion == "1.0":
+        return _exchange1(model)
     element = root.find("ModelExchange")
-    if element is None or model.modelExchange is None:
+    if element is None:
         return None
     named = {v.name: v for v in variables}
     derivatives = [u.variable for u in model.derivatives if u.variable is not None]
@@ -65,10 +74,12 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
     else:
         completed = says("needsCompletedIntegratorStep")
     discrete = any(v.variability == "discrete" or (v.variability == "continuous" and not v.is_float) for v in variables)
+    states = tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name"))
     return ExchangeInfo(
         identifier=element.get("modelIdentifier") or "",
-        states=tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name")),
+        states=states,
         derivatives=tuple(named[d.name] for d in derivatives),
+        count=sum(prod(v.shape) for v in states),
         indicators=model.numberOfEventIndicators,
         needs_completed_step=completed,
         directional=says("providesDirectionalDerivative", "providesDirectionalDerivatives"),
@@ -76,4 +87,21 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
         can_serialise=says("canSerializeFMUstate", "canSerializeFMUState"),
         once=says("canBeInstantiatedOnlyOncePerProcess"),
         smooth=not (model.numberOfEventIndicators or completed or discrete),
+    )
+
+
+def _exchange1(model: ModelDescription) -> ExchangeInfo:
+    """Return that of FMI 1: it declares numbers alone, always wants to be told of steps, and cannot save its state."""
+    return ExchangeInfo(
+        identifier=model.modelExchange.modelIdentifier or "",
+        states=(),
+        derivatives=(),
+        count=model.numberOfContinuousStates,
+        indicators=model.numberOfEventIndicators,
+        needs_completed_step=True,
+        directional=False,
+        can_save=False,
+        can_serialise=False,
+        once=False,
+        smooth=False,
     )

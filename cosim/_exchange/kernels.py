@@ -8,7 +8,7 @@ Nothing here returns to Python, so that a right-hand side costs what the FMU's o
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
 
-from bayesftc.cosim._exchange.calls import at_time, plain, restart, update2, update3, vector
+from bayesftc.cosim._exchange.calls import at_time, plain, restart, update1, update2, update3, vector
 from bayesftc.cosim._exchange.cvode_kernels import cvode
 from bayesftc.cosim._exchange.right import failed, not_finite
 from bayesftc.cosim._exchange.runge_kutta import runge_kutta
@@ -94,6 +94,14 @@ def _called(table, role, status):
     return STOPPED
 
 
+@inlined
+def _mode(table, role):
+    """Go into another mode, where the FMU's version of FMI has any."""
+    if word(table, role) == 0:
+        return 0
+    return _called(table, role, plain(word(table, role), word(table, COMPONENT)))
+
+
 @callee
 def _set_tolerances(table):
     """Take absolute tolerances from the nominal values, as they are now."""
@@ -129,7 +137,12 @@ def _settle(table):
             return STOPPED
         for i in range(6):
             put_word(info, i, 0)
-        if word(table, MAJOR) == 2:  # five 32-bit integers and, aligned, a double
+        if word(table, MAJOR) == 1:  # five bytes and, aligned, a double
+            status = update1(word(table, UPDATE_DISCRETE), component, info)
+            flags, next_event = word(info, 0), number(info, 1)
+            needed, changed = 1 if flags & 0xFF == 0 else 0, (flags >> 8) & 0xFF
+            ends, defined = (flags >> 24) & 0xFF, (flags >> 32) & 0xFF
+        elif word(table, MAJOR) == 2:  # five 32-bit integers and, aligned, a double
             status = update2(word(table, UPDATE_DISCRETE), component, info)
             needed, ends = word(info, 0) & 0xFFFFFFFF, word(info, 0) >> 32
             changed, defined, next_event = word(info, 1) & 0xFFFFFFFF, word(info, 2) & 0xFFFFFFFF, number(info, 3)
@@ -149,7 +162,7 @@ def _settle(table):
     if number(table, NEXT_EVENT) != number(table, NEXT_EVENT):
         put_word(table, REASON, NO_TIME)
         return STOPPED
-    if _called(table, ENTER_CONTINUOUS, plain(word(table, ENTER_CONTINUOUS), component)) != 0:
+    if _mode(table, ENTER_CONTINUOUS) != 0:
         return STOPPED
     count = word(table, STATES)
     if count > 0:
@@ -163,11 +176,6 @@ def _settle(table):
     return 0
 
 
-@inlined
-def _enter_event_mode(table):
-    return _called(table, ENTER_EVENT, plain(word(table, ENTER_EVENT), word(table, COMPONENT)))
-
-
 @callee
 def _take(table, inputs):
     """Let the inputs jump to what they are now, which is an event."""
@@ -179,7 +187,7 @@ def _take(table, inputs):
             put_word(held, i, word(inputs, i))
     if not changed:
         return 0
-    if _enter_event_mode(table) != 0:
+    if _mode(table, ENTER_EVENT) != 0:
         return STOPPED
     major, component = word(table, MAJOR), word(table, COMPONENT)
     note, first = table + 8 * UNFIT, word(table, IN_GROUPS)
@@ -254,7 +262,7 @@ def _advance(parameters, inputs, t, k):
                 return STOPPED
         if event == 0 and not timed:
             return 0
-        if _enter_event_mode(table) != 0 or _settle(table) != 0:
+        if _mode(table, ENTER_EVENT) != 0 or _settle(table) != 0:
             return STOPPED
         now = number(table, TIME)
         quiet = quiet + 1 if now - before <= QUIET_STEP * h + QUIET * abs(end) else 0

@@ -1,4 +1,4 @@
-"""The binary of a model exchange FMU: the functions by which an integrator drives it, in both versions of FMI."""
+"""The binary of a model exchange FMU: the functions by which an integrator drives it, in FMI 2 and 3; see `library1` for FMI 1."""
 
 from __future__ import annotations
 
@@ -9,20 +9,14 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
+from bayesftc.cosim._exchange.bound import Bound
+from bayesftc.cosim._exchange.library1 import ModelLibrary1
 from bayesftc.cosim._fmi.archive import Archive
 from bayesftc.cosim._fmi.description import FMUDescription
 from bayesftc.cosim._fmi.library import CallError, Library2, Library3, load_library
 from bayesftc.cosim._fmi.messages import Messages, callback3
 
-Function = Callable[..., int]
-
-_STATUS, _PLACE, _COUNT, _REAL = ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
-_PLAIN = ctypes.CFUNCTYPE(_STATUS, _PLACE)
-_TIME = ctypes.CFUNCTYPE(_STATUS, _PLACE, _REAL)
-_VECTOR = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT)
-
-PLAIN = ("enter_event_mode", "enter_continuous_mode")
-VECTOR = ("set_states", "get_states", "get_derivatives", "get_indicators", "get_nominals")
+_STATUS, _PLACE, _COUNT = ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t
 
 
 class EventInfo2(ctypes.Structure):
@@ -51,25 +45,7 @@ class EventInfo3(ctypes.Structure):
     )
 
 
-class _Bound:
-    """Functions of the binary as plain ctypes calls of addresses, which cost a fraction of fmpy's."""
-
-    #: The standard's names of the functions that are the same in both versions but for their names.
-    names: dict[str, str]
-    _slave: Any
-
-    def address(self, role: str) -> int:
-        """Return the address of one of the functions in `names`."""
-        return ctypes.cast(getattr(self._slave.dll, self.names[role]), ctypes.c_void_p).value or 0
-
-    @cached_property
-    def bound(self) -> dict[str, Function]:
-        """The functions in `names` that take the instance, a time, or a vector."""
-        kinds = {"set_time": _TIME} | dict.fromkeys(PLAIN, _PLAIN) | dict.fromkeys(VECTOR, _VECTOR)
-        return {role: kind(self.address(role)) for role, kind in kinds.items()}
-
-
-class ModelLibrary2(_Bound, Library2):
+class ModelLibrary2(Bound, Library2):
     """A binary of FMI 2 as a model exchange FMU."""
 
     interface = 0
@@ -110,7 +86,7 @@ class ModelLibrary2(_Bound, Library2):
         return status
 
 
-class ModelLibrary3(_Bound, Library3):
+class ModelLibrary3(Bound, Library3):
     """A binary of FMI 3 as a model exchange FMU."""
 
     names = {  # noqa: RUF012 - never changed
@@ -174,7 +150,7 @@ class ModelLibrary3(_Bound, Library3):
         return status
 
 
-ModelLibrary = ModelLibrary2 | ModelLibrary3
+ModelLibrary = ModelLibrary1 | ModelLibrary2 | ModelLibrary3
 
 
 def load_model(archive: Archive, description: FMUDescription) -> ModelLibrary:
@@ -194,5 +170,5 @@ def load_model(archive: Archive, description: FMUDescription) -> ModelLibrary:
     }
     own = replace(description, identifier=exchange.identifier, capabilities=capabilities)
     library = load_library(archive, own, exchange=True)
-    assert isinstance(library, ModelLibrary2 | ModelLibrary3)
+    assert isinstance(library, ModelLibrary)
     return library

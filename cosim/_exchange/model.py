@@ -6,7 +6,6 @@ import ctypes
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import prod
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from bayesftc.cosim._exchange.port_values import PortValues, StopError
 from bayesftc.cosim._exchange.words import ITERATIONS
 from bayesftc.cosim._exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import element_names, own_inputs
+from bayesftc.cosim._fmi.groups import own_inputs
 from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.messages import ENDS, Messages
@@ -183,10 +182,7 @@ class ExchangeModel:
     @property
     def state_names(self) -> list[str]:
         """Names of the continuous states, element by element."""
-        names = [name for name, _ in element_names(self.info.states)]
-        if len(names) != self.nx:  # structural parameters have changed sizes
-            names = [f"x[{i}]" for i in range(self.nx)]
-        return names
+        return self.library.state_names(self.component, self.nx)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -195,7 +191,7 @@ class ExchangeModel:
 
     @property
     def _declared(self) -> int:
-        return sum(prod(v.shape) for v in self.info.states)
+        return self.info.count
 
     # --- calls -----------------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc"
 
-from bayesftc.cosim._exchange.calls import at_time, completed, vector
+from bayesftc.cosim._exchange.calls import at_time, completed, update2, vector
 from bayesftc.cosim._exchange.words import (
     CALL,
     COMPLETED_STEP,
@@ -13,6 +13,7 @@ from bayesftc.cosim._exchange.words import (
     GET_DERIVATIVES,
     GET_INDICATORS,
     INDICATORS,
+    MAJOR,
     NAN_DERIVATIVE,
     NAN_INDICATOR,
     NO_RETURN,
@@ -96,10 +97,11 @@ def step_is_completed(table, t):
     """Tell the FMU that a step of the integrator is completed; return 1 if it wants event mode, -1 if all is over, else 0."""
     put_word(table, ENTER, 0)
     put_word(table, TERMINATE, 0)
-    status = completed(
-        word(table, COMPLETED_STEP), word(table, COMPONENT), word(table, NO_RETURN), table + 8 * ENTER,
-        table + 8 * TERMINATE,
-    )  # fmt: skip
+    function, component, enter = word(table, COMPLETED_STEP), word(table, COMPONENT), table + 8 * ENTER
+    if word(table, MAJOR) == 1:
+        status = update2(function, component, enter)
+    else:
+        status = completed(function, component, word(table, NO_RETURN), enter, table + 8 * TERMINATE)
     if failed(table, t, COMPLETED_STEP, status) != 0:
         put_word(table, REASON, CALL)
         return -1

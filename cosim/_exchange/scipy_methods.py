@@ -38,9 +38,6 @@ class ScipySolver:
         self._model, self._rtol, self._atol = model, max(rtol, PRECISION), atol
         self._slope, self._roots = np.zeros(model.nx), np.zeros(model.nz)
         self._enter, self._terminate = ctypes.c_int(0), ctypes.c_int(0)
-        self._completed = ctypes.CFUNCTYPE(
-            ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p
-        )(model.library.address("completed_step"))
         self.set_tolerances()
 
     def set_tolerances(self) -> None:
@@ -127,8 +124,8 @@ class ScipySolver:
     def _completed_step(self) -> bool:
         model = self._model
         self._enter.value = self._terminate.value = 0
-        status = self._completed(
-            model.component, not model.info.can_save, ctypes.addressof(self._enter), ctypes.addressof(self._terminate)
+        status = model.library.completed_step(
+            model.component, not model.info.can_save, self._enter, self._terminate
         )
         model.check("completed_step", status)
         if self._terminate.value:

@@ -18,7 +18,9 @@ from bayesftc.cosim._fmi.aliases import check_aliases
 from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._fmi.clocks import Clock, read_clocks
 from bayesftc.cosim._fmi.structure import check_shape, check_structure
-from bayesftc.cosim.errors import LAX, FMUError, FMUVersionError
+from bayesftc.cosim._fmi import version1
+from bayesftc.cosim._fmi.versions import check_version
+from bayesftc.cosim.errors import LAX, FMUError
 from bayesftc.cosim.units import BASE, Unit, UnitDefinition
 
 if TYPE_CHECKING:
@@ -83,6 +85,8 @@ class FMUVariable:
         The least and the largest value that it may have (its min and max); infinite where it names none.
     clock : Clock or None
         Of a clock, when it ticks.
+    negated : bool
+        Whether its value is the negative of what the binary has under its value reference (FMI 1).
     """
 
     name: str
@@ -102,6 +106,7 @@ class FMUVariable:
     relative: bool = False
     bounds: tuple[float, float] = field(default=(-math.inf, math.inf), repr=False)
     clock: Clock | None = None
+    negated: bool = False
 
     @property
     def clocked(self) -> bool:
@@ -186,7 +191,7 @@ class FMUDescription:
 
     @property
     def fmi_major(self) -> int:
-        """2 or 3."""
+        """1, 2 or 3."""
         return int(self.fmi_version[0])
 
     @property
@@ -205,7 +210,7 @@ def read_description(archive: Archive, *, validate: bool = True) -> FMUDescripti
     Raises
     ------
     FMUError
-        If it is of another version than FMI 2.0 or 3.0, or not valid.
+        If it is of another version than FMI 1.0, 2.0 or 3.0, or not valid.
     """
     with _lock:
         key = (archive.digest, validate)
@@ -226,13 +231,13 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
 
     root = ElementTree.fromstring(read_entry(archive, DESCRIPTION))
     version = root.get("fmiVersion", "")
-    if version not in {"2.0", "3.0"}:
-        raise FMUVersionError(
-            f"{archive.path} is an FMU of FMI {version or 'without a version'}; only FMI 2.0 and 3.0 can be used: export the "
-            "model in one of these."
-        )
+    check_version(archive, version)
     check_structure(archive, root, validate=validate)
     model, lax = _parse(archive, validate)
+    aliases: Mapping[str, str] = {}
+    if version == "1.0":
+        version1.complete(model, root)
+        aliases = version1.aliases(root)
     kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
     for kind in kinds:
         _check_identifier(archive, getattr(model, kind).modelIdentifier or "")
@@ -241,9 +246,9 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
     annotations = list(root.iter("bayesftc"))
     timings = [annotation.get("timing") for annotation in annotations]
     clocks = read_clocks(root)
-    variables = tuple(_variable(archive, v, clocks) for v in model.modelVariables)
-    if validate and version == "2.0":
-        check_aliases(archive, variables)
+    variables = tuple(_variable(archive, v, clocks, aliases.get(v.name) == "negatedAlias") for v in model.modelVariables)
+    if validate and version != "3.0":
+        check_aliases(archive, [v for v in variables if v.name not in aliases])
     return FMUDescription(
         name=model.modelName or archive.path.stem,
         fmi_version=version,
@@ -344,7 +349,7 @@ def _checked_xml(archive: Archive) -> io.BytesIO:
     return content
 
 
-def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Clock]) -> FMUVariable:
+def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Clock], negated: bool) -> FMUVariable:
     check_shape(variable.name, variable.valueReference, variable.dimensions)
     settable = variable.variability != "constant" and (
         variable.causality == "input" or variable.initial in {"exact", "approx"}
@@ -367,6 +372,7 @@ def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Cl
         relative=bool(_declared(variable, "relativeQuantity")),
         bounds=_bounds(variable),
         clock=clocks.get(variable.valueReference) if variable.type == "Clock" else None,
+        negated=negated,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ import numpy as np
 
 from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.guards import Guarded
+from bayesftc.cosim._fmi.versions import prefix
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import FMUError
 
@@ -49,11 +50,19 @@ class NumericType:
         As in `bayesftc.cosim._fmi.typed_kernels`.
     low, limit : float
         Its least number, and for whole numbers the first that is too large; of a Float32 the largest.
+    negated : bool
+        Whether what lies in memory is the negative of the value.
     """
 
     code: int
     low: float
     limit: float
+    negated: bool = False
+
+    @property
+    def plain(self) -> bool:
+        """Whether values lie in memory as the engine has them."""
+        return self.code == 0 and not self.negated
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -76,26 +85,26 @@ FLOAT64 = NumericType(0, -np.inf, np.inf)
 
 def function_name(variable: FMUVariable, major: int, verb: str) -> str:
     """Return the FMI function that reads ("Get") or sets ("Set") a variable."""
-    kind = {"Enumeration": "Integer" if major == 2 else "Int64"}.get(variable.type, variable.type)
-    return f"fmi{major}{verb}{kind}"
+    kind = {"Enumeration": "Int64" if major == 3 else "Integer"}.get(variable.type, variable.type)
+    return f"{prefix(major)}{verb}{kind}"
 
 
 def numeric_type(variable: FMUVariable, major: int) -> NumericType:
     """Return how a variable's values lie in memory; an enumeration goes from its least item to its largest."""
     kind = variable.type
     if kind in {"Real", "Float64"}:
-        return FLOAT64
+        return replace(FLOAT64, negated=True) if variable.negated else FLOAT64
     if kind == "Float32":
         return NumericType(1, -_FLOAT32_MAX, _FLOAT32_MAX)
     if kind == "Boolean":
         return NumericType(_DTYPES.index("i4" if major == 2 else "u1"), 0.0, 2.0)
-    name = {"Integer": "Int32", "Enumeration": "Int32" if major == 2 else "Int64"}.get(kind, kind)
+    name = {"Integer": "Int32", "Enumeration": "Int64" if major == 3 else "Int32"}.get(kind, kind)
     dtype = np.dtype(name.lower())
     limits = np.iinfo(dtype)
     low, high = limits.min, limits.max
     if variable.items:
         low, high = min(v for _, v in variable.items), max(v for _, v in variable.items)
-    return NumericType(_DTYPES.index(dtype.str[1:]), float(low), float(high + 1))
+    return NumericType(_DTYPES.index(dtype.str[1:]), float(low), float(high + 1), variable.negated)
 
 
 class Group:
@@ -110,7 +119,7 @@ class Group:
     kind : NumericType
         Their type.
     major : int
-        2 or 3: the version of FMI.
+        1, 2 or 3: the version of FMI.
     references : sequence of int
         Their value references.
     begin, size : int
@@ -150,6 +159,7 @@ class Group:
         return [
             self.function, self.kind.code, self.references.ctypes.data, len(self.references), self.begin, self.size,
             self.buffer.ctypes.data, low, limit, int(self.discrete), self.read,
+            int(self.kind.negated),
         ]  # fmt: skip
 
     @property
@@ -167,13 +177,13 @@ class Group:
 
     def _bound(self, function: int) -> Callable[[int], int]:
         references, count, buffer = self.references.ctypes.data, len(self.references), self.buffer.ctypes.data
-        call: Any = (VALUES2 if self.major == 2 else VALUES3)(function)
-        size = () if self.major == 2 else (self.size,)
+        call: Any = (VALUES3 if self.major == 3 else VALUES2)(function)
+        size = (self.size,) if self.major == 3 else ()
         return lambda component: int(call(component, references, count, buffer, *size))
 
     def put(self, component: int, inputs: Floats) -> tuple[int, int]:
         """Set the group's inputs; return FMI's status, and the place of a value that the type does not hold, or -1."""
-        values = inputs[self.mine]
+        values = -inputs[self.mine] if self.kind.negated else inputs[self.mine]
         bad = self.kind.misfit(values)
         if bad >= 0:
             return 0, self.begin + bad
@@ -188,6 +198,8 @@ class Group:
         status = self._call(component)
         if code == 0 or status in {0, 1}:
             values = buffer.astype(np.float64)
+            if self.kind.negated and status in {0, 1}:
+                values = -values
             exact = (values > -EXACT) & (values < EXACT)
             if code >= 8 and not exact.all():
                 bad = int(np.argmin(exact))
@@ -238,7 +250,7 @@ def groups(
     variables : sequence of FMUVariable
         The ports of one side.
     major : int
-        2 or 3: the version of FMI.
+        1, 2 or 3: the version of FMI.
     verb : {"Get", "Set"}
         Whether they are read or set.
     address : callable

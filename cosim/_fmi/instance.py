@@ -37,6 +37,7 @@ from bayesftc.cosim._fmi.steps import (
     StepFunctions,
     decoded,
 )
+from bayesftc.cosim._fmi.versions import prefix
 from bayesftc.cosim.errors import FMUError, StepSizeError
 from bayesftc.cosim.timebase import show
 
@@ -186,7 +187,7 @@ class Instance(StepFunctions):
 
         None where more has to be done than to call them.
         """
-        if self._addresses.enter_event_mode:
+        if self._addresses.enter_event_mode or not self.can_save:
             return None
         save, restore, free = self._library.state_addresses
         return self._component, save, restore, free
@@ -245,7 +246,7 @@ class Instance(StepFunctions):
         names = {
             GET: self._called(1),
             SET: self._called(0),
-            STEP: f"fmi{self._major}DoStep",
+            STEP: f"{prefix(self._major)}DoStep",
             EVENTS: "An FMI function of event mode",
         }
         function = names.get(where, "An FMI function")

@@ -23,7 +23,7 @@ from bayesftc.cosim.errors import FMUError, FMUPlatformError
 
 _STATUS_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 
-_C_TYPES: dict[str, Any] = {
+C_TYPES: dict[str, Any] = {
     "Real": ctypes.c_double,
     "Float64": ctypes.c_double,
     "Float32": ctypes.c_float,
@@ -168,7 +168,7 @@ class Library(ABC):
         for variable, value in values.items():
             function, c_type = self._setter(variable.type)
             reference = (ctypes.c_uint * 1)(variable.reference)
-            flat = [v.encode() if isinstance(v, str) else v for v in flattened(value)]
+            flat = [v.encode() if isinstance(v, str) else -v if variable.negated else v for v in flattened(value)]
             array = (c_type * len(flat))(*flat)
             try:
                 self._set(function, component, reference, array)
@@ -262,7 +262,7 @@ class Library2(Library):
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Integer" if kind == "Enumeration" else kind
-        return f"fmi2Set{name}", ctypes.c_int if kind == "Boolean" else _C_TYPES[name]
+        return f"fmi2Set{name}", ctypes.c_int if kind == "Boolean" else C_TYPES[name]
 
     def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
         self.call(function, component, reference, 1, array)
@@ -343,7 +343,7 @@ class Library3(Library):
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Int64" if kind == "Enumeration" else kind
-        return f"fmi3Set{name}", ctypes.c_bool if kind == "Boolean" else _C_TYPES[name]
+        return f"fmi3Set{name}", ctypes.c_bool if kind == "Boolean" else C_TYPES[name]
 
     def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
         self.call(function, component, reference, 1, array, len(array))
@@ -403,25 +403,33 @@ def load_library(archive: Archive, description: FMUDescription, *, exchange: boo
 
 
 def _load(archive: Archive, description: FMUDescription, folder: Path, entry: str, exchange: bool) -> Library:
+    from fmpy.fmi1 import FMU1Model, FMU1Slave
     from fmpy.fmi2 import FMU2Model, FMU2Slave
     from fmpy.fmi3 import FMU3Model, FMU3Slave
 
     from bayesftc.cosim._exchange.library import ModelLibrary2, ModelLibrary3
+    from bayesftc.cosim._exchange.library1 import ModelLibrary1
+    from bayesftc.cosim._fmi.library1 import Library1
 
+    binding, made = {
+        (1, False): (FMU1Slave, Library1),
+        (1, True): (FMU1Model, ModelLibrary1),
+        (2, False): (FMU2Slave, Library2),
+        (2, True): (FMU2Model, ModelLibrary2),
+        (3, False): (FMU3Slave, Library3),
+        (3, True): (FMU3Model, ModelLibrary3),
+    }[description.fmi_major, exchange]
     settings = {
         "guid": description.token,
         "modelIdentifier": description.identifier,
         "unzipDirectory": str(folder),
         "instanceName": description.name,
+        "libraryPath": str(folder / entry),
     }
     here = os.getcwd()
     try:
         with kept():
-            if description.fmi_major == 2:
-                settings["libraryPath"] = str(folder / entry)
-                slave = (FMU2Model if exchange else FMU2Slave)(**settings)
-            else:
-                slave = (FMU3Model if exchange else FMU3Slave)(**settings)
+            slave = binding(**settings)
             keep = ctypes.CDLL(str(folder / entry))
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError where a function lacks
         raise FMUError(
@@ -430,9 +438,7 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
         ) from None
     finally:
         os.chdir(here)  # fmpy goes to the binary's folder, and stays there if loading fails
-    if description.fmi_major == 2:
-        return (ModelLibrary2 if exchange else Library2)(description, slave, keep)
-    return (ModelLibrary3 if exchange else Library3)(description, slave, keep)
+    return made(description, slave, keep)
 
 
 def _reason(error: Exception, folder: Path) -> str:

@@ -31,7 +31,7 @@ logger = logging.getLogger("bayesftc.fmu")
 logger.addHandler(logging.NullHandler())  # else logging prints warnings where nobody has set it up
 
 _numbers = itertools.count(1)
-_open: dict[int, Messages] = {}
+_open: dict[int | bytes, Messages] = {}
 
 
 class Messages:
@@ -45,6 +45,7 @@ class Messages:
         self.key = Messages.last = next(_numbers)
         self._lines: deque[bytes] = deque(maxlen=KEPT)
         self._count = 0
+        self._more: list[int | bytes] = []
         _open[self.key] = self
 
     def add(self, status: int, text: bytes) -> None:
@@ -67,9 +68,16 @@ class Messages:
         """Return the messages as the tail of a sentence."""
         return quoted(self)
 
+    def hear(self, key: int | bytes) -> None:
+        """Be found by another key, too: FMI 1 gives its callbacks none, but the instance's name and address."""
+        self._more.append(key)
+        _open[key] = self
+
     def close(self) -> None:
         """Forget that the FMU may still speak."""
-        _open.pop(self.key, None)
+        for key in (self.key, *self._more):
+            if _open.get(key) is self:
+                del _open[key]
 
 
 def quoted(messages: Iterable[str]) -> str:
@@ -84,21 +92,21 @@ def _cleaned(line: bytes) -> str:
     return " ".join(line.decode("utf-8", errors="replace").split())[:LENGTH]
 
 
-def _deliver(key: int | None, status: int, text: bytes | None) -> bool:
+def _deliver(key: int | None, status: int, text: bytes | None, name: bytes | None = None) -> bool:
     """Keep a message for whom it is; return whether it is of an instance of ours, maybe of one that is closed."""
-    messages = _open.get(key or 0)
+    messages = _open.get(key or 0) or _open.get(name or b"")
     if messages is not None:
         messages.add(status, text or b"")
-    return 0 < (key or 0) <= Messages.last
+    return messages is not None or 0 < (key or 0) <= Messages.last
 
 
 @cache
 def callback2() -> Any:
-    """Return the logger callback of FMI 2: one for the process, as fmpy's proxy knows only one."""
+    """Return the logger callback of FMI 1 and 2: one for the process, as fmpy's proxy knows only one."""
     from fmpy import fmi2
 
     def log(key: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None) -> None:
-        if not _deliver(key, status, text) and text is not None and 0 <= status < len(STATUS):
+        if not _deliver(key, status, text, name) and text is not None and 0 <= status < len(STATUS):
             fmi2.printLogMessage(None, name, status, category, text)  # an FMU that someone runs with fmpy itself
 
     return fmi2.fmi2CallbackLoggerTYPE(log)
@@ -117,15 +125,30 @@ def callback3() -> Any:
 
 def callbacks2(messages: Messages) -> Any:
     """Return the structure of callbacks that an FMI 2 instance gets; keep it as long as the instance lives."""
-    import fmpy
     from fmpy import fmi2
 
     structure = fmi2.fmi2CallbackFunctions()
-    structure.logger = callback2()
-    # The C functions themselves, not Python functions around them: an FMU may allocate in a step, where no GIL is held.
-    structure.allocateMemory = ctypes.cast(fmpy.calloc, fmi2.fmi2CallbackAllocateMemoryTYPE)
-    structure.freeMemory = ctypes.cast(fmpy.free, fmi2.fmi2CallbackFreeMemoryTYPE)
     structure.componentEnvironment = messages.key
+    return _filled(structure)
+
+
+def callbacks1(messages: Messages, name: str) -> Any:
+    """Return the structure of callbacks that an FMI 1 instance of this name gets; keep it as long as the instance lives."""
+    from fmpy import fmi1
+
+    messages.hear(name.encode())
+    return _filled(fmi1.fmi1CallbackFunctions())
+
+
+def _filled(structure: Any) -> Any:
+    """Give a structure of callbacks the functions that FMI 1 and 2 have in common."""
+    import fmpy
+
+    kinds = dict(structure._fields_)
+    structure.logger = ctypes.cast(callback2(), kinds["logger"])
+    # The C functions themselves, not Python functions around them: an FMU may allocate in a step, where no GIL is held.
+    structure.allocateMemory = ctypes.cast(fmpy.calloc, kinds["allocateMemory"])
+    structure.freeMemory = ctypes.cast(fmpy.free, kinds["freeMemory"])
     try:
         from fmpy.logging import addLoggerProxy
     except (ImportError, OSError, AttributeError):  # no proxy for this platform: messages come with their % signs

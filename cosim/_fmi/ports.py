@@ -70,6 +70,8 @@ def _obstacle(variable: FMUVariable, ticking: Container[int] = ()) -> str | None
         return "clocked, by clocks that nothing here ticks"
     if not variable.is_numeric:
         return f"of type {variable.type}"
+    if variable.negated and variable.type not in {"Real", "Integer"}:
+        return f"the opposite of another variable (negatedAlias) and of type {variable.type}"
     return None if prod(variable.shape) else f"an array of shape {variable.shape}, which is empty"
 
 

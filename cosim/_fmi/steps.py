@@ -66,7 +66,7 @@ def _compiled(major: int, role: str, plain: bool) -> Any:
         from bayesftc.cosim._fmi.kernels import FUNCTIONS
     else:
         from bayesftc.cosim._fmi.typed_kernels import FUNCTIONS
-    function: Any = FUNCTIONS[major, role]
+    function: Any = FUNCTIONS[max(major, 2), role]  # those of FMI 1 are called as those of FMI 2
     return compile_raw(function)
 
 
@@ -76,7 +76,7 @@ class StepFunctions:
     Parameters
     ----------
     major : int
-        2 or 3: the version of FMI, which says how the functions are called.
+        1, 2 or 3: the version of FMI, which says how the functions are called.
     addresses : Addresses
         Of the functions of a step.
     component : int
@@ -109,7 +109,7 @@ class StepFunctions:
         self._scratch[NO_RETURN] = 1
         sides = (inputs, outputs)
         self._plain = not addresses.enter_event_mode and all(
-            len(s) <= 1 and not any(g.kind.code for g in s) for s in sides
+            len(s) <= 1 and all(g.kind.plain for g in s) for s in sides
         )
         into = out = 0, 0, 0, 0
         if self._plain:
@@ -131,7 +131,8 @@ class StepFunctions:
 
     def expect_return(self) -> None:
         """Promise no more, with each step, that no state before it will be restored (noSetFMUStatePriorToCurrentPoint)."""
-        self._scratch[NO_RETURN] = 0
+        if self._major != 1:  # there the word says that the step is a new one
+            self._scratch[NO_RETURN] = 0
 
     @property
     def _no_return(self) -> int:
@@ -147,7 +148,7 @@ class StepFunctions:
     # What follows is for interpreted runs alone; compiled ones, of which there may be thousands, need not wait for it.
     @cached_property
     def _do_step(self) -> Any:
-        return (_STEP2 if self._major == 2 else _STEP3)(self._addresses.do_step)
+        return (_STEP3 if self._major == 3 else _STEP2)(self._addresses.do_step)
 
     @cached_property
     def _places(self) -> list[int]:
@@ -206,7 +207,7 @@ class StepFunctions:
         if status:
             return status
         h = self._h
-        if self._major == 2:
+        if self._major != 3:
             status = self._do_step(self._component, t, h, self._no_return)
             if status == DISCARD and self._addresses.real_status:
                 return self._in_parts(t, h)

@@ -43,8 +43,8 @@ from bayesftc.cosim._fmi.kernels import (
 from bayesftc.cosim._numba_called import callee
 
 # Words of a group.
-FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ = range(11)
-GROUP_WORDS = 11
+FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ, NEGATED = range(12)
+GROUP_WORDS = 12
 
 # Codes of types: what lies in a buffer. Booleans and enumerations are integers of their size and range.
 FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64 = range(10)
@@ -122,9 +122,9 @@ def _fits(group, code, value):
 def _call(major, component, group, buffer):
     function = word(group, FUNCTION)
     references, count = word(group, REFERENCES), word(group, COUNT)
-    if major == 2:
-        return values2(function, component, references, count, buffer)
-    return values3(function, component, references, count, buffer, word(group, SIZE))
+    if major == 3:
+        return values3(function, component, references, count, buffer, word(group, SIZE))
+    return values2(function, component, references, count, buffer)
 
 
 @callee
@@ -139,11 +139,14 @@ def _noted(note, group, status):
 def put(major, component, note, inputs, group):
     """Set a group of inputs; return 0, `SET` plus FMI's status, or `UNFIT_INPUT`: the word at `note` has the group or element."""
     begin = inputs + 8 * word(group, BEGIN)
-    code, buffer = word(group, CODE), begin
-    if code != FLOAT64:
+    code, negated, buffer = word(group, CODE), word(group, NEGATED) != 0, begin
+    if code != FLOAT64 or negated:
         buffer = word(group, BUFFER)
         for i in range(word(group, SIZE)):
-            value = number(begin, i)
+            value = -number(begin, i) if negated else number(begin, i)
+            if code == FLOAT64:
+                put_number(buffer, i, value)
+                continue
             if not _fits(group, code, value):
                 put_word(note, 0, word(group, BEGIN) + i)
                 return UNFIT_INPUT
@@ -155,15 +158,19 @@ def put(major, component, note, inputs, group):
 def take(major, component, note, outputs, group):
     """Read a group of outputs; return 0, `GET` plus FMI's status, or `UNFIT_OUTPUT`, with the word at `note` as in `put`."""
     begin = outputs + 8 * word(group, BEGIN)
-    code = word(group, CODE)
+    code, negated = word(group, CODE), word(group, NEGATED) != 0
     if code == FLOAT64:
-        return _noted(note, group, failed(GET, _call(major, component, group, begin)))
+        status = _noted(note, group, failed(GET, _call(major, component, group, begin)))
+        if negated and status == 0:
+            for i in range(word(group, SIZE)):
+                put_number(begin, i, -number(begin, i))
+        return status
     buffer = word(group, BUFFER)
     status = _noted(note, group, failed(GET, _call(major, component, group, buffer)))
     if status != 0:
         return status
     for i in range(word(group, SIZE)):
-        value = load(buffer, i, code)
+        value = -load(buffer, i, code) if negated else load(buffer, i, code)
         put_number(begin, i, value)
         if code >= INT64 and not (value > -EXACT and value < EXACT):
             put_word(note, 0, word(group, BEGIN) + i)

@@ -92,7 +92,7 @@ def _used_as(kind: str, block: FMU | str | None, description: FMUDescription) ->
         more = f", at steps of {step:g} s by its own account" if step else "; it does not say at which step"
         return Verdict(kind, "yes", f"as timing={block.timing!r}{more}.{_late(block, description)}")
     info = description.exchange
-    states = len(info.states) if info else 0
+    states = info.count if info else 0
     events = f", {info.indicators} event indicators" if info and info.indicators else ""
     default = "" if "coSimulation" not in description.kinds else " Ask for it with kind='model exchange'."
     return Verdict(kind, "yes", f"{_many(states, 'state')}{events}, timing={block.timing!r}.{default}")
