@@ -9,7 +9,7 @@ from bayesftc import cosim
 from bayesftc.cosim import Port
 from bayesftc.cosim._coupled import steps
 from bayesftc.cosim._exchange.scipy_instance import INTERRUPTED
-from bayesftc.cosim._fmi.kernels import EVENTS, GET, SET, STEP
+from bayesftc.cosim._fmi.codes import EVENTS, GET, SET, STEP
 from bayesftc.cosim._isolation import protocol
 from bayesftc.cosim._isolation.instance import Isolated
 from bayesftc.cosim.ops import isnan, select

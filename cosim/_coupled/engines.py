@@ -330,7 +330,7 @@ def check_groups(run: Run) -> None:
                 raise FMUError(
                     f"The FMU {node.name!r} cannot save and restore its state (canGetAndSetFMUState), which {what} of {names} "
                     f"needs: put a UnitDelay into a connection of {node.name!r} with the others, so that a delay of one step "
-                    "stands where one can see it, or export the FMU with that capability."
+                    "stands where one can see it, or export the FMU as FMI 2.0 or 3.0 with that capability."
                 )
             if group.doubling and not (step_word(instance) and cast("VariableStep", instance).can_resize):
                 raise FMUError(

@@ -70,16 +70,8 @@ from bayesftc.cosim._exchange.words import (
     UPDATE_DISCRETE,
     X,
 )
-from bayesftc.cosim._fmi.kernels import (
-    GET,
-    SET,
-    UNFIT_INPUT as UNFIT_IN,
-    UNFIT_OUTPUT as UNFIT_OUT,
-    number,
-    put_number,
-    put_word,
-    word,
-)
+from bayesftc.cosim._fmi.codes import GET, SET, UNFIT_INPUT as UNFIT_IN, UNFIT_OUTPUT as UNFIT_OUT
+from bayesftc.cosim._fmi.kernels import number, put_number, put_word, word
 from bayesftc.cosim._fmi.typed_kernels import GROUP_WORDS, put, take
 from bayesftc.cosim._numba_called import callee, inlined
 

@@ -1,4 +1,4 @@
-"""The binary of a model exchange FMU: the functions by which an integrator drives it, in FMI 2 and 3; see `library1` for FMI 1."""
+"""The binary of a model exchange FMU: the functions by which an integrator drives it, in FMI 2 and 3."""
 
 from __future__ import annotations
 

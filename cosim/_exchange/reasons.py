@@ -8,7 +8,7 @@ from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.model import ExchangeModel
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim._fmi.library import CallError
-from bayesftc.cosim._fmi.messages import ENDS, STATUS
+from bayesftc.cosim._fmi.messages import ENDS, status_word
 
 REMEDY = "give larger tolerances, a shorter step or another solver, or look at what the model does there"
 
@@ -71,12 +71,11 @@ def _call(model: ExchangeModel, role: int, status: int, when: float) -> str:
     if role == words.NAN_STATE:
         return model.nan_state()
     model.note(status)
-    word = STATUS[status] if 0 <= status < len(STATUS) else str(status)
     if role in {words.SET_VALUES, words.GET_VALUES}:
         called = model.ports.function_of(int(model.table[words.UNFIT]), is_input=role == words.SET_VALUES)
     else:
         called = model.library.names[words.NAMES[role]]
-    return f"{called} returned {word} at t = {when:g} s"
+    return f"{called} returned {status_word(status)} at t = {when:g} s"
 
 
 def endless_events(model: ExchangeModel) -> str:

@@ -124,9 +124,7 @@ class ScipySolver:
     def _completed_step(self) -> bool:
         model = self._model
         self._enter.value = self._terminate.value = 0
-        status = model.library.completed_step(
-            model.component, not model.info.can_save, self._enter, self._terminate
-        )
+        status = model.library.completed_step(model.component, not model.info.can_save, self._enter, self._terminate)
         model.check("completed_step", status)
         if self._terminate.value:
             raise StopError(f"{ENDS} (terminateSimulation, after a step of the integrator)")

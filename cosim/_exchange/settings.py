@@ -50,9 +50,15 @@ def checked_settings(
     for name, value in (("rtol", rtol), ("atol", atol)):
         if value is not None and not 0 < real(value) < math.inf:
             raise ModelError(f"FMU has {name}={value!r}; it must be a positive number, as 1e-6.")
+    if rtol is not None and description.fmi_major == 1 and not exchange:
+        raise ModelError(
+            f"FMU has rtol={rtol!r}, but {archive.path.name} is of FMI 1.0, whose co-simulation takes no tolerance: leave it "
+            "out, or export the model as FMI 2.0 or 3.0."
+        )
     own = description.default_experiment.get("tolerance", 0.0)
     if rtol is None:
-        rtol = own if 0 < own < 1 else DEFAULT_TOLERANCE if exchange else None
+        told = exchange or description.fmi_major > 1
+        rtol = own if told and 0 < own < 1 else DEFAULT_TOLERANCE if exchange else None
     if rtol is not None and not rtol < 1:
         raise ModelError(f"FMU has rtol={rtol!r}; it is a relative tolerance and must be below 1.")
     return {

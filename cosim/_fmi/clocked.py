@@ -16,12 +16,7 @@ import numpy as np
 
 from bayesftc.cosim._callbacks import Callback
 from bayesftc.cosim._fmi.clocks import CHANGED, Ticks
-from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value
-from bayesftc.cosim._fmi.groups import Group
-from bayesftc.cosim._fmi.instance import Instance
-from bayesftc.cosim._fmi.library import CallError, Library
-from bayesftc.cosim._fmi.refusals import function_of
-from bayesftc.cosim._fmi.steps import (
+from bayesftc.cosim._fmi.codes import (
     ENDLESS,
     EVENTS,
     TERMINATED,
@@ -30,8 +25,13 @@ from bayesftc.cosim._fmi.steps import (
     UNFIT,
     UPDATE,
     UPDATE_TERMINATE,
-    failed,
 )
+from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value
+from bayesftc.cosim._fmi.groups import Group
+from bayesftc.cosim._fmi.instance import Instance
+from bayesftc.cosim._fmi.library import CallError, Library
+from bayesftc.cosim._fmi.refusals import function_of
+from bayesftc.cosim._fmi.steps import failed
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import StepSizeError
 from bayesftc.cosim.timebase import show

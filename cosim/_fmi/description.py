@@ -14,11 +14,11 @@ from zipfile import ZipFile
 from numpy.typing import NDArray
 
 from bayesftc.cosim._exchange.info import ExchangeInfo, read_exchange
+from bayesftc.cosim._fmi import version1
 from bayesftc.cosim._fmi.aliases import check_aliases
 from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._fmi.clocks import Clock, read_clocks
 from bayesftc.cosim._fmi.structure import check_shape, check_structure
-from bayesftc.cosim._fmi import version1
 from bayesftc.cosim._fmi.versions import check_version
 from bayesftc.cosim.errors import LAX, FMUError
 from bayesftc.cosim.units import BASE, Unit, UnitDefinition
@@ -246,7 +246,9 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
     annotations = list(root.iter("bayesftc"))
     timings = [annotation.get("timing") for annotation in annotations]
     clocks = read_clocks(root)
-    variables = tuple(_variable(archive, v, clocks, aliases.get(v.name) == "negatedAlias") for v in model.modelVariables)
+    variables = tuple(
+        _variable(archive, v, clocks, aliases.get(v.name) == "negatedAlias") for v in model.modelVariables
+    )
     if validate and version != "3.0":
         check_aliases(archive, [v for v in variables if v.name not in aliases])
     return FMUDescription(
@@ -354,6 +356,7 @@ def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Cl
     settable = variable.variability != "constant" and (
         variable.causality == "input" or variable.initial in {"exact", "approx"}
     )
+    settable = settable and not (negated and variable.type not in {"Real", "Integer"})
     return FMUVariable(
         name=variable.name,
         causality=variable.causality,

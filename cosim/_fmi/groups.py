@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim._fmi.codes import EXACT
 from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.versions import prefix
@@ -24,7 +25,6 @@ VALUES2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctype
 VALUES3 = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_size_t
 )
-EXACT = 2.0**53
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
 _DTYPES = (
     "f8",

@@ -9,14 +9,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import Group, element_names, groups, own_inputs
-from bayesftc.cosim._fmi.guards import beyond
-from bayesftc.cosim._fmi.library import CallError, Library
-from bayesftc.cosim._fmi.messages import ENDS, STATUS, Messages
-from bayesftc.cosim._fmi.refusals import function_of, misfit
-from bayesftc.cosim._fmi.states import SavedState, States
-from bayesftc.cosim._fmi.steps import (
+from bayesftc.cosim._fmi.codes import (
     DISCARD,
     EARLY,
     ENDLESS,
@@ -34,9 +27,15 @@ from bayesftc.cosim._fmi.steps import (
     UNFIT,
     UNFIT_INPUT,
     UNFIT_OUTPUT,
-    StepFunctions,
-    decoded,
 )
+from bayesftc.cosim._fmi.description import FMUVariable, Value
+from bayesftc.cosim._fmi.groups import Group, element_names, groups, own_inputs
+from bayesftc.cosim._fmi.guards import beyond
+from bayesftc.cosim._fmi.library import CallError, Library
+from bayesftc.cosim._fmi.messages import ENDS, Messages, status_word
+from bayesftc.cosim._fmi.refusals import function_of, misfit
+from bayesftc.cosim._fmi.states import SavedState, States
+from bayesftc.cosim._fmi.steps import StepFunctions, decoded
 from bayesftc.cosim._fmi.versions import prefix
 from bayesftc.cosim.errors import FMUError, StepSizeError
 from bayesftc.cosim.timebase import show
@@ -250,7 +249,6 @@ class Instance(StepFunctions):
             EVENTS: "An FMI function of event mode",
         }
         function = names.get(where, "An FMI function")
-        word = STATUS[code] if 0 <= code < len(STATUS) else f"{code}, which is no status of FMI"
         self._fatal = code in {FATAL, PENDING}
         more = ""
         if code == PENDING:
@@ -259,7 +257,7 @@ class Instance(StepFunctions):
             more = self._library.last_words(self._component) if where == STEP else "It does not take such a value."
             if more.startswith(ENDS):
                 return f"{more} {said}"
-        return " ".join(s for s in (f"{function} returned {word}.", more, said) if s)
+        return " ".join(s for s in (f"{function} returned {status_word(code)}.", more, said) if s)
 
     def _called(self, side: int) -> str:
         """Return which function has failed to read or set values, and whose."""

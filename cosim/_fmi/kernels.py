@@ -16,17 +16,35 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from bayesftc.cosim._fmi.codes import (
+    ANSWER,
+    DISCARD,
+    EARLY,
+    ENDLESS,
+    EVENT,
+    EVENTS,
+    GET,
+    HAS_TERMINATED,
+    LAST,
+    LAST_TIME,
+    MOST,
+    NEXT_DEFINED,
+    NEXT_TIME,
+    NO_RETURN,
+    ODD,
+    REACHED,
+    RETURNED_EARLY,
+    SET,
+    SMALLEST,
+    STEP,
+    TERMINATE,
+    TERMINATED,
+    TOLERANCE,
+    TRIES,
+    UPDATE,
+    UPDATE_TERMINATE,
+)
 from bayesftc.cosim._numba_called import callee, inlined
-
-GET, SET, STEP, EVENTS = 100, 200, 300, 500
-EARLY, TERMINATED, ENDLESS = 401, 402, 403
-UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
-
-LAST = 5
-"""The last status that FMI knows."""
-
-ODD, MOST = 100, 4_999
-"""Of any other status: factor of where it came from, and the largest that is told from larger ones."""
 
 # Words of the table.
 (
@@ -35,26 +53,6 @@ ODD, MOST = 100, 4_999
     INPUT_GROUP_COUNT, OUTPUT_GROUPS, OUTPUT_GROUP_COUNT, GRID,
 ) = range(22)  # fmt: skip
 WORDS = 22
-
-# Words of the scratch memory for what fmi3DoStep returns; a C bool takes the lowest byte of its word. Then what the status of
-# fmi2DoStep is asked, the place of a value that does not fit, and what fmi3UpdateDiscreteStates returns; last whether a promise
-# is made that no state before the step will be restored (noSetFMUStatePriorToCurrentPoint).
-EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
-UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
-NO_RETURN = 12
-SCRATCH_WORDS = 13
-
-TOLERANCE = 1e-9
-"""Part of a step that an FMU may fall short of its end before it counts as an early return."""
-
-SMALLEST = 1e-6
-"""Part of a step below which a step that was discarded is not cut further."""
-
-TRIES = 10_000
-"""How often a step may return early or be discarded, and an event be updated, before it counts as endless."""
-
-DISCARD = 2
-_LAST_TIME, _TERMINATED = 2, 3  # kinds of fmi2GetRealStatus and fmi2GetBooleanStatus
 
 _I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
 
@@ -246,12 +244,12 @@ def _in_parts2(parameters, t, h):
         if status == DISCARD:
             put_word(scratch, ANSWER, 0)
             if (
-                ask2(word(parameters, BOOLEAN_STATUS), component, _TERMINATED, answer) <= 1
+                ask2(word(parameters, BOOLEAN_STATUS), component, HAS_TERMINATED, answer) <= 1
                 and word(scratch, ANSWER) != 0
             ):
                 return STEP + DISCARD
             put_number(scratch, ANSWER, now)
-            if ask2(word(parameters, REAL_STATUS), component, _LAST_TIME, answer) > 1:
+            if ask2(word(parameters, REAL_STATUS), component, LAST_TIME, answer) > 1:
                 return STEP + DISCARD
             reached = number(scratch, ANSWER)
             if not (reached >= now and reached <= now + part):

@@ -15,7 +15,7 @@ from typing import Any
 from bayesftc.cosim._fmi.archive import Archive, extract
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value, flattened
 from bayesftc.cosim._fmi.embedded import in_this_python
-from bayesftc.cosim._fmi.messages import ENDS, STATUS, Messages, callback3, callbacks2
+from bayesftc.cosim._fmi.messages import ENDS, Messages, callback3, callbacks2, status_word
 from bayesftc.cosim._fmi.sources import compiled, read_sources
 from bayesftc.cosim._fmi.steps import Addresses
 from bayesftc.cosim._fmi.surroundings import kept
@@ -49,7 +49,7 @@ class CallError(Exception):
 
     def sentence(self) -> str:
         """Return what happened in FMI's words."""
-        return f"{self.function} returned {STATUS[self.status] if self.status in range(6) else self.status}"
+        return f"{self.function} returned {status_word(self.status)}"
 
 
 class Library(ABC):

@@ -25,6 +25,12 @@ ENDS = "The FMU asks to end the simulation"
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 """The standard's words for what a call returned."""
 
+
+def status_word(status: int) -> str:
+    """Return the standard's word for what a call returned, or that it has none."""
+    return STATUS[status] if 0 <= status < len(STATUS) else f"{status}, which is no status of FMI"
+
+
 _LEVELS = (logging.INFO, logging.WARNING, logging.WARNING, logging.ERROR, logging.CRITICAL, logging.INFO)
 
 logger = logging.getLogger("bayesftc.fmu")

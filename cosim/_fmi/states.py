@@ -120,6 +120,11 @@ class States:
             If the FMU cannot save its state, or fails to.
         """
         if not self.can_save:
+            if self._library.description.fmi_major == 1:
+                raise FMUError(
+                    f"The FMU {self.model!r} ({self._name!r}) is of FMI 1.0, which has no saved states; export it as FMI 2.0 or "
+                    "3.0 with canGetAndSetFMUState."
+                )
             raise FMUError(
                 f"The FMU {self.model!r} ({self._name!r}) cannot save its state: it does not offer canGetAndSetFMUState; export "
                 "it with that capability."

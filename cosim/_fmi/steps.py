@@ -11,21 +11,40 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim._fmi.codes import (
+    ANSWER,
+    DISCARD,
+    EARLY,
+    ENDLESS,
+    EVENT,
+    EVENTS,
+    GET,
+    HAS_TERMINATED,
+    LAST,
+    LAST_TIME,
+    MOST,
+    NEXT_DEFINED,
+    NEXT_TIME,
+    NO_RETURN,
+    ODD,
+    REACHED,
+    RETURNED_EARLY,
+    SCRATCH_WORDS,
+    SET,
+    SMALLEST,
+    STEP,
+    TERMINATE,
+    TERMINATED,
+    TOLERANCE,
+    TRIES,
+    UNFIT,
+    UNFIT_INPUT,
+    UNFIT_OUTPUT,
+    UPDATE,
+    UPDATE_TERMINATE,
+)
 from bayesftc.cosim._fmi.groups import Group
 from bayesftc.cosim.block import Floats
-
-# The codes of bayesftc.cosim._fmi.kernels, repeated so that the interpreted engine does without numba; a test compares.
-GET, SET, STEP, EVENTS = 100, 200, 300, 500
-EARLY, TERMINATED, ENDLESS = 401, 402, 403
-UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
-LAST, ODD, MOST = 5, 100, 4_999
-EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
-UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
-NO_RETURN = 12
-SCRATCH_WORDS = 13
-TOLERANCE, SMALLEST, TRIES = 1e-9, 1e-6, 10_000
-DISCARD, FATAL, PENDING = 2, 4, 5
-_LAST_TIME, _TERMINATED = 2, 3
 
 _STEP2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
 _STEP3 = ctypes.CFUNCTYPE(
@@ -254,10 +273,10 @@ class StepFunctions:
         for _ in range(TRIES):
             if status == DISCARD:
                 answer[0] = 0
-                if terminated(self._component, _TERMINATED, place) <= 1 and answer[0]:
+                if terminated(self._component, HAS_TERMINATED, place) <= 1 and answer[0]:
                     return STEP + DISCARD
                 answer.view(np.float64)[0] = now
-                if last_time(self._component, _LAST_TIME, place) > 1:
+                if last_time(self._component, LAST_TIME, place) > 1:
                     return STEP + DISCARD
                 reached = float(answer.view(np.float64)[0])
                 if not now <= reached <= now + part:

@@ -13,20 +13,23 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from bayesftc.cosim._fmi.codes import (
+    EVENTS,
+    EXACT,
+    GET,
+    SET,
+    UNFIT,
+    UNFIT_INPUT,
+    UNFIT_OUTPUT,
+)
 from bayesftc.cosim._fmi.kernels import (
     COMPONENT,
     ENTER_EVENT_MODE,
-    EVENTS,
-    GET,
     INPUT_GROUP_COUNT,
     INPUT_GROUPS,
     OUTPUT_GROUP_COUNT,
     OUTPUT_GROUPS,
     SCRATCH,
-    SET,
-    UNFIT,
-    UNFIT_INPUT,
-    UNFIT_OUTPUT,
     do_event_step3,
     do_step2,
     do_step3,
@@ -48,9 +51,6 @@ GROUP_WORDS = 12
 
 # Codes of types: what lies in a buffer. Booleans and enumerations are integers of their size and range.
 FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64 = range(10)
-
-EXACT = 2.0**53
-"""From here on, not every whole number is a double."""
 
 _BITS = {INT8: 8, UINT8: 8, INT16: 16, UINT16: 16, INT32: 32, UINT32: 32, INT64: 64, UINT64: 64}
 _UNSIGNED = {UINT8, UINT16, UINT32, UINT64}

@@ -1,4 +1,4 @@
-"""FMUs of FMI 2 and 3 for the tests of model exchange, built of models.c at their first use."""
+"""FMUs of FMI 1, 2 and 3 for the tests of model exchange, built of models.c and fmi1.c at their first use."""
 
 import inspect
 import re
@@ -53,11 +53,12 @@ MODELS = {
 
 def blank(fmi):
     """Return the model that does not write, as the others are given: one of its outputs is a whole number."""
-    n = ("n", 39, N, None, "Integer" if fmi == "2.0" else "Int32")
+    n = ("n", 39, N, None, "Int32" if fmi == "3.0" else "Integer")
     return [*STATE, n, ("what", 10, P, 0.0)], SLOPE, 1, {"x": [], "n": []}, False
 
 
-TYPES = {"2.0": {"i32": ("Integer", 19), "b": ("Boolean", 23), "e": ("Enumeration", 24)},
+OLD_TYPES = {"i32": ("Integer", 19), "b": ("Boolean", 23), "e": ("Enumeration", 24)}
+TYPES = {"1.0": OLD_TYPES, "2.0": OLD_TYPES,
          "3.0": {"s": ("Float32", 14), "i8": ("Int8", 15), "u8": ("UInt8", 16), "i16": ("Int16", 17), "u16": ("UInt16", 18),
                  "i32": ("Int32", 19), "u32": ("UInt32", 20), "i64": ("Int64", 21), "u64": ("UInt64", 22),
                  "b": ("Boolean", 23), "e": ("Enumeration", 24), "a": ("Int32", 27)}}  # fmt: skip
@@ -74,7 +75,7 @@ def typed(fmi):
     outputs = [(f"{name}_out", number + 20, N, None, kind) for name, number, _, _, kind in inputs]
     variables = [
         *STATE, ("u", 4, U, 0.0), ("y", 7, Y, None), *inputs, *outputs, ("k", 25, T, 1.0),
-        ("m", 26, T, 0, "Integer" if fmi == "2.0" else "Int32"),
+        ("m", 26, T, 0, "Int32" if fmi == "3.0" else "Integer"),
     ]  # fmt: skip
     return (
         variables,
@@ -95,6 +96,31 @@ ITEMS = {
     "2.0": f'<SimpleType name="Mode"><Enumeration>{LEVELS}</Enumeration></SimpleType>',
     "3.0": f'<EnumerationType name="Mode">{LEVELS}</EnumerationType>',
 }
+
+
+def description1(model, save):
+    variables, derivatives, indicators, through, _ = given(model, "1.0")
+    rows = []
+    for name, reference, (causality, variability, _), start, *kind in variables:
+        fixed = causality == "parameter"
+        told = through.get(name)
+        names = (
+            "" if told is None else f"<DirectDependency>{''.join(f'<Name>{n}</Name>' for n in told)}</DirectDependency>"
+        )
+        says = f' start="{start}"' if start is not None else ""
+        of = ' declaredType="Mode"' if kind == ["Enumeration"] else ""
+        rows.append(
+            f'<ScalarVariable name="{name}" valueReference="{reference}" variability="{"parameter" if fixed else variability}" '
+            f'causality="{"internal" if fixed or causality == "local" else causality}"><{kind[0] if kind else "Real"}{says}'
+            f"{of}/>"
+            f"{names if causality == 'output' else ''}</ScalarVariable>"
+        )
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="1.0" modelName="{model}" guid="{model}" '
+        f'modelIdentifier="models" numberOfContinuousStates="{len(derivatives)}" numberOfEventIndicators="{indicators}">'
+        '<TypeDefinitions><Type name="Mode"><EnumerationType><Item name="off"/><Item name="on"/></EnumerationType></Type>'
+        f"</TypeDefinitions><ModelVariables>{''.join(rows)}</ModelVariables></fmiModelDescription>"
+    )
 
 
 def description2(model, save):
@@ -186,7 +212,7 @@ def binary(tmp_path_factory, c_compiler):
     library = folder / f"models{fmpy.sharedLibraryExtension}"
     flags = ["-shared", "-fPIC", "-O2", "-w", "-ffp-contract=off", f"-I{headers}"]
     subprocess.run(
-        [compiler, *flags, str(HERE / "models.c"), str(folder / "absent.c"), "-o", str(library), "-lm"], check=True
+        [compiler, *flags, str(HERE / "fmi1.c"), str(folder / "absent.c"), "-o", str(library), "-lm"], check=True
     )
     return library
 
@@ -201,10 +227,10 @@ def built(binary, tmp_path_factory):
     def path(model, fmi="2.0", save="true"):
         if (model, fmi, save) not in ready:
             target = folder / f"{model}{fmi[0]}{save}.fmu"
-            platform = fmpy.platform if fmi == "2.0" else fmpy.platform_tuple
+            platform = fmpy.platform_tuple if fmi == "3.0" else fmpy.platform
+            described = {"1.0": description1, "2.0": description2, "3.0": description3}[fmi]
             with zipfile.ZipFile(target, "w") as archive:
-                text = (description2 if fmi == "2.0" else description3)(model, save)
-                archive.writestr("modelDescription.xml", text)
+                archive.writestr("modelDescription.xml", described(model, save))
                 archive.write(binary, f"binaries/{platform}/{binary.name}")
             ready[model, fmi, save] = target
         return ready[model, fmi, save]

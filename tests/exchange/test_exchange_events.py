@@ -11,7 +11,7 @@ from bayesftc import cosim
 from bayesftc.cosim.errors import FMUError, SimulationError
 from bayesftc.cosim.fmu import FMU
 
-FMI = ("2.0", "3.0")
+FMI = ("1.0", "2.0", "3.0")
 SOLVERS = ("cvode", "rk45", "scipy:RK45")
 COMPILED = ("cvode", "rk45")
 
@@ -159,10 +159,10 @@ def test_a_stiff_oscillator_against_scipy(built, run_both):
 @pytest.mark.parametrize("fmi", FMI)
 def test_an_fmu_may_end_the_simulation_after_a_step_or_at_once(built, fmi, solver):
     engine = "interpreted" if solver.startswith("scipy") else "compiled"
-    for model, words in (
-        ("quits", r"t = 0\.3 s .*terminateSimulation, after a step of the integrator"),
-        ("ends", r"\(terminateSimulation\)\. Its log says: the tank is empty"),
-    ):
+    ends = {"ends": r"\(terminateSimulation\)\. Its log says: the tank is empty"}
+    if fmi != "1.0":  # there a step of the integrator cannot end a simulation
+        ends["quits"] = r"t = 0\.3 s .*terminateSimulation, after a step of the integrator"
+    for model, words in ends.items():
         with pytest.warns(UserWarning, match="The run has ended .*" + words):
             result = alone(built(model, fmi), 0.1, solver=solver).simulate(1, engine=engine)
         assert len(result.time) == 4

@@ -29,14 +29,14 @@ def driven(path, sources, dt=0.25, **options):
 
 
 @pytest.mark.parametrize("solver", ["cvode", "scipy:RK45"])
-@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize("fmi", ["1.0", *FMI])
 def test_every_type_is_converted_exactly_at_the_same_instant(built, fmi, solver, run_both):
     block = FMU(built("typed", fmi))
     ports = {p.name: p.shape for p in block.inputs}
     chosen = {name: ends for name, ends in RANGES.items() if name in ports}
-    assert set(ports) - set(chosen) == ({"u"} if fmi == "2.0" else {"u", "a"})
+    assert set(ports) - set(chosen) == ({"u", "a"} if fmi == "3.0" else {"u"})
     steps = {name: cosim.Step(time=0.5, before=float(low), after=float(high)) for name, (low, high) in chosen.items()}
-    start = {} if fmi == "2.0" else {"a": [3, -4]}
+    start = {"a": [3, -4]} if fmi == "3.0" else {}
     result = run_both(driven(built("typed", fmi), steps, solver=solver, parameters=start), 1)
     for name in chosen:
         np.testing.assert_array_equal(result[f"p.{name}_out"], result[f"to_{name}.y"], name)

@@ -13,7 +13,7 @@ from bayesftc.cosim._exchange.equations import ModelEquations
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError
 from bayesftc.cosim.fmu import FMU
 
-FMI = ("2.0", "3.0")
+FMI = ("1.0", "2.0", "3.0")
 
 
 def alone(path, dt, **options):
@@ -85,11 +85,12 @@ def test_time_events_as_running_sums_on_and_off_the_grid(built, run_both):
         np.testing.assert_allclose(result["p.x"], np.where(phase < 0.1, phase, 0.2 - phase), atol=1e-8)
 
 
-def test_step_events_and_a_model_without_states(built, run_both):
-    result = run_both(alone(built("counter"), 0.25), 10)
+@pytest.mark.parametrize("fmi", FMI)
+def test_step_events_and_a_model_without_states(built, fmi, run_both):
+    result = run_both(alone(built("counter", fmi), 0.25), 10)
     np.testing.assert_allclose(result["p.x"] + result["p.n"], result.time, atol=1e-9)
     assert result["p.n"][-1] in {9.0, 10.0}
-    ticks = run_both(alone(built("clock", "3.0"), 0.5), 5)
+    ticks = run_both(alone(built("clock", fmi), 0.5), 5)
     np.testing.assert_array_equal(ticks["p.n"], np.floor(ticks.time))
 
 
@@ -286,7 +287,7 @@ def test_an_fmu_with_discrete_states_that_cannot_save(built):
     ("model", "sentence", "kept"),
     [
         ("endless", r"Its event iteration does not end: after 1000 turns at t = 0\.5 s", 5),
-        ("nan", r"The derivative 'der\(x\)' came out NaN or infinite at t = 0\.3", 4),
+        ("nan", r"(The derivative 'der\(x\)'|A derivative) came out NaN or infinite at t = 0\.3", 4),
         ("fails", r"(Derivatives|StateDerivatives) returned Error.* Its log says: the valve is stuck", 4),
         ("past", r"Its events do not end at t = 0\.2 s: the time that it gives for the next one.* t = 0\.2 s\. ", 2),
         ("relay", r"Its events do not end at t = 0\.25.* s: 100 came one after the other.*hysteresis", 3),
