@@ -31,6 +31,9 @@ LARGEST, SUSPICIOUS, RATIO = 4_000_000_000, 100_000_000, 100
 MOST, LONGEST_NAME, LONGEST_PATH = 100_000, 255, 2000
 """Entries of a file; bytes of a name, which is what file systems allow, and of a whole path."""
 
+MOST_VARIABLES = 300_000
+"""Variables of a model, or other elements beside each other: reading more takes minutes and gigabytes."""
+
 LARGEST_XML, LONGEST_TAG, MOST_ELEMENTS, MOST_ATTRIBUTES, DEEPEST = 500_000_000, 10_000_000, 5_000_000, 1000, 200
 """Of XML: bytes, bytes of one tag or comment, elements, attributes of one, elements inside each other."""
 
@@ -39,6 +42,7 @@ ENCODINGS = frozenset({"utf-8", "us-ascii", "ascii", "iso-8859-1", "iso-8859-15"
 
 _PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 _PIECE = 1 << 18
+_VARIABLE = 3  # how deep variables are: in the list of them, in the description
 _XML_PIECE = 1 << 20
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, KeyError, OverflowError)
 """What zipfile raises for files that are damaged or packed in a way it does not know."""
@@ -176,7 +180,7 @@ def check_xml(content: bytes, what: str, kind: Kind) -> bytes:
         parsers may read differently.
     """
     parser = ParserCreate(namespace_separator=" ")
-    depth = count = spaces = 0
+    depth = count = spaces = beside = 0
 
     def refuse(reason: str) -> None:
         raise kind.error(
@@ -188,8 +192,14 @@ def check_xml(content: bytes, what: str, kind: Kind) -> bytes:
             refuse(f"is in the encoding {encoding!r}, where the standard asks for UTF-8")
 
     def begin(name: str, attributes: Sized) -> None:
-        nonlocal depth, count, spaces
+        nonlocal depth, count, spaces, beside
         depth, count = depth + 1, count + 1
+        beside = 0 if depth < _VARIABLE else beside + (depth == _VARIABLE)
+        if beside > MOST_VARIABLES:
+            raise kind.error(
+                f"{what} has more than {MOST_VARIABLES:,} variables, which takes too long to read; nothing was unpacked or "
+                "loaded. Export the model without its protected and auxiliary variables."
+            )
         if depth > DEEPEST:
             refuse(f"has elements more than {DEEPEST} deep inside each other")
         if count > MOST_ELEMENTS:

@@ -129,11 +129,11 @@ def test_entries_that_leave_the_folder(tmp_path, name):
     refused(lambda: FMU(path), repr(name), "could be unpacked outside of its folder; nothing was unpacked")
 
 
-@pytest.mark.parametrize("version", ["1.0", "4.0", ""])
+@pytest.mark.parametrize("version", ["2.1", "4.0", ""])
 def test_other_versions(tmp_path, version):
     path = replaced("2.0", tmp_path / "old.fmu", 'fmiVersion="2.0"', f'fmiVersion="{version}"')
     wanted = f"is an FMU of FMI {version}" if version else "without a version"
-    refused(lambda: FMU(path), wanted, "only FMI 2.0 and 3.0 can be used")
+    refused(lambda: FMU(path), wanted, "only FMI 1.0, 2.0 and 3.0 can be used")
     refused(lambda: describe(path), wanted)
 
 
@@ -174,6 +174,35 @@ def test_no_binary_for_this_platform(tmp_path, fmi):
     refused(lambda: FMU(path).instantiate(STEP, "car"), f"no binary for this platform, {here} (it has: riscv64-plan9)")
     bare = edited(SHIPPED[fmi], tmp_path / "bare.fmu", so=None, dll=None, dylib=None, c=None)
     refused(lambda: FMU(bare).instantiate(STEP, "car"), "(it has: no binaries at all), and no C sources that could be")
+
+
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
+def test_a_binary_of_another_name(tmp_path, fmi, caplog, bayesftc_):
+    import fmpy
+
+    here, suffix = fmpy.platform if fmi == "2.0" else fmpy.platform_tuple, fmpy.sharedLibraryExtension
+    own = f"binaries/{here}/CruiseControl{suffix}"
+
+    def renamed(*names):
+        path = tmp_path / f"renamed{len(names)}.fmu"
+        with zipfile.ZipFile(SHIPPED[fmi]) as old, zipfile.ZipFile(path, "w") as new:
+            for name in (n for n in old.namelist() if not n.startswith("sources/") and n != own):
+                new.writestr(name, old.read(name))
+            for name in names:
+                new.writestr(f"binaries/{here}/{name}", old.read(own))
+        return path
+
+    path = renamed(f"car{suffix}")
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(FMU(path, parameters={"v0": 3.0}), "car")
+    said = f"is called car{suffix}, and not CruiseControl{suffix} as its modelIdentifier says; it is the only one"
+    assert diagram.simulate(0.1, engine="interpreted")["car.v"][0] == 3.0
+    assert f"The binary of the FMU renamed1.fmu for {here} {said}, and is used." in caplog.text
+    assert said in " ".join(bayesftc_("inspect", path, "--json").output.split())
+    several = renamed(f"a{suffix}", f"b{suffix}")
+    there = f"has no binary CruiseControl{suffix} for this platform, {here} (but a{suffix} and b{suffix} there)"
+    refused(lambda: FMU(several).instantiate(STEP, "car"), there)
+    refused(lambda: FMU(renamed("readme.txt", "b.md", "c.md")).instantiate(STEP, "car"), "(but no binary at all there)")
 
 
 def test_invalid_descriptions(tmp_path):

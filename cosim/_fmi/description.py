@@ -18,7 +18,7 @@ from bayesftc.cosim._fmi import version1
 from bayesftc.cosim._fmi.aliases import check_aliases
 from bayesftc.cosim._fmi.archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim._fmi.clocks import Clock, read_clocks
-from bayesftc.cosim._fmi.structure import check_shape, check_structure
+from bayesftc.cosim._fmi.structure import check_shape, check_size, check_structure
 from bayesftc.cosim._fmi.versions import check_version
 from bayesftc.cosim.errors import LAX, FMUError
 from bayesftc.cosim.units import BASE, Unit, UnitDefinition
@@ -49,7 +49,10 @@ _CAPABILITIES = (
     "mightReturnEarlyFromDoStep",
 )
 _SYMBOLS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-_SHOWN = 3
+_SHOWN, _LONGEST = 3, 300
+
+LONGEST_IDENTIFIER = 240
+"""Bytes of a model identifier: with its suffix, it is the name of a file."""
 
 
 @dataclass(frozen=True)
@@ -229,23 +232,26 @@ def read_description(archive: Archive, *, validate: bool = True) -> FMUDescripti
 def _read(archive: Archive, validate: bool) -> FMUDescription:
     from xml.etree import ElementTree
 
-    root = ElementTree.fromstring(read_entry(archive, DESCRIPTION))
+    content = read_entry(archive, DESCRIPTION)
+    root = ElementTree.fromstring(content)
     version = root.get("fmiVersion", "")
     check_version(archive, version)
     check_structure(archive, root, validate=validate)
-    model, lax = _parse(archive, validate)
-    aliases: Mapping[str, str] = {}
+    annotations, clocks = list(root.iter("bayesftc")), read_clocks(root)
+    declared = root.find("ModelVariables")
+    aliases = version1.aliases(root) if version == "1.0" else {}
+    if version != "1.0" and declared is not None:
+        declared.clear()  # of a large model, as large as what fmpy makes of it
+    model, lax = _parse(archive, content, validate)
     if version == "1.0":
         version1.complete(model, root)
-        aliases = version1.aliases(root)
     kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
     for kind in kinds:
         _check_identifier(archive, getattr(model, kind).modelIdentifier or "")
     first = getattr(model, kinds[0]) if kinds else None
     experiment = model.defaultExperiment
-    annotations = list(root.iter("bayesftc"))
     timings = [annotation.get("timing") for annotation in annotations]
-    clocks = read_clocks(root)
+    check_size(archive, [(v.name, tuple(v.shape or ())) for v in model.modelVariables])
     variables = tuple(
         _variable(archive, v, clocks, aliases.get(v.name) == "negatedAlias") for v in model.modelVariables
     )
@@ -281,6 +287,12 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
 
 def _check_identifier(archive: Archive, identifier: str) -> None:
     # It is the name of a file, read or (where sources are compiled) written.
+    if len(identifier.encode()) > LONGEST_IDENTIFIER:
+        raise FMUError(
+            f"The {DESCRIPTION} of {archive.path} has a modelIdentifier of {len(identifier):,} characters, {identifier[:20]!r} "
+            f"and so on, which is too long for the name of its binary (at most {LONGEST_IDENTIFIER}). Export it again with a "
+            "shorter one."
+        )
     if (
         "/" in identifier
         or "\\" in identifier
@@ -302,7 +314,7 @@ HARMLESS = re.compile(
 variable, is none of that, for it may be a known one that is misspelt; and what comes after it is not looked at."""
 
 
-def _parse(archive: Archive, validate: bool) -> tuple[ModelDescription, str | None]:
+def _parse(archive: Archive, content: bytes, validate: bool) -> tuple[ModelDescription, str | None]:
     """Return the description, and in a sentence which rules it breaks on which nothing hangs."""
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError
@@ -310,12 +322,12 @@ def _parse(archive: Archive, validate: bool) -> tuple[ModelDescription, str | No
 
     try:
         try:
-            return read_model_description(_checked_xml(archive), validate=validate), None
+            return read_model_description(_checked_xml(archive, content), validate=validate), None
         except ValidationError as error:
             broken = [str(p).removesuffix(".") for p in error.problems]
             problems = _harmful(broken)
             if not problems:
-                model = read_model_description(_checked_xml(archive), validate=False)
+                model = read_model_description(_checked_xml(archive, content), validate=False)
                 # An error of the schema comes alone: what fmpy looks at after it is to be looked at, too.
                 broken += [str(p).removesuffix(".") for p in validate_model_description(model)]
                 problems = _harmful(broken)
@@ -326,6 +338,10 @@ def _parse(archive: Archive, validate: bool) -> tuple[ModelDescription, str | No
                 )
     except KeyError as error:
         problems = [f"it refers to a variable {error}, which it does not define"]
+    except ValueError as error:
+        # Python reads no number of thousands of digits, and says by which function it could be made to.
+        text = " ".join(str(error).split()).removesuffix(".")
+        problems = ["it has a number of thousands of digits" if "integer string conversion" in text else text]
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
         problems = [(" ".join(str(error).split()) or type(error).__name__).removesuffix(".")]
     remedy = f"Ask its maker for a valid one, or {LAX}" if validate else "Export it again."
@@ -338,16 +354,16 @@ def _harmful(problems: Sequence[str]) -> list[str]:
 
 def _listed(problems: Sequence[str]) -> str:
     more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
-    return "; ".join(problems[:_SHOWN]) + more
+    return "; ".join(p if len(p) <= _LONGEST else f"{p[:_LONGEST]}..." for p in problems[:_SHOWN]) + more
 
 
-def _checked_xml(archive: Archive) -> io.BytesIO:
+def _checked_xml(archive: Archive, description: bytes) -> io.BytesIO:
     """Return an archive of the XML files alone, as they were checked: fmpy sees nothing else of the file."""
     content = io.BytesIO()
     with ZipFile(content, "w") as copy:
         for name in archive.kind.xml:
             if name in archive.names:
-                copy.writestr(name, read_entry(archive, name))
+                copy.writestr(name, description if name == DESCRIPTION else read_entry(archive, name))
     return content
 
 
@@ -383,9 +399,10 @@ def _bounds(variable: ModelVariable) -> tuple[float, float]:
     """Return the least and the largest value that a variable may have by its own account."""
     found = []
     for attribute, otherwise in (("min", -math.inf), ("max", math.inf)):
+        given = _declared(variable, attribute)
         try:
-            found.append(float(_declared(variable, attribute)))
-        except (TypeError, ValueError):  # it has none, or nobody has validated what it has
+            found.append(otherwise if given is None else float(given))
+        except (TypeError, ValueError):  # nobody has validated what it has
             found.append(otherwise)
     low, high = (otherwise if math.isnan(x) else x for x, otherwise in zip(found, (-math.inf, math.inf), strict=True))
     return (low, high) if low <= high else (-math.inf, math.inf)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import prod
 from typing import TYPE_CHECKING, NoReturn
 
 from bayesftc.cosim.errors import FMUError
@@ -11,6 +12,9 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
     from bayesftc.cosim._fmi.archive import Archive
+
+LARGEST = 10_000_000
+"""How many elements an array may have, and all variables together."""
 
 LARGEST_REFERENCE = 2**32 - 1
 MOST_DIMENSIONS = 32
@@ -66,6 +70,36 @@ def check_shape(name: str, reference: int, dimensions: Sequence[object]) -> None
         raise ValueError(
             f"{name!r} has {len(dimensions)} dimensions, more than the {MOST_DIMENSIONS} that an array can have"
         )
+
+
+def check_size(archive: Archive, shapes: Sequence[tuple[str, tuple[int, ...]]]) -> None:
+    """Check that the variables of a model, by name and shape, fit into memory, before there are any values of them.
+
+    Raises
+    ------
+    FMUError
+        If they do not, or an array is of a negative size.
+    """
+    for name, shape in shapes:
+        if shape and min(shape) < 0:
+            raise FMUError(
+                f"The array {name!r} of the FMU {archive.path.name} is as large as {min(shape)}: that is no size; export the FMU "
+                "again."
+            )
+    total = sum(prod(shape) for _, shape in shapes)
+    if total > LARGEST:
+        name, shape = max(shapes, key=lambda pair: prod(pair[1]))
+        more = "" if prod(shape) > LARGEST else f", and all variables together {total:,} numbers"
+        raise FMUError(
+            f"{name!r} of the FMU {archive.path.name} would have the shape {shown(shape)}{more}: more than {LARGEST:,} numbers; "
+            "give smaller structural parameters, or export it with smaller arrays."
+        )
+
+
+def shown(shape: Sequence[int]) -> str:
+    """Return the shape of an array as text, of which none is too long to be printed."""
+    sizes = [str(size) if size < 10**20 else "more than 1e20" for size in shape[:MOST_DIMENSIONS]]
+    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 
 def _numbers(texts: Sequence[str]) -> list[int]:

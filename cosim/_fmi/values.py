@@ -14,11 +14,9 @@ import numpy as np
 from bayesftc.cosim._fmi.archive import Archive
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value, flattened, shaped
 from bayesftc.cosim._fmi.groups import type_range
+from bayesftc.cosim._fmi.structure import check_size
 from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.units import conversion, split
-
-LARGEST = 10_000_000
-"""How many elements an array may have."""
 
 _FLOATS = frozenset({"Real", "Float64", "Float32"})
 _LARGEST = sys.float_info.max
@@ -98,15 +96,12 @@ def resolved(archive: Archive, description: FMUDescription, values: Mapping[str,
     if not any(v.dimensions for v in description.variables):
         return {v.name: v for v in description.variables}
     structure = {v.name: v.start for v in description.variables} | dict(values)
+    shapes = {v.name: tuple(_size(archive, v, d, structure) for d in v.dimensions) for v in description.variables}
+    check_size(archive, [*shapes.items()])
     variables: dict[str, FMUVariable] = {}
     for variable in description.variables:
-        shape: tuple[int, ...] = tuple(_size(archive, variable, d, structure) for d in variable.dimensions)
+        shape: tuple[int, ...] = shapes[variable.name]
         count: int = math.prod(shape)
-        if count > LARGEST:
-            raise FMUError(
-                f"{variable.name!r} of the FMU {archive.path.name} would have the shape {shape}: more than {LARGEST:,} numbers; "
-                "give smaller structural parameters."
-            )
         if shape != variable.shape:
             elements = set(flattened(variable.start)) if variable.start is not None else set()
             start = shaped((*elements,), shape) if len(elements) == 1 and count else None

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from bayesftc.cosim._fmi.archive import Archive, open_archive
-from bayesftc.cosim._fmi.library import binary_entry
+from bayesftc.cosim._fmi.library import binary_entry, misnamed
 from bayesftc.cosim._fmi.sources import read_sources
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.fmu import FMU, FMUDescription
@@ -74,7 +74,9 @@ def _runs_here(archive: Archive, description: FMUDescription) -> Verdict:
     what = "run on this machine"
     if entry in archive.names:
         tool = " It says that it needs the tool that made it." if _flag(description, "needsExecutionTool") else ""
-        return Verdict(what, "partly" if tool else "yes", f"it has a binary for {platform}.{tool}")
+        other = misnamed(description, entry)
+        text = f"its binary for {platform} {other}." if other else f"it has a binary for {platform}."
+        return Verdict(what, "partly" if tool or other else "yes", text + tool)
     if read_sources(archive, description, exchange="coSimulation" not in description.kinds) is None:
         return Verdict(what, "no", f"it has no binary for {platform}, nor sources; export it for this platform.")
     return Verdict(
