@@ -1,4 +1,4 @@
-"""FMUs as blocks: plants from any tool, or controllers that were exported, of FMI 2.0 or 3.0, of either kind."""
+"""FMUs as blocks: plants from any tool, or controllers that were exported, of FMI 1.0, 2.0 or 3.0, of either kind."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bayesftc.cosim.units import UnitDefinition
 
 @dataclass(frozen=True)
 class FMU(ExternalBlock):
-    """An FMU of FMI 2.0 or 3.0; its inputs and outputs that are numbers become ports.
+    """An FMU of FMI 1.0, 2.0 or 3.0; its inputs and outputs that are numbers become ports.
 
     The file is read and checked when the block is made; it is unpacked (once per machine) and its binary loaded (once per
     process) when a run begins, and each run has a new instance. Time starts at 0 and has no end.
@@ -79,7 +79,7 @@ class FMU(ExternalBlock):
     Raises
     ------
     FMUError
-        If the file is missing or damaged, no FMU of FMI 2.0 or 3.0 of that kind, has no binary for this platform, or a
+        If the file is missing or damaged, no FMU of FMI 1.0, 2.0 or 3.0 of that kind, has no binary for this platform, or a
         variable cannot be what it was asked to be.
     ModelError
         If a solver or tolerance is none, or a solver or absolute tolerance is given for co-simulation.
@@ -363,7 +363,7 @@ def _check_clocks(archive: Archive, description: FMUDescription) -> None:
 
 
 def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescription:
-    """Return what an FMU of FMI 2.0 or 3.0 says of itself, without unpacking it or loading its binary.
+    """Return what an FMU of FMI 1.0, 2.0 or 3.0 says of itself, without unpacking it or loading its binary.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescript
     Raises
     ------
     FMUError
-        If the file is missing or damaged, or no FMU of FMI 2.0 or 3.0.
+        If the file is missing or damaged, or no FMU of FMI 1.0, 2.0 or 3.0.
     """
     description = read_description(
         open_archive(absolute(path, "describe", "an .fmu file", FMUError)), validate=validate
