@@ -16,6 +16,7 @@ import numpy as np
 from bayesftc.cosim._coupled.engines import check_groups, place_words
 from bayesftc.cosim._fmi.embedded import interrupts
 from bayesftc.cosim._fmi.messages import ENDS
+from bayesftc.cosim._fmi.rounding import Roundable, warn_of_rounding
 from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._memory import TABLE
@@ -52,6 +53,10 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
                 instance = node.block.instantiate(schedule.step * node.every, node.name)
             stack.callback(instance.close)
             instances[i] = instance
+            rounding: Roundable | None = getattr(instance, "rounding", None)
+            if rounding is not None and rounding.wide_outputs:
+                rounding.let_round([name for name in rounding.wide_outputs if (i, name) not in schedule.connected])
+                stack.callback(warn_of_rounding, rounding, node.name)
             _take_own_inputs(schedule, i, getattr(instance, "own_inputs", {}), memory)
     run = Run(schedule, seed, memory, instances, selection.places, np.empty((0, 0)), decimation)
     check_groups(run)

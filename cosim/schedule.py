@@ -10,6 +10,7 @@ else sees, and that are recorded, stay those of t_k until t_k+1 is evaluated.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Literal
@@ -74,6 +75,8 @@ class Schedule:
         Where in memory the outputs at t_k+1 stand, while the others step, of the FMUs that a later FMU sees so.
     groups : tuple of Group
         Blocks that are computed together: algebraic loops, and FMUs that are coupled tightly.
+    connected : frozenset of (int, str)
+        The outputs that something is connected to: node and name.
     """
 
     def __init__(self, diagram: Diagram, coupling: Coupling = Coupling()):  # noqa: B008 - it is frozen
@@ -94,6 +97,7 @@ class Schedule:
         self._seen_ahead = self._pairs_ahead(diagram)
         self.ahead, self.initial = self._lay_out_ahead(values)
         self.draws = self._check_inputs(diagram)
+        self.connected = frozenset(self._connected(diagram))
         self.free = tuple(
             (node, port)
             for node in self.nodes
@@ -216,6 +220,14 @@ class Schedule:
                         f"The input {node.name}.{port.name}{element} has no source and no start value; connect an output to it."
                     )
         return tuple(draws)
+
+    def _connected(self, diagram: Diagram) -> Iterator[tuple[int, str]]:
+        for node in self.nodes:
+            for port in node.inputs:
+                for element in range(port.size):
+                    source = diagram.source_of(node, port, element)
+                    if source is not None:
+                        yield self._place[source[0].node], source[0].port.name
 
     def _gathers(
         self, diagram: Diagram, i: int, feedthrough: bool | None = None, *, ahead: tuple[int, ...] = ()

@@ -49,6 +49,7 @@ class ExchangeInstance(ABC):
 
     def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing):
         self._model, self._step, self._timing = model, step, timing
+        self.rounding = model.ports.rounding
         self.table = np.array([model.table.ctypes.data, 0], dtype=np.int64)
         self.resize(float(step))
 

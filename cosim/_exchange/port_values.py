@@ -12,6 +12,7 @@ from bayesftc.cosim._fmi.groups import element_names, groups
 from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.refusals import function_of, misfit
+from bayesftc.cosim._fmi.rounding import Rounding
 from bayesftc.cosim.block import Floats
 
 
@@ -37,6 +38,8 @@ class PortValues:
         The same, as compiled functions see them.
     names : tuple of tuple of str
         Of their elements.
+    rounding : Rounding
+        What is known of outputs that no double holds.
     """
 
     def __init__(self, library: ModelLibrary, inputs: Sequence[FMUVariable], outputs: Sequence[FMUVariable]):
@@ -44,6 +47,7 @@ class PortValues:
         self.groups = groups(inputs, self._major, "Set", find), groups(outputs, self._major, "Get", find)
         self.rows = tuple(np.array([g.words() for g in side], dtype=np.int64) for side in self.groups)
         self._elements = element_names(inputs), element_names(outputs)
+        self.rounding = Rounding(self.groups[1], self._elements[1])
         into, out = (tuple(name for name, _ in side) for side in self._elements)
         self.names = into, out
 

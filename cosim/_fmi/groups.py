@@ -25,6 +25,10 @@ VALUES2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctype
 VALUES3 = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_size_t
 )
+MAY_ROUND, ROUNDED = 1, 2
+"""Of an element of 64-bit whole numbers that no double holds: it may be rounded (0: it stops the run), and it was."""
+
+_WIDE = 8
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
 _DTYPES = (
     "f8",
@@ -63,6 +67,11 @@ class NumericType:
     def plain(self) -> bool:
         """Whether values lie in memory as the engine has them."""
         return self.code == 0 and not self.negated
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether it has whole numbers of 64 bits, which a double may not hold."""
+        return self.code >= _WIDE
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -148,6 +157,7 @@ class Group:
         self.guarded = Guarded(max(size, 1), kind.dtype)
         self.buffer = self.guarded.values
         self.mine = slice(begin, begin + size)
+        self.rounding = np.zeros(max(size, 1) if kind.is_wide else 1, dtype=np.int64)
 
     def place(self) -> tuple[int, int, int, int]:
         """Return the function, the value references, how many they are and how many values."""
@@ -159,7 +169,7 @@ class Group:
         return [
             self.function, self.kind.code, self.references.ctypes.data, len(self.references), self.begin, self.size,
             self.buffer.ctypes.data, low, limit, int(self.discrete), self.read,
-            int(self.kind.negated),
+            int(self.kind.negated), self.rounding.ctypes.data,
         ]  # fmt: skip
 
     @property
@@ -201,10 +211,13 @@ class Group:
             if self.kind.negated and status in {0, 1}:
                 values = -values
             exact = (values > -EXACT) & (values < EXACT)
-            if code >= 8 and not exact.all():
-                bad = int(np.argmin(exact))
-                outputs[self.begin : self.begin + bad + 1] = values[: bad + 1]
-                return status, self.begin + bad
+            if self.kind.is_wide and not exact.all():
+                kept = self.rounding != 0
+                self.rounding[~exact & kept] = ROUNDED
+                if not (exact | kept).all():
+                    bad = int(np.argmin(exact | kept))
+                    outputs[self.begin : self.begin + bad + 1] = values[: bad + 1]
+                    return status, self.begin + bad
             outputs[self.mine] = values
         return status, -1
 

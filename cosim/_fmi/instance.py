@@ -34,6 +34,7 @@ from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError, Library
 from bayesftc.cosim._fmi.messages import ENDS, Messages, status_word
 from bayesftc.cosim._fmi.refusals import function_of, misfit
+from bayesftc.cosim._fmi.rounding import Rounding
 from bayesftc.cosim._fmi.states import SavedState, States
 from bayesftc.cosim._fmi.steps import StepFunctions, decoded
 from bayesftc.cosim._fmi.versions import prefix
@@ -80,6 +81,7 @@ class Instance(StepFunctions):
             raise
         super().__init__(major, addresses, self._component, into, out, float(step), timing, self._cut())
         self._elements = element_names(list(inputs)), element_names(outputs)
+        self.rounding = Rounding(out, self._elements[1])
         if addresses.enter_event_mode:
             self._first_events()
         self._check_written()

@@ -46,7 +46,10 @@ def misfit(elements: Sequence[tuple[str, FMUVariable]], place: int, major: int, 
     """
     name, variable = elements[place]
     if not is_input:
-        return f"The output {name!r} is a whole number that a double cannot hold exactly (2**53 or more)."
+        return (
+            f"The output {name!r} is a whole number that a double cannot hold exactly (2**53 or more), and something is "
+            "connected to it: connect another output, or export it as a Float64."
+        )
     low, high = type_range(variable, major)
     wanted = (
         f"a number up to {high:g}" if variable.type == "Float32" else f"a whole number from {low:.0f} to {high:.0f}"

@@ -22,6 +22,7 @@ from bayesftc.cosim._fmi.codes import (
     UNFIT_INPUT,
     UNFIT_OUTPUT,
 )
+from bayesftc.cosim._fmi.groups import ROUNDED
 from bayesftc.cosim._fmi.kernels import (
     COMPONENT,
     ENTER_EVENT_MODE,
@@ -46,8 +47,8 @@ from bayesftc.cosim._fmi.kernels import (
 from bayesftc.cosim._numba_called import callee
 
 # Words of a group.
-FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ, NEGATED = range(12)
-GROUP_WORDS = 12
+FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ, NEGATED, ROUNDING = range(13)
+GROUP_WORDS = 13
 
 # Codes of types: what lies in a buffer. Booleans and enumerations are integers of their size and range.
 FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64 = range(10)
@@ -173,8 +174,10 @@ def take(major, component, note, outputs, group):
         value = -load(buffer, i, code) if negated else load(buffer, i, code)
         put_number(begin, i, value)
         if code >= INT64 and not (value > -EXACT and value < EXACT):
-            put_word(note, 0, word(group, BEGIN) + i)
-            return UNFIT_OUTPUT
+            if word(word(group, ROUNDING), i) == 0:
+                put_word(note, 0, word(group, BEGIN) + i)
+                return UNFIT_OUTPUT
+            put_word(word(group, ROUNDING), i, ROUNDED)
     return 0
 
 

@@ -15,6 +15,7 @@ import pickle
 import sys
 import weakref
 from collections import deque
+from collections.abc import Collection
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -120,6 +121,7 @@ class Isolated:
             abilities = self._ask(plain, step, name)
             self.can_save, self.can_resize = bool(abilities["can_save"]), bool(abilities["can_resize"])
             self.own_inputs: dict[str, Floats] = abilities["own_inputs"]
+            self._wide: tuple[str, ...] = abilities["wide"]
             self._is_ready = True
         except BaseException:
             self._process.end()
@@ -171,6 +173,25 @@ class Isolated:
         status = self.attend(0)
         self._raise_interrupt()
         return status
+
+    @property
+    def rounding(self) -> Isolated:
+        """See `bayesftc.cosim._fmi.rounding.Roundable`: itself, for it asks the FMU's process."""
+        return self
+
+    @property
+    def wide_outputs(self) -> tuple[str, ...]:
+        """See `bayesftc.cosim._fmi.rounding.Roundable.wide_outputs`."""
+        return self._wide
+
+    def let_round(self, names: Collection[str]) -> None:
+        """See `bayesftc.cosim._fmi.rounding.Roundable.let_round`."""
+        self._ask("let_round", tuple(names))
+
+    def rounded_outputs(self) -> tuple[str, ...]:
+        """See `bayesftc.cosim._fmi.rounding.Roundable.rounded_outputs`; nothing is known of a process that has crashed."""
+        found: tuple[str, ...] = () if self.crash is not None else self._ask("rounded")
+        return found
 
     #: See `bayesftc.cosim.block.VariableStep`.
     step_word = 8

@@ -169,7 +169,9 @@ class _Worker:
         words[protocol.PHASE] = protocol.IDLE
         can_resize = bool(getattr(instance, "can_resize", False)) and getattr(instance, "step_word", 0) > 0
         own = getattr(instance, "own_inputs", {})
-        return {"can_save": instance.can_save, "can_resize": can_resize, "own_inputs": own}
+        rounding = getattr(instance, "rounding", None)
+        wide = rounding.wide_outputs if rounding is not None else ()
+        return {"can_save": instance.can_save, "can_resize": can_resize, "own_inputs": own, "wide": wide}
 
     def _step_once(self) -> int:
         """Do what `kernels.serve` does, in Python and for one command."""
@@ -218,6 +220,13 @@ class _Worker:
         expect_return = getattr(self._running, "expect_return", None)
         if expect_return is not None:
             expect_return()
+
+    def _do_let_round(self, names: tuple[str, ...]) -> None:
+        self._running.rounding.let_round(names)  # type: ignore[attr-defined]
+
+    def _do_rounded(self) -> tuple[str, ...]:
+        names: tuple[str, ...] = self._running.rounding.rounded_outputs()  # type: ignore[attr-defined]
+        return names
 
     def _do_explain(self, status: int) -> str:
         return self._instance.explain(status) if self._instance else ""

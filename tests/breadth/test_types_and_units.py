@@ -57,10 +57,26 @@ def test_values_that_do_not_fit_stop_the_run(breadth, alone, make_block, engine,
 
     source = make_block(outputs=[cosim.Port("y")], parameters={"value": value}, output=write)
     diagram = alone(FMU(breadth(major)), 0.1, (name, source))
+    if name == "wide":  # else it is rounded
+        diagram.connect(diagram["b"]["twice"], diagram.add(cosim.Gain(1.0), "needs")["u"])
     with pytest.raises(SimulationError, match=re.escape(words)) as caught:
         diagram.simulate(1, engine=engine)
     assert "at t = 0.3 s (step 3)" in str(caught.value) or name == "wide"
     assert len(caught.value.result.time) == 4
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_whole_number_that_no_double_holds_ends_no_run_that_does_not_need_it(breadth, alone, engine, isolate):
+    diagram = alone(
+        FMU(breadth("3"), isolate=isolate), 0.1, ("wide", cosim.Step(time=0.2, before=5.0, after=2.0**60 + 2.0**9))
+    )
+    with pytest.warns(
+        UserWarning, match=r"^'twice' of 'b' reached whole numbers that no double holds exactly .*the nearest ones"
+    ):
+        run = diagram.simulate(0.5, engine=engine)
+    np.testing.assert_array_equal(run["b.twice"], [0.0, 10.0, 10.0, *[2.0**61 + 2.0**10] * 3])
+    np.testing.assert_array_equal(run["b.byte_out"], 0.0)
 
 
 def test_parameters_of_every_type(breadth, alone):

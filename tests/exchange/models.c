@@ -9,7 +9,7 @@
  *   endless  a time event at 0.5 whose iteration does not end
  *   ends     a time event at 0.4 that ends the simulation
  *   nan      x' = -1 + 0 sqrt(x), x(0) = 0.35
- *   fails    x' = 1, an error from t = 0.35 on
+ *   fails    x' = 1, an error from t = 0.35 on, or another `status`
  *   past     announces time events in the past, from t = 0.2 on
  *   lag      x' = u - x for arrays of three, in FMI 3 only; y = x; its nominal values are 0, 1e-4 and none
  *   clock    a time event every second; no states, no indicators; n counts them
@@ -96,6 +96,7 @@ static Instance *make(const char *token) {
             if (i == PULSE) v[10] = 0.1, v[6] = 1;
             if (i == RELAY) v[0] = 0.25, v[6] = 1;
             if (i == NOT_A_NUMBER) v[0] = 0.35;
+            if (i == FAILS) v[10] = 3;
             if (i == PAST) m->s.event = 0.2;
             if (i == CLOCK) m->s.event = 1;
             if (i == ENDLESS) m->s.event = 0.5;
@@ -124,7 +125,7 @@ static int derivatives(Instance *m, double *dx) {
     case RELAY: dx[0] = v[4] - v[6]; break;
     case NOT_A_NUMBER: dx[0] = -1 + 0 * sqrt(v[0]); break;
     case LAG: for (int i = 0; i < 3; i++) dx[i] = v[4 + i] - v[i]; break;
-    case FAILS: if (s->t >= 0.35) return say(m, 3, "the valve is stuck"); dx[0] = 1; break;
+    case FAILS: if (s->t >= 0.35) return say(m, (int)v[10], "the valve is stuck"); dx[0] = 1; break;
     case EDGE: dx[0] = v[4]; break;
     case FINE: dx[0] = -v[6]; break;
     case WILD: if (v[10] == 1 && v[0] < 0.05) return say(m, 2, "too far"); dx[0] = -v[6]; break;

@@ -87,6 +87,8 @@ def test_values_that_a_type_does_not_hold_stop_the_run(built, fmi, name, value, 
         diagram = driven(
             built("typed", fmi), {name: cosim.Step(time=0.5, after=value, before=1.0)}, tunable=tunable, solver=solver
         )
+        if name == "i64":  # else it is rounded
+            diagram.connect(diagram["p"]["i64_out"], diagram.add(cosim.Gain(1.0), "needs")["u"])
         with pytest.raises(SimulationError, match=r"(?s)The run stopped at t = 0\.5 s.*" + sentence):
             diagram.simulate(1, engine=engine)
 

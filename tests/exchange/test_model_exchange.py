@@ -145,6 +145,15 @@ def test_the_same_as_fmpy(built, model, fmi):
 # --- equations ------------------------------------------------------------------------------------------------------------------
 
 
+def test_the_states_of_fmi_1_are_those_that_the_binary_names(built):
+    with ModelEquations(built("pol", "1.0")) as model:
+        assert model.state_names == ("x", "v")
+        assert not model.has_directional_derivatives
+        np.testing.assert_allclose(model.jacobians([0.5, 0.1], []).A, [[0, 1], [-101.0, 750.0]], rtol=1e-6)
+    with ModelEquations(built("stack", "1.0")) as model:
+        assert model.state_names == ("x[0]",)
+
+
 def test_equations_and_jacobians(pendulum, built):
     x, u = np.array([0.3, 0.1]), np.array([2.0])
     A = [[0.0, 1.0], [-9.81 * math.cos(0.3), -0.1]]
@@ -299,6 +308,16 @@ def test_runs_that_cannot_go_on_say_why_and_keep_what_was(model, sentence, kept,
     with pytest.raises(cosim.SimulationError, match=r"(?s)The run stopped at t = 0\.\d s.*" + sentence) as caught:
         diagram.simulate(1, engine=engine)
     assert len(caught.value.result.time) == kept
+
+
+@pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
+@pytest.mark.parametrize("fmi", FMI)
+def test_a_status_that_fmi_does_not_know_is_called_so(solver, fmi, built):
+    for status in (77.0, -3.0):
+        diagram = alone(built("fails", fmi), 0.1, solver=solver, parameters={"status": status})
+        said = rf"(Derivatives|StateDerivatives) returned {status:.0f}, which is no status of FMI"
+        with pytest.raises(cosim.SimulationError, match=said):
+            diagram.simulate(1, engine="interpreted")
 
 
 def test_a_solver_that_gives_up_says_so(built, monkeypatch):
