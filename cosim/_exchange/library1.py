@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from bayesftc.cosim._exchange.bound import PLAIN, Bound, Function
+from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.library1 import FALSE, TRUE, Library1
 
 _UPDATE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_char, ctypes.c_void_p)
@@ -100,7 +101,10 @@ class ModelLibrary1(Bound, Library1):
     def state_names(self, component: int, count: int) -> list[str]:
         """Return the names of the continuous states; one of which the binary tells nobody is called by its number."""
         references = (ctypes.c_uint * count)()
-        self.call("fmiGetStateValueReferences", component, references, count)
+        try:
+            self.call("fmiGetStateValueReferences", component, references, count)
+        except CallError:  # many have not got it
+            return [f"x[{i}]" for i in range(count)]
         reals = [v for v in self.description.variables if v.type == "Real" and not v.negated]
         names = {v.reference: v.name for v in reversed(reals)}
         return [names.get(reference, f"x[{i}]") for i, reference in enumerate(references)]

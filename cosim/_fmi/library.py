@@ -70,7 +70,10 @@ class Library(ABC):
 
     def __init__(self, description: FMUDescription, slave: Any, keep: Any):
         self.description = description
+        from fmpy.fmi1 import FMICallException
+
         self._slave = slave
+        self._refused = FMICallException  # here, for what is freed as Python ends can import nothing
         self._keep = keep  # a handle of our own: the binary stays even if someone closes fmpy's
         self.alive = 0
         self._addresses: dict[str, int] = {}
@@ -158,11 +161,9 @@ class Library(ABC):
         CallError
             If it returns neither OK nor Warning.
         """
-        from fmpy.fmi1 import FMICallException
-
         try:
             return getattr(self._slave, function)(*arguments)
-        except FMICallException as error:
+        except self._refused as error:
             raise CallError(function, int(error.status)) from None
 
     def set_values(self, component: int, values: dict[FMUVariable, Value]) -> None:

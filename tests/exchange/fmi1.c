@@ -66,6 +66,7 @@ int NAME(GetNominalContinuousStates)(void *c, double x[], size_t n) { return nom
 int NAME(GetDerivatives)(void *c, double x[], size_t n) { return derivatives(M, x); }
 int NAME(GetEventIndicators)(void *c, double z[], size_t n) { return reached(M, z); }
 int NAME(GetStateValueReferences)(void *c, unsigned r[], size_t n) {
+    if (M->s.model == PULSE) return say(M, 3, "not implemented");
     for (size_t i = 0; i < n; i++) r[i] = M->s.model == STACK ? -1 : i; /* -1: not said */
     return 0;
 }

@@ -150,8 +150,10 @@ def test_the_states_of_fmi_1_are_those_that_the_binary_names(built):
         assert model.state_names == ("x", "v")
         assert not model.has_directional_derivatives
         np.testing.assert_allclose(model.jacobians([0.5, 0.1], []).A, [[0, 1], [-101.0, 750.0]], rtol=1e-6)
-    with ModelEquations(built("stack", "1.0")) as model:
-        assert model.state_names == ("x[0]",)
+    for silent in ("stack", "pulse"):
+        with ModelEquations(built(silent, "1.0")) as model:
+            assert model.state_names == ("x[0]",)
+            assert model.derivatives([0.0], []).tolist() == [1.0]
 
 
 def test_equations_and_jacobians(pendulum, built):
