@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
+from bayesftc.controllers import LinearModel
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, SimulationError
 from bayesftc.cosim.fmu import describe
 
@@ -259,3 +260,15 @@ def test_drafts_of_the_standard_are_refused_by_name(slave, version):
 def test_other_versions_are_refused_by_name(slave, version, what):
     with pytest.raises(FMUVersionError, match=f"is an FMU of {what} and only FMI"):
         describe(slave(('fmiVersion="1.0"', f'fmiVersion="{version}"')))
+
+
+def test_campaigns_linear_models_and_systems_of_several(slave, campaign_as_alone, tmp_path):
+    noisy = driven(slave(), sources={"u": cosim.Gaussian(std=1.0)})
+    assert len(campaign_as_alone(noisy, 1.0)) == 4
+    model = LinearModel.from_fmu(cosim.FMU(slave(), parameters={"k": 2.0}), actuated="u", measured="x", dt=0.1)
+    np.testing.assert_allclose(model.C @ model.B, [[0.2]], atol=1e-9)
+    np.testing.assert_allclose(model.A, [[1.0]], atol=1e-9)
+    diagram = driven(slave(), parameters={"u": 0.5, "k": 3.0}, inputs=["u"], outputs=["x", "down"])
+    cosim.save_ssp(diagram, tmp_path / "old.ssp")
+    loaded = cosim.open_ssp(tmp_path / "old.ssp")
+    np.testing.assert_array_equal(loaded.simulate(1)["p.x"], diagram.simulate(1)["p.x"])
