@@ -81,6 +81,22 @@ def test_a_model_identifier_that_is_no_name_of_a_file(tmp_path, validate):
     assert describe(described(tmp_path, "", identifier="M" * 240)).identifier == "M" * 240
 
 
+@pytest.mark.parametrize("what", ["ContinuousStates", "EventIndicators"])
+@pytest.mark.parametrize("count", [2**32 - 1, -1])
+def test_numbers_of_states_and_indicators_that_no_memory_holds(tmp_path, little_memory, what, count):
+    path = tmp_path / "counts.fmu"
+    counts = {"ContinuousStates": 0, "EventIndicators": 0} | {what: count}
+    told = " ".join(f'numberOf{name}="{number}"' for name, number in counts.items())
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(
+            "modelDescription.xml",
+            f'<fmiModelDescription fmiVersion="1.0" modelName="C" modelIdentifier="C" guid="c" {told}><ModelVariables/>'
+            "</fmiModelDescription>",
+        )
+    with pytest.raises(FMUError, match=rf"it declares {count:,} .*, and must have from 0 to 10,000,000"):
+        describe(path, validate=False)
+
+
 def test_more_variables_than_can_be_read(tmp_path, monkeypatch):
     monkeypatch.setattr(_zip, "MOST_VARIABLES", 1000)
     few = "".join(f'<Float64 name="v{i}" valueReference="{i}" causality="local"/>' for i in range(10, 1007))

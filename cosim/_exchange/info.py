@@ -7,6 +7,8 @@ from math import prod
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
+from bayesftc.cosim._fmi.structure import check_counts
+
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription
 
@@ -58,6 +60,8 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
     """Return the model exchange part of a description that fmpy has parsed; None where it has none."""
     if model.modelExchange is None:
         return None
+    states = model.numberOfContinuousStates if model.fmiVersion == "1.0" else 0
+    check_counts({"continuous states": states, "event indicators": model.numberOfEventIndicators})
     if model.fmiVersion == "1.0":
         return _exchange1(model)
     element = root.find("ModelExchange")
@@ -74,12 +78,12 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
     else:
         completed = says("needsCompletedIntegratorStep")
     discrete = any(v.variability == "discrete" or (v.variability == "continuous" and not v.is_float) for v in variables)
-    states = tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name"))
+    held = tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name"))
     return ExchangeInfo(
         identifier=element.get("modelIdentifier") or "",
-        states=states,
+        states=held,
         derivatives=tuple(named[d.name] for d in derivatives),
-        count=sum(prod(v.shape) for v in states),
+        count=sum(prod(v.shape) for v in held),
         indicators=model.numberOfEventIndicators,
         needs_completed_step=completed,
         directional=says("providesDirectionalDerivative", "providesDirectionalDerivatives"),

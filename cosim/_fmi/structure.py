@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import prod
 from typing import TYPE_CHECKING, NoReturn
 
@@ -94,6 +94,19 @@ def check_size(archive: Archive, shapes: Sequence[tuple[str, tuple[int, ...]]]) 
             f"{name!r} of the FMU {archive.path.name} would have the shape {shown(shape)}{more}: more than {LARGEST:,} numbers; "
             "give smaller structural parameters, or export it with smaller arrays."
         )
+
+
+def check_counts(counts: Mapping[str, int]) -> None:
+    """Check that arrays of these sizes, which a description declares by a number alone, fit into memory.
+
+    Raises
+    ------
+    ValueError
+        If one does not.
+    """
+    for what, count in counts.items():
+        if not 0 <= count <= LARGEST:
+            raise ValueError(f"it declares {count:,} {what}, and must have from 0 to {LARGEST:,}")
 
 
 def shown(shape: Sequence[int]) -> str:
