@@ -15,12 +15,13 @@ import numpy as np
 
 from bayesftc.cosim._campaign.columns import Array
 from bayesftc.cosim._campaign.extras import extra
-from bayesftc.cosim._campaign.metadata import Metadata
+from bayesftc.cosim._campaign.metadata import Metadata, hash_of
 from bayesftc.cosim._campaign.plan import Piece
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import StoreError
 
 FOLDER = "signals.zarr"
+TIMES = f"{FOLDER}/time/c/0"
 LARGEST = 1 << 27
 """Bytes of a chunk from which on a piece's signal is cut over time as well."""
 
@@ -95,20 +96,54 @@ class Chunks:
         StoreError
             If a chunk is missing or damaged.
         """
-        shape = self.shape(name)
-        signal = np.empty((len(piece), self.rows, *shape[2:]))
+        length = self.shape(name)[1]
+        signal = np.empty((len(piece), self.rows, *self.signals[name][0]))
         for block in range(self.blocks(name)):
-            key = self.key(name, piece.index, block)
-            try:
-                chunk = np.frombuffer(self._codec.decode(read(key)), dtype="<f8").reshape(shape)
-            except (OSError, ValueError, RuntimeError) as error:
-                raise StoreError(
-                    f"The file {key} of the campaign, with {name!r} of runs {piece.begin} to {piece.end - 1}, is missing or "
-                    f"damaged ({error}); remove it and resume the campaign, which makes these runs again."
-                ) from None
-            begin = block * shape[1]
-            signal[:, begin : begin + shape[1]] = chunk[: len(piece), : self.rows - begin]
+            chunk, begin = self.chunk(name, piece, block, read), block * length
+            signal[:, begin : begin + length] = chunk[: len(piece), : self.rows - begin]
         return signal
+
+    def chunk(self, name: str, piece: Piece, block: int, read: Callable[[str], bytes]) -> Floats:
+        """Return what is in a chunk, filled up at the ends; the arguments are those of `decode`."""
+        key, chunk = self.key(name, piece.index, block), np.empty(self.shape(name), dtype="<f8")
+        try:
+            self._codec.decode(read(key), chunk)  # into an array, for a damaged chunk may say that it has any size
+        except (OSError, ValueError, RuntimeError) as error:
+            reason = getattr(error, "strerror", None) or "its bytes are others than were written"
+            raise StoreError(
+                f"The file {key} of the campaign, with {name!r} of runs {piece.begin} to {piece.end - 1}, is missing or "
+                f"damaged ({reason}); remove it and resume the campaign, which makes these runs again."
+            ) from None
+        return chunk
+
+    def times(self, expected: str, read: Callable[[str], bytes]) -> Floats:
+        """Return the time of each row in seconds.
+
+        Parameters
+        ----------
+        expected : str
+            Their hash.
+        read : callable
+            Returns the bytes of a file.
+
+        Raises
+        ------
+        StoreError
+            If they are missing or damaged.
+        """
+        found = np.zeros(self.rows, dtype="<f8")
+        try:
+            self._codec.decode(read(TIMES), found)
+        except FileNotFoundError:
+            pass  # zarr writes no chunk of zeros
+        except (OSError, ValueError, RuntimeError):
+            found = np.empty(0)
+        if hash_of(found) != expected:
+            raise StoreError(
+                f"The file {TIMES} of the campaign, with the time of each row, is missing or damaged; take a copy of it, or run "
+                "the campaign again in another folder."
+            )
+        return found
 
 
 def create(folder: Path, metadata: Metadata, times: Floats, coordinates: Mapping[str, Array]) -> None:
@@ -172,11 +207,6 @@ def escaped(name: str) -> str:
     return f"%5F{found[1:]}" if found.startswith("__") else found
 
 
-def times(folder: Path) -> Floats:
-    """Return the time of each row in seconds."""
-    return np.asarray(extra("zarr", PURPOSE).open_array(folder / FOLDER / "time", mode="r")[:], dtype=np.float64)
-
-
 def stray(folder: Path, chunks: Chunks, done: set[int]) -> Iterator[Path]:
     """Yield files of signals that belong to no piece that is done: what a writer had begun when it was killed."""
     for name in chunks.signals:
@@ -186,4 +216,4 @@ def stray(folder: Path, chunks: Chunks, done: set[int]) -> Iterator[Path]:
                 yield path
 
 
-__all__ = ["FOLDER", "PURPOSE", "Chunks", "create", "escaped", "stray", "times"]
+__all__ = ["FOLDER", "PURPOSE", "Chunks", "create", "escaped", "stray"]

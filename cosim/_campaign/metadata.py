@@ -18,6 +18,8 @@ from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import StoreError, brief
 
 NAME, FORMAT, VERSION = "campaign.json", "bayesftc-campaign", 1
+CHECK = "sha256"
+"""Of all else that the file says: a bit that flips makes another campaign of it."""
 FILES = "files"
 """Of a description: texts of the files that say what the campaign is."""
 
@@ -108,6 +110,7 @@ class Metadata:
             "environment": self.environment,
             "resumed": self.resumed,
         }
+        text[CHECK] = _check(text)
         write_whole(folder / NAME, json.dumps(text, indent=1, ensure_ascii=False).encode())
 
     @classmethod
@@ -133,6 +136,8 @@ class Metadata:
                     f"The campaign {folder} was written by a later version of bayesftc "
                     f"({text['environment']['versions']['bayesftc']}); update bayesftc to read it."
                 )
+            if CHECK in text and text.pop(CHECK) != _check(text):  # stores of before this check have none
+                raise ValueError(CHECK)
             seeds = [tuple(map(int, own)) for own in text["seeds"]]
             plan = Plan(
                 tuple(map(dict, text["points"])), tuple(seeds[i] for i in text["seeds_of_point"]), text["piece"]
@@ -157,6 +162,10 @@ class Metadata:
                 f"{path} is damaged, or that of another program; without it the campaign cannot be read: take a copy of it, "
                 "or run the campaign again."
             ) from None
+
+
+def _check(text: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(text, sort_keys=True, default=_plain).encode()).hexdigest()
 
 
 def hash_of(times: Floats) -> str:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim._campaign import chunks as signal_chunks, parts as run_parts
-from bayesftc.cosim._campaign.chunks import Chunks, escaped
+from bayesftc.cosim._campaign import parts as run_parts
+from bayesftc.cosim._campaign.chunks import Chunks
 from bayesftc.cosim._campaign.making import FMUS, digest_of
 from bayesftc.cosim._campaign.metadata import Metadata
 from bayesftc.cosim._campaign.parts import Part, Parts
@@ -73,7 +73,9 @@ class StoredCampaign:
     @property
     def time(self) -> Floats:
         """Time in seconds of each row of the signals; empty if none were recorded."""
-        return signal_chunks.times(self.path) if self._chunks else np.empty(0)
+        if self._chunks is None:
+            return np.empty(0)
+        return self._chunks.times(self.metadata.times, self._redo.read)
 
     @property
     def seconds(self) -> float:
@@ -115,25 +117,22 @@ class StoredCampaign:
         status = np.full(self.plan.runs, PENDING, dtype=object)
         status[runs] = np.array(rows["status"].to_pylist(), dtype=object)
         columns = {**self._parts.runs, "status": status.astype(str)}
-        coordinates = {name: ("run", column) for name, column in columns.items()}
+        coordinates: dict[str, Any] = {name: ("run", column) for name, column in columns.items()}
         if self._chunks is None:
             return xr.Dataset(coords=coordinates)
-        from bayesftc.cosim._campaign.masked import MaskedGroup
+        from xarray.core.indexing import LazilyIndexedArray
 
-        done = {int(i) for i in np.unique(runs // self.plan.size)}
-        group: Any = MaskedGroup(  # xarray's own types do not know what it takes
-            self.path / signal_chunks.FOLDER,
-            map(escaped, self.metadata.signals),
-            done,
-            lambda key: self._redo.read(f"{signal_chunks.FOLDER}/{key}"),
-        )
-        stored = xr.open_dataset(group, engine="zarr", consolidated=False, decode_cf=False, cache=False)
-        named = stored[[escaped(name) for name in self.metadata.signals]].drop_vars(
-            [name for name in stored.coords if name != "time"]
-        )
-        found: xr.Dataset = named.rename({escaped(n): n for n in self.metadata.signals if escaped(n) != n})
-        found.attrs = {"description": json.dumps(self.metadata.description, ensure_ascii=False)}
-        return found.assign_coords(coordinates)
+        from bayesftc.cosim._campaign.lazy import StoredSignal
+
+        pieces = [self._pieces[i] for i in np.unique(runs // self.plan.size)]
+        signals = {}
+        for name, (shape, unit) in self.metadata.signals.items():
+            stored = LazilyIndexedArray(StoredSignal(self._chunks, name, pieces, self.plan.runs, self._redo.read))
+            axes = ("run", "time", *(f"{name}_{axis}" for axis in range(len(shape))))
+            signals[name] = xr.Variable(axes, stored, {"units": unit} if unit else None)
+        coordinates["time"] = ("time", self.time, {"units": "s"})
+        said = {"description": json.dumps(self.metadata.description, ensure_ascii=False)}
+        return xr.Dataset(signals, coordinates, said)
 
     def pieces_of_signals(self, names: Iterable[str] | None = None) -> Iterator[tuple[Piece, dict[str, Floats]]]:
         """Yield each piece that is done with some signals of its runs, of shape (runs, rows, ...).

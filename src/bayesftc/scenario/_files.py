@@ -64,6 +64,8 @@ def read_toml(file: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         problem = str(error)[0].lower() + str(error)[1:]
         raise ScenarioError(f"{file} is no valid TOML: {problem}; texts need quotes, and a key stands once.") from None
+    except ValueError:  # of Python's whole numbers
+        raise ScenarioError(f"{file} is no valid scenario: it has a number of thousands of digits; round it.") from None
     except RecursionError:
         raise ScenarioError(
             f"{file} is no valid scenario: its lists are nested too deeply; check the brackets."
