@@ -19,6 +19,13 @@ else:  # at run time the form that a scenario file is checked against
 """What a user may give where a matrix is meant: rows, a diagonal, or one number."""
 
 
+LARGEST, SMALLEST = 1e50, 1e-100
+"""No model has larger entries or smaller variances: of products of some more even double precision has no number."""
+
+
+ROWS = "it must be a matrix of numbers: give its rows, as [[1, 0.1], [0, 1]]"
+
+
 def frozen(array: Floats) -> Floats:
     """Return a read-only copy."""
     copy = np.array(array, dtype=np.float64)
@@ -52,7 +59,7 @@ def as_matrix(name: str, value: object, rows: int | None = None, columns: int | 
     ModelError
         If it has another size or is not finite.
     """
-    array = as_numbers(name, value, "it must be a matrix of numbers: give its rows, as [[1, 0.1], [0, 1]]")
+    array = as_numbers(name, value, ROWS)
     if array.ndim < 2:
         array = array.reshape(-1, 1)
     if array.ndim != 2 or not array.size:
@@ -62,6 +69,7 @@ def as_matrix(name: str, value: object, rows: int | None = None, columns: int | 
         raise ModelError(f"{name} is {_size(array.shape)}; here it must be {_size(wanted)}.")
     if not np.isfinite(array).all():
         raise ModelError(f"{name} has entries that are NaN or infinite; check where it was computed.")
+    _refuse_huge(name, array)
     return frozen(array)
 
 
@@ -95,6 +103,12 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
         raise ModelError(
             f"{name} is not symmetric; a covariance must be: use (M + M.T) / 2 if the difference is rounding."
         )
+    tiny = np.diag(matrix)[(np.diag(matrix) > 0) & (np.diag(matrix) < SMALLEST)]
+    if tiny.size:
+        raise ModelError(
+            f"{name} has a variance of {tiny[0]:.3g}, but models have none below {SMALLEST:g}: give "
+            f"{'0 if there is no noise, or ' if singular else ''}a larger one."
+        )
     # Judged in units of each variance's own size: a pressure in pascals may stand beside a position in metres.
     variances = np.diag(matrix)
     units = np.sqrt(np.where(variances > 0, variances, 1.0))
@@ -124,6 +138,8 @@ def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Fl
         raise ModelError(f"{name} has the shape {array.shape}; here it must be a vector of {size}.")
     if np.isnan(array).any() or (finite and not np.isfinite(array).all()):
         raise ModelError(f"{name} is {array.tolist()}; its entries must be {'finite ' if finite else ''}numbers.")
+    if finite:
+        _refuse_huge(name, array)
     return frozen(array)
 
 
@@ -228,6 +244,15 @@ def refuse_missing(name: str, rows: Floats) -> None:
         raise ModelError(
             f"{name} has {len(bad)} rows with a NaN or inf, the first at index {bad[0]}; leave missing samples "
             f"out: {name}[np.isfinite({name}).all(axis=1)]."
+        )
+
+
+def _refuse_huge(name: str, array: Floats) -> None:
+    largest = float(np.abs(array).max(initial=0.0))
+    if largest > LARGEST:
+        raise ModelError(
+            f"{name} has an entry of {largest:.3g}, but models have none beyond {LARGEST:g}: choose a unit in "
+            "which it is smaller."
         )
 
 

@@ -129,7 +129,11 @@ def check_stable(H: Floats, rates: Floats, remedy: str) -> None:
         If one is too large; `remedy` is what to lower.
     """
     # A step multiplies the error by 1 - z: by less than one where |z|^2 < 2 Re z (a turning prediction makes z complex).
-    z = np.linalg.eigvals(rates[:, np.newaxis] * H)
+    with np.errstate(over="ignore"):
+        steps = rates[:, np.newaxis] * H
+    if not np.isfinite(steps).all():
+        raise ModelError(f"The curvature of the free energy is beyond all numbers; lower {remedy} or the precisions.")
+    z = np.linalg.eigvals(steps)
     z = z[z.real > 1e-9]  # in other directions no rate is too large
     largest = float((np.abs(z) ** 2 / z.real).max(initial=0.0))
     if not largest < 2.0:

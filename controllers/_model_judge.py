@@ -169,7 +169,11 @@ class Judge:
         sets = range(len(self.seers))
         D = np.concatenate([self.free(answers, k, self.begin) for k in sets], axis=1).T
         e = np.concatenate([self.free(self.base, k, self.begin)[0] for k in sets])
-        scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
+        with np.errstate(all="ignore"):
+            scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
+        if not (np.isfinite(scale).all() and np.isfinite(e).all()):  # a plant or a model that has gone beyond all numbers
+            nothing = np.full(len(answers), np.nan)
+            return nothing, nothing, self.cost(self.base * np.nan, self.seers, self.begin)
         inverse = np.linalg.pinv(D / scale, rcond=1e-10)
         theta = -(inverse @ e) / scale
         rest = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]

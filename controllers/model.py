@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_vector, frozen
+from bayesftc.controllers._checks import ROWS, Matrix, as_covariance, as_matrix, as_numbers, as_vector, frozen
 from bayesftc.controllers._sensor_errors import with_sensor_errors
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError
@@ -65,7 +65,7 @@ class LinearModel:
         n = A.shape[0]
         if A.shape != (n, n):
             raise ModelError(f"The model's A is {A.shape[0]} x {A.shape[1]}; it must be square, a row for each state.")
-        C = as_matrix("The model's C", np.atleast_2d(np.asarray(self.C, float)), columns=n)
+        C = as_matrix("The model's C", np.atleast_2d(as_numbers("The model's C", self.C, ROWS)), columns=n)
         values = {
             "A": A,
             "B": as_matrix("The model's B", self.B, rows=n),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from bayesftc.cosim._campaign.plan import Plan
 from bayesftc.cosim._campaign.seeds import seeds_of_points
 from bayesftc.cosim._campaign.working import Progress, in_memory, in_store
 from bayesftc.cosim._interrupts import import_engine
+from bayesftc.cosim._paths import expanded
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.timebase import whole_number, whole_steps
@@ -187,7 +187,7 @@ class Campaign:
                 )
             result = in_memory(self.job, self.labels, choose(), progress)
         else:
-            path = Path(store).expanduser().absolute()
+            path = expanded(store).absolute()
             said = description or {}
             result = in_store(self.job, self.labels, path, said, choose, progress, retry_failed=retry_failed)
         if executor is not None:

@@ -18,6 +18,7 @@ from bayesftc.cosim._export.names import program_name
 from bayesftc.cosim._export.platforms import platforms_of
 from bayesftc.cosim._export.program import program_of
 from bayesftc.cosim._opening import Names
+from bayesftc.cosim._paths import expanded
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import FMUError, ModelError, ResultFileError, brief
@@ -170,7 +171,7 @@ def export_c(
     ...     print([file.name for file in files])
     ['limit.c', 'limit.h']
     """
-    target = Path(folder).expanduser()
+    target = expanded(folder)
     if target.suffix.lower() in {".c", ".h", ".fmu"} and not target.is_dir():
         raise ResultFileError(
             f"C is written into a folder, as <name>.c and <name>.h, and {target} is called as a file; give a folder, such as "
@@ -191,7 +192,7 @@ def export_c(
 
 def _file(path: str | PathLike[str]) -> Path:
     """Return the FMU's path, in a folder that is there."""
-    target = Path(path).expanduser()
+    target = expanded(path)
     if target.suffix.lower() != ".fmu":
         named = "controller.fmu, say" if target.stem in ("", ".fmu") else f"{target.stem}.fmu"
         raise ResultFileError(f"{path} does not end in .fmu, by which other tools know an FMU; call it {named}.")
@@ -205,7 +206,7 @@ def _file(path: str | PathLike[str]) -> Path:
 
 
 def _folder(folder: str | PathLike[str]) -> Path:
-    target = Path(folder).expanduser()
+    target = expanded(folder)
     if not target.is_dir():
         what = "does not exist; make the folder, or choose another"
         if target.exists():

@@ -34,6 +34,7 @@ import numpy as np
 
 from bayesftc.cosim import _fault_kernels as kernels
 from bayesftc.cosim._fault_base import DRAWS, STATE, Fault
+from bayesftc.cosim._numbers import reals
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
@@ -355,7 +356,7 @@ class RandomFaults(Fault):
                         f"of its own; give {own.name} to RandomFaults itself, or use that {type(kind).__name__} alone."
                     )
         if self.weights is not None:
-            weights = np.asarray(self.weights, float)
+            weights = reals(self.weights)
             if (
                 weights.shape != (len(self.kinds),)
                 or not np.isfinite(weights).all()

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim._paths import is_file
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import labels
@@ -233,7 +234,7 @@ class Result(Mapping[str, Floats]):
             If the file is missing, damaged, or no result.
         """
         path = Path(path)
-        if not path.is_file():
+        if not is_file(path):
             raise ResultFileError(f"There is no result file {path}; check the path.")
         try:
             with np.load(path, allow_pickle=False) as archive:

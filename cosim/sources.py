@@ -199,7 +199,7 @@ class Table(Source):
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        times, values = np.asarray(self.times, float), np.asarray(self.values, float)
+        times, values = reals(self.times), reals(self.values)
         if times.ndim != 1 or times.shape != values.shape or not len(times):
             raise ModelError(
                 f"Table needs as many times as values, at least one; it has {times.shape} and {values.shape}."

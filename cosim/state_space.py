@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim._numbers import reals
 from bayesftc.cosim.block import Block, Definition, Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.linear_system import LinearSystem, as_rows, held, normalised, signal_names
@@ -134,14 +135,14 @@ class StateSpace(Block):
             if name not in self._names[0]:
                 raise UnknownNameError(f"StateSpace has no input {name!r}; {did_you_mean(name, self._names[0])}")
         n = self._states
-        initial = np.zeros(n) if self.initial is None else np.asarray(self.initial, dtype=np.float64)
+        initial = np.zeros(n) if self.initial is None else reals(self.initial)
         if initial.shape != (n,) or not np.isfinite(initial).all():
             raise ModelError(
                 f"StateSpace has initial={self.initial!r}; it must be {n} finite numbers, one for each state."
             )
         set_(self, "initial", tuple(initial.tolist()))
         if self.process_noise is not None:
-            covariance = np.asarray(self.process_noise, dtype=np.float64)
+            covariance = reals(self.process_noise)
             _factor(covariance, n)
             set_(self, "process_noise", as_rows(covariance))
         if not (self.rtol > 0 and self.atol > 0):

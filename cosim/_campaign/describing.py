@@ -10,6 +10,7 @@ from bayesftc.cosim._campaign.job import Job
 from bayesftc.cosim._campaign.metrics import Metric
 from bayesftc.cosim._campaign.pickling import Reduced, pickled
 from bayesftc.cosim._fmi.archive import open_archive
+from bayesftc.cosim._paths import expanded
 from bayesftc.cosim._wiring import faults_before, find_controller, find_sensors
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import FMUError, ModelError
@@ -58,7 +59,7 @@ def fmus_of(job: Job) -> dict[str, Path]:
 def paths_among(job: Job) -> list[Path]:
     """Return the FMUs that factors name by their paths."""
     values = {value for point in job.plan.points for value in point.values() if isinstance(value, str | Path)}
-    named = sorted(Path(value).expanduser().absolute() for value in values if str(value).endswith(".fmu"))
+    named = sorted(expanded(value).absolute() for value in values if str(value).endswith(".fmu"))
     found = []
     for path in named:
         try:

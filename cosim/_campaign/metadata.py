@@ -14,6 +14,7 @@ import numpy as np
 from bayesftc.cosim._campaign.durable import write_whole
 from bayesftc.cosim._campaign.environment import environment
 from bayesftc.cosim._campaign.plan import Plan
+from bayesftc.cosim._paths import exists, is_file
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import StoreError, brief
 
@@ -122,10 +123,10 @@ class Metadata:
         StoreError
             If there is none, or it is damaged or that of a later version.
         """
-        if not folder.exists():
+        if not exists(folder):
             raise StoreError(f"There is no campaign {folder}; check the path.")
         path = folder / NAME
-        if not path.is_file():
+        if not is_file(path):
             raise StoreError(f"{folder} is no stored campaign: it has no {NAME}; check the path.")
         try:
             text = json.loads(path.read_bytes())

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, brief
 
@@ -45,7 +46,8 @@ def scaled(name: str, given: Any, unit: Floats) -> list[Any]:
         If a distribution has no finite value at one of them.
     """
     if isinstance(given, range):
-        return [given[int(i)] for i in np.minimum(unit * len(given), len(given) - 1)]
+        count = (given[-1] - given[0]) // given.step + 1  # of which len() has a largest one
+        return [given[min(int(place * count), count - 1)] for place in unit.tolist()]
     if _is_distribution(given):
         values = np.asarray(given.ppf(unit))
         if not np.isfinite(values).all():
@@ -65,7 +67,7 @@ def _is_distribution(given: Any) -> bool:
 
 def _bounds(name: str, given: Any) -> tuple[float, float]:
     try:
-        low, high = (float(bound) for bound in given)
+        low, high = map(real, given)
     except (TypeError, ValueError):
         raise ModelError(f"Factor {name!r} has the range {brief(given)}; {TAKES}") from None
     if not (np.isfinite([low, high]).all() and low < high):

@@ -14,6 +14,7 @@ from stat import S_ISDIR, S_ISREG
 
 from bayesftc.cosim import _zip
 from bayesftc.cosim._cache import cache_directory, is_own
+from bayesftc.cosim._paths import expanded
 from bayesftc.cosim._zip import FMU_FILE, Kind
 from bayesftc.cosim.errors import BayesFTCError
 
@@ -61,7 +62,7 @@ def absolute(path: object, who: str, what: str, error: type[BayesFTCError]) -> P
     """
     if not isinstance(path, str | PathLike):
         raise error(f"{who} has path={path!r}; it must be the path of {what}.")
-    found = Path(path).expanduser().absolute()
+    found = expanded(path).absolute()
     return _stand_ins.get(found, found)
 
 

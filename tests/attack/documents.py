@@ -97,6 +97,39 @@ u_min = -12.0
 u_max = 12.0
 """
 
+LOOP = """
+[simulation]
+duration = 0.2
+engine = "interpreted"
+[plant]
+A = [[0.999]]
+B = [[2e-4]]
+C = [[1.0]]
+dt = 0.02
+control = "u"
+measured = "y"
+[sensors]
+count = 2
+std = 1.0
+[[faults]]
+kind = "Freeze"
+start = 0.04
+[reference]
+kind = "Constant"
+value = 20.0
+[model]
+A = [[0.999]]
+B = [[2e-4]]
+C = [[1.0], [1.0]]
+process_covariance = 0.001
+sensor_covariance = 1.0
+dt = 0.02
+[controller]
+kind = "BayesianController"
+precision = { kind = "FixedPrecision" }
+"""
+"""A small loop, for campaigns."""
+
 
 def any_of(texts, rng: np.random.Generator) -> str:
     """Return one of some texts."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import LOOP
 from mutations import damaged
 
 from bayesftc.cosim.campaign import Campaign
@@ -26,37 +27,6 @@ record = ["plant.y", "controller.x_hat"]
 metrics = [{ kind = "rmse", signal = "plant.y", reference = "reference.y", name = "rmse" }]
 [factors]
 "faults[0].start" = [0.02, 0.1]
-"""
-LOOP = """
-[simulation]
-duration = 0.2
-engine = "interpreted"
-[plant]
-A = [[0.999]]
-B = [[2e-4]]
-C = [[1.0]]
-dt = 0.02
-control = "u"
-measured = "y"
-[sensors]
-count = 2
-std = 1.0
-[[faults]]
-kind = "Freeze"
-start = 0.04
-[reference]
-kind = "Constant"
-value = 20.0
-[model]
-A = [[0.999]]
-B = [[2e-4]]
-C = [[1.0], [1.0]]
-process_covariance = 0.001
-sensor_covariance = 1.0
-dt = 0.02
-[controller]
-kind = "BayesianController"
-precision = { kind = "FixedPrecision" }
 """
 ODD = (
     None,

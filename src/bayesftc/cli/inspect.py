@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from bayesftc.cli._works import Verdict, verdicts
+from bayesftc.cosim._paths import exists, expanded
 from bayesftc.cosim.errors import FMUError, did_you_mean
 from bayesftc.cosim.fmu import describe
 
@@ -44,7 +45,7 @@ def inspect_fmu(name: str, *, validate: bool, json: bool, everything: bool = Fal
     if Path(name).suffix.lower() in {".ssp", ".ssd"}:
         from bayesftc.cli._inspect_ssp import inspect_ssp
 
-        inspect_ssp(Path(name).expanduser(), validate=validate, json=json)
+        inspect_ssp(expanded(name), validate=validate, json=json)
         return
     path = find_fmu(name)
     description = describe(path, validate=validate)
@@ -62,8 +63,8 @@ def find_fmu(name: str) -> Path:
     """Return the file that is meant: a path, or else a shipped FMU's name."""
     from bayesftc import fmus
 
-    path = Path(name).expanduser()
-    if path.exists() or path.suffix.lower() == ".fmu" or path.name != name:
+    path = expanded(name)
+    if exists(path) or path.suffix.lower() == ".fmu" or path.name != name:
         return path
     if name not in fmus.names():
         raise FMUError(f"There is no FMU {name!r}, neither as a file nor shipped; {did_you_mean(name, fmus.names())}")

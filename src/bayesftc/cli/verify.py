@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
+from bayesftc.cosim._paths import expanded
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 
@@ -61,7 +62,7 @@ def verify_scenario(
     scenario = load_scenario(name)
     own = scenario.simulation
     found = verify_fmu(
-        fmu.expanduser(),
+        expanded(fmu),
         scenario.loop(),
         list(blocks) or None,
         duration=own.duration if duration is None else duration,

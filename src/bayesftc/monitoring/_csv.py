@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim._paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 
@@ -34,17 +35,17 @@ class Tables:
     """
 
     def __init__(self, paths: Sequence[str | PathLike[str]]):
-        self._files = [Path(path).expanduser() for path in paths]
+        self._files = [expanded(path) for path in paths]
         if not self._files:
             raise RecordingError("There is no recording to read; give at least one CSV file.")
         for path in self._files:
-            if not path.exists():
+            if not exists(path):
                 raise RecordingError(f"The recording {fspath(path)} cannot be read: there is no such file or folder.")
         self._read: dict[Path, tuple[list[str], pd.DataFrame]] = {}
 
     def files(self) -> list[Path]:
         """Return all CSV files, those of folders among them."""
-        files = [f for given in self._files for f in (sorted(given.glob("*.csv")) if given.is_dir() else [given])]
+        files = [f for given in self._files for f in (sorted(given.glob("*.csv")) if is_folder(given) else [given])]
         if not files:
             raise RecordingError(f"There is no CSV file in {self._files[0]}; check the path.")
         return list(dict.fromkeys(files))
@@ -65,11 +66,11 @@ class Tables:
             raise RecordingError(
                 f"{wanted_by} does not say in which file it is; with more than one give it file = 'name.csv'."
             )
-        found = [f for f in self._files if f.name == name and not f.is_dir()]
-        found += [folder / name for folder in self._files if folder.is_dir() and (folder / name).is_file()]
+        found = [f for f in self._files if f.name == name and not is_folder(f)]
+        found += [folder / name for folder in self._files if is_folder(folder) and is_file(folder / name)]
         if not found:
-            known = [f.name for f in self._files if not f.is_dir()]
-            known += [f.name for folder in self._files if folder.is_dir() for f in folder.glob("*.csv")]
+            known = [f.name for f in self._files if not is_folder(f)]
+            known += [f.name for folder in self._files if is_folder(folder) for f in folder.glob("*.csv")]
             raise RecordingError(
                 f"{wanted_by} is in {name!r}, which is not among the files; {did_you_mean(name, known)}"
             )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from bayesftc.controllers._actuator_settings import check_controls
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.controllers.switching import SwitchingPrecision
+from bayesftc.cosim._paths import expanded
 from bayesftc.monitoring._alarms import Alarm
 from bayesftc.monitoring._columns import Input, Sensor, SensorErrors
 from bayesftc.monitoring._models import PLANT_MODELS
@@ -55,7 +55,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     BayesFTCError
         What is wrong with a setting, with its place in the file.
     """
-    file = Path(path).expanduser()
+    file = expanded(path)
     content, root = read_toml(file), Place(str(file))
     root.refuse_unknown(content, SECTIONS, "section")
     for name in ("dt", "model", "sensors"):

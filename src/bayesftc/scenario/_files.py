@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from bayesftc.cosim._paths import expanded, is_file, is_folder
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 
 
@@ -26,17 +27,17 @@ def find_scenario(path: str | os.PathLike[str]) -> Path:
     ScenarioError
         If there is neither.
     """
-    file = Path(path).expanduser()
-    if file.is_file():
+    file = expanded(path)
+    if is_file(file):
         return file
     name, shipped = os.fspath(path), shipped_scenarios()
     if name in shipped:
         return shipped[name]
-    if file.is_dir():
+    if is_folder(file):
         raise ScenarioError(f"{path} is a folder; give the scenario file in it.")
     if file.suffix == ".toml" or file.parent != Path("."):
         folder = file.parent.absolute()
-        if not folder.is_dir():
+        if not is_folder(folder):
             raise ScenarioError(
                 f"There is no scenario file {path}: the folder {folder} does not exist; check the path."
             )

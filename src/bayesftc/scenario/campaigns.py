@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from bayesftc.cosim._campaign.design import Design, Grid, Points
 from bayesftc.cosim._campaign.metrics import METRICS, Metric
 from bayesftc.cosim._campaign.samples import LatinHypercube, SaltelliDesign, SobolSequence
+from bayesftc.cosim._paths import expanded, is_file
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
@@ -102,7 +103,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     """
     from bayesftc.cosim.campaign import Campaign
 
-    file = Path(path).expanduser()
+    file = expanded(path)
     content, root = dict(read_toml(file)), Place(str(file))
     if "scenario" not in content and "plant" in content:
         raise root.error(
@@ -165,14 +166,14 @@ def described(path: str | os.PathLike[str], campaign: Campaign) -> dict[str, Any
 
 def _texts(path: str | os.PathLike[str]) -> dict[str, str]:
     """Return the text of a campaign file, and of the scenario that it names."""
-    file = Path(path).expanduser()
+    file = expanded(path)
     scenario = _scenario_file(file, read_toml(file)["scenario"])
     return {key: file.read_text(encoding="utf-8-sig") for key, file in (("campaign", file), ("scenario", scenario))}
 
 
 def _scenario_file(file: Path, named: str) -> Path:
     beside = file.absolute().parent / named
-    return beside if beside.is_file() else find_scenario(named)
+    return beside if is_file(beside) else find_scenario(named)
 
 
 def _duration(given: float | str | None, otherwise: float | str) -> float | str | Fraction:

@@ -1,0 +1,15 @@
+"""Paths as users give them, which may be any text: what asks the system about them says no where pathlib raises an error."""
+
+from __future__ import annotations
+
+import os
+from os.path import exists, isdir as is_folder, isfile as is_file
+from pathlib import Path
+
+
+def expanded(path: str | os.PathLike[str]) -> Path:
+    """Return a path with the home folder in place of ``~``; where there is no such user, as it is."""
+    return Path(os.path.expanduser(path))
+
+
+__all__ = ["exists", "expanded", "is_file", "is_folder"]
