@@ -171,7 +171,9 @@ class Judge:
         e = np.concatenate([self.free(self.base, k, self.begin)[0] for k in sets])
         with np.errstate(all="ignore"):
             scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
-        if not (np.isfinite(scale).all() and np.isfinite(e).all()):  # a plant or a model that has gone beyond all numbers
+        if not (
+            np.isfinite(scale).all() and np.isfinite(e).all()
+        ):  # a plant or a model that has gone beyond all numbers
             nothing = np.full(len(answers), np.nan)
             return nothing, nothing, self.cost(self.base * np.nan, self.seers, self.begin)
         inverse = np.linalg.pinv(D / scale, rcond=1e-10)

@@ -47,6 +47,10 @@ def _kept(mode: FaultMode) -> int:
     return TRUST if type(mode).evidence in (mode_kernels.freezes, mode_kernels.drops) else TRUST + len(mode.first)
 
 
+MOST_MODES = 32
+"""Of a kind; a step takes time by the square of their number."""
+
+
 @dataclass(frozen=True)
 class SwitchingPrecision(PrecisionLearner):
     """For each sensor a hidden Markov model over being healthy and failing in one of several ways.
@@ -153,6 +157,9 @@ class SwitchingPrecision(PrecisionLearner):
         object.__setattr__(self, "modes", as_fault_modes(self.modes))
         object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
         object.__setattr__(self, "process_modes", as_process_modes(self.process_modes))
+        for name in ("modes", "actuator_modes", "process_modes"):
+            if (count := len(getattr(self, name))) > MOST_MODES:
+                raise ModelError(f"SwitchingPrecision has {count} {name}; it tells at most {MOST_MODES} apart.")
         loss = self.loss
         each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
         for value in each:

@@ -117,7 +117,7 @@ class Campaign:
             decimation=decimation,
             time_limit=time_limit,
         )
-        size = _piece(trial) if piece is None else whole_number(piece, "piece is ")
+        size = _piece(trial) if piece is None else min(whole_number(piece, "piece is "), trial.plan.runs)
         trial.plan = Plan(tuple(points), own, size)
         self.job = trial
 

@@ -39,6 +39,9 @@ from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
+MOST_DELAY = 10_000_000
+"""Samples that a `Delay` keeps: 80 MB."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Freeze(Fault):
@@ -311,7 +314,13 @@ class Delay(Fault):
 
     def numbers(self, step: Fraction) -> tuple[float, ...]:
         """See `Fault.numbers`."""
-        return (float(round(self.delay / float(step))),)
+        steps = self.delay / float(step)
+        if steps > MOST_DELAY:
+            raise ModelError(
+                f"Delay has delay={self.delay!r}, which is {steps:.3g} steps; it remembers {MOST_DELAY:,} at most. A fault that "
+                "shows the first sample for ever is a Freeze."
+            )
+        return (float(round(steps)),)
 
     def memory(self, step: Fraction) -> int:
         """See `Fault.memory`."""

@@ -171,8 +171,27 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
         )
 
 
+MOST_FAULTS = 1000
+"""On one signal, each a block of its own."""
+
+
+def check_count(faults: Sequence[object]) -> None:
+    """Refuse more faults than a loop can have.
+
+    Raises
+    ------
+    ModelError
+        If there are too many.
+    """
+    if len(faults) > MOST_FAULTS:
+        raise ModelError(
+            f"There are {len(faults)} faults, but a signal has at most {MOST_FAULTS}; RandomFaults makes any number of them."
+        )
+
+
 def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], prefix: str = "") -> PortRef:
     """Lead a signal through faults; return what comes out."""
+    check_count(faults)
     for fault in faults:
         if not isinstance(fault, Fault):
             raise ModelError(f"faults must be faults such as Freeze(sensor=0, start=6.0), not {fault!r}.")

@@ -9,11 +9,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayesftc.cosim.errors import ModelError, brief
+
+MOST = 1_000_000
+"""Points of a design: more do not fit into memory."""
+
+
+def check_points(count: int) -> None:
+    """Refuse a design of more points than a campaign can have.
+
+    Raises
+    ------
+    ModelError
+        If there are too many.
+    """
+    if count > MOST:
+        raise ModelError(
+            f"The design has {brief(count)} points, but a campaign has at most {MOST:,}; take fewer values."
+        )
 
 
 class Level(NamedTuple):
@@ -75,7 +93,9 @@ class Crossed(Design):
 
     def levels(self) -> list[dict[str, Level]]:
         """Return for each point the value of each factor with its label."""
-        return [{**a, **b} for a, b in product(self.one.levels(), self.other.levels())]
+        one, other = self.one.levels(), self.other.levels()
+        check_points(len(one) * len(other))
+        return [{**a, **b} for a, b in product(one, other)]
 
 
 @dataclass(frozen=True)
@@ -108,6 +128,7 @@ class Grid(Design):
     def levels(self) -> list[dict[str, Level]]:
         """Return for each point the value of each factor with its label."""
         each = [_levels(name, values) for name, values in self.values.items()]
+        check_points(prod(map(len, each)))
         return [dict(zip(self.values, levels, strict=True)) for levels in product(*each)]
 
 

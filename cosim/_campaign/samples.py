@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim._campaign.design import Design, Level
+from bayesftc.cosim._campaign.design import Design, Level, check_points
 from bayesftc.cosim._campaign.extras import extra
 from bayesftc.cosim._campaign.ranges import checked, scaled
 from bayesftc.cosim.block import Floats
@@ -46,6 +46,7 @@ class Sampled(Design):
                 raise ModelError(
                     f"{type(self).__name__} has {name}={brief(value)}; it takes a whole number from {least} up."
                 )
+        check_points(self.count)
 
     def unit_points(self) -> Floats:
         """Return the points in the unit cube, of shape (points, factors)."""

@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.random import check_seed
 
 LARGEST = 2**63 - 1
 """Seed that a table of integers of 64 bits holds."""
+
+
+MOST = 10_000_000
+"""Runs of a campaign: of more not even the numbers fit into memory."""
 
 
 def hashed_seeds(seed: int, purpose: str, count: int) -> list[int]:
@@ -81,6 +85,11 @@ def seeds_of_points(
         return (own,) * len(labels)
     if seeds < 1:
         raise ModelError(f"seeds is {seeds}; each point needs at least one run.")
+    if seeds * len(labels) > MOST:
+        raise ModelError(
+            f"seeds is {brief(seeds)} and there are {len(labels)} points, but a campaign has at most {MOST:,} runs; make several "
+            "campaigns of it, each with its own seed."
+        )
     if not independent:
         return (tuple(hashed_seeds(seed, "", seeds)),) * len(labels)
     check_seed(seed)

@@ -23,7 +23,7 @@ GIGABYTE = 2**30
 MOST_MEMORY = 2 * GIGABYTE
 ADDRESSES = 12 * GIGABYTE
 """Beyond this a process gets no memory, so that nothing that is wrong with a case harms the machine."""
-SECONDS = 60.0
+SECONDS = 120.0
 """That a case may take: all end in a few, alone on a machine."""
 SENTENCES = {1, *range(3, 19), 20}
 """Exit codes of `BayesFTCError`."""

@@ -28,8 +28,8 @@ SCENARIOS = {
     "many iterations": changed(LEARNER, 'precision = { kind = "VariationalBayesKF", iterations = 1000000000 }'),
     "a thousand modes": changed(LEARNER, f"precision = {{ kind = 'SwitchingPrecision', modes = [{MODE * 1000}] }}"),
     "a long delay": changed('kind = "Freeze"', 'kind = "Delay"\ndelay = 1e9'),
-    "a table of a million": changed(
-        '"Constant"\nvalue = 20.0', f'"Table"\ntimes = {list(range(10**6))}\nvalues = {[1] * 10**6}'
+    "a table of a hundred thousand": changed(
+        '"Constant"\nvalue = 20.0', f'"Table"\ntimes = {list(range(10**5))}\nvalues = {[1] * 10**5}'
     ),
     "a thousand states": changed("A = [[0.999]]", f"A = {np.eye(1000).tolist()}"),
     "lists within lists": changed("[[0.999]]", "[" * 100_000 + "]" * 100_000),
@@ -44,7 +44,6 @@ CAMPAIGNS = {
 }
 RECORDINGS = {
     "a million columns": "t," + ",".join(f"s{i}" for i in range(10**6)) + "\n" + ("1," * 10**6 + "1\n") * 3,
-    "a million rows": "t,a,b,c\n" + "".join(f"{k / 10},1,2,3\n" for k in range(10**6)),
     "steps of a thousand years": "t,a,b,c\n0,1,1,1\n1e12,1,1,1\n",
     "a long cell": "t,a,b,c\n0,1,1,1\n1," + "1" * 10**7 + ",1,1\n",
     "a long line": "t,a,b,c\n0,1,1,1\n1" + "," * 10**7 + "\n",
@@ -60,7 +59,7 @@ def check(line, case):
 SLOW = {
     "a hundred thousand faults",
     "a thousand modes",
-    "a million rows",
+    "a hundred thousand rows",
     "a million columns",
     "a thousand states",
     "one line",

@@ -55,9 +55,12 @@ def run_campaign(
     json, quiet : bool
         How the figures are printed: as JSON, or not at all.
     """
+    from bayesftc.scenario._unused import unused_of_campaign
     from bayesftc.scenario.campaigns import described, load_campaign
 
     campaign = load_campaign(path)
+    if not json and not quiet:
+        output.say_notes(unused_of_campaign(campaign, str(path)))
     chosen = _executor(executor, jobs, scheduler)
     folder = Path(path.stem) if store is None else store
     began = time.perf_counter()

@@ -143,6 +143,14 @@ def _unwritable(folder: Path, error: OSError) -> ResultFileError:
     )
 
 
+def say_notes(notes: Iterable[str]) -> None:
+    """Print on stderr what is no error, but may be a slip."""
+    import typer
+
+    for note in notes:
+        typer.echo(f"Note: {note}", err=True)
+
+
 def as_json(numbers: Mapping[str, Any]) -> str:
     """Return the text of a JSON file, which has null where a number is not finite: JSON knows neither NaN nor infinity."""
     return json.dumps(without_nan(numbers), indent=2, allow_nan=False, ensure_ascii=False)

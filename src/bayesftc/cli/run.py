@@ -19,6 +19,7 @@ from bayesftc.cosim.metrics import figures, without_nan
 from bayesftc.cosim.roles import loop_signals
 from bayesftc.cosim.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
+from bayesftc.scenario._unused import unused
 
 if TYPE_CHECKING:
     from bayesftc.controllers import BayesianController
@@ -65,6 +66,9 @@ def run_scenario(
         options = {**options, "record": _with_kalmans(scenario, loop)}
     if out is not None:
         output.check_folder(out)
+    notes = unused(scenario, options.get("duration"))
+    if not json and not quiet:
+        output.say_notes(notes)
     try:
         with _progress(shown=sys.stderr.isatty() and not quiet and not json) as progress:
             result = scenario.simulate(loop, progress=progress, **options)
@@ -86,6 +90,7 @@ def run_scenario(
     if out is not None:
         output.write_files(out, result, numbers, signals)
     if json:
+        numbers["notes"] += notes
         typer.echo(output.as_json(numbers))
     elif not quiet:
         output.print_report(numbers, out)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 ENCODING = "utf-8-sig"
 """UTF-8, with or without the mark that some programs put before it."""
 
+MOST_COLUMNS = 10_000
+
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
@@ -152,6 +154,10 @@ def _check(file: Path) -> tuple[list[str], int]:
             raise RecordingError(
                 f"{fspath(file)} has {word} between its columns; save it with commas, and numbers with a point."
             )
+    if len(names) > MOST_COLUMNS:
+        raise RecordingError(
+            f"{fspath(file)} has {len(names)} columns, but a recording has at most {MOST_COLUMNS}; keep those of the sensors."
+        )
     if all(map(_is_number, names)):
         raise RecordingError(f"{fspath(file)} begins with numbers; it needs a first row with the names of its columns.")
     row = None

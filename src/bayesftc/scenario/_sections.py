@@ -13,6 +13,7 @@ from bayesftc.cosim import faults, sources
 from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.loops import check_count
 from bayesftc.cosim.sensors import Sensors
 from bayesftc.cosim.timebase import rational_step
 from bayesftc.scenario._place import Place
@@ -126,6 +127,8 @@ def fault_list(value: object, place: Place) -> list[faults.Fault]:
     """Return the faults of ``[[faults]]``, or of another such list."""
     if not isinstance(value, list):
         raise place.error(f"must be a list of tables: write [[{place.key}]], with two brackets, above each fault.")
+    with place.named():
+        check_count(value)
     return [build_one_of(faults.FAULTS, table, place / i) for i, table in enumerate(value)]
 
 

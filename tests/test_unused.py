@@ -1,0 +1,70 @@
+"""What a scenario says to no effect is a note on stderr, and no error: short runs of long scenarios are usual."""
+
+import json
+
+import pytest
+
+from bayesftc.scenario import load_scenario, shipped_scenarios
+from bayesftc.scenario._unused import unused, unused_of_campaign
+from bayesftc.scenario.campaigns import load_campaign
+
+CAR = shipped_scenarios()["cruise_control"].read_text()
+FACTORS = 'scenario = "car.toml"\nduration = 2.0\nseeds = 1\n[factors]\n'
+
+
+@pytest.fixture
+def car(tmp_path):
+    """Return a function that writes a scenario, in which some texts are others."""
+
+    def write(*pairs):
+        text = CAR
+        for old, new in pairs:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "car.toml").write_text(text)
+        return tmp_path / "car.toml"
+
+    return write
+
+
+def test_a_fault_after_the_end_is_a_note_where_it_disturbs_nobody(bayesftc_, car):
+    car()
+    short = ("run", "car.toml", "--engine", "interpreted", "--duration", "2")
+    note = "car.toml: 'faults[0]' starts at 6 s, but the run ends at 2 s, so that there is no such fault in it."
+    assert f"Note: {note}\n" == bayesftc_(*short).stderr
+    assert bayesftc_(*short, "--quiet").output == ""
+    done = bayesftc_(*short, "--json")
+    assert done.stderr == ""
+    assert note in json.loads(done.stdout)["notes"]
+    assert unused(load_scenario("car.toml")) == []
+
+
+def test_sensors_and_variables_that_nobody_reads_are_said(car):
+    path = car(("C = [[1.0], [1.0]]", "C = [[1.0], [0.0]]"), ("count = 2", "count = 2\nmatrix = [[0.0], [0.0]]"))
+    said = unused(load_scenario(path))
+    assert [text.partition(" has ")[2] for text in said] == [
+        "a row of zeros, so that sensor 0 reads nothing of the plant.",
+        "a row of zeros, so that sensor 1 reads nothing of the plant.",
+        "a column of zeros, so that no sensor reads 'v'.",
+        "a row of zeros, so that the controller does not use sensor 1.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ('"faults[0].start" = [2.5, 3.0]', ["'faults[0]' starts at 2.5 s, but the run ends at 2 s"]),
+        ('"faults[0].start" = [0.5, 3.0]', []),
+        ('"sensors.std" = [0.5, 1.0]', ["'faults[0]' starts at 6 s"]),
+        ('faults = { none = [], one = [{ kind = "Freeze", start = 0.5 }] }', []),
+        ('"simulation.seed" = [1, 2]', ["the factor 'simulation.seed' changes nothing", "'faults[0]' starts at 6 s"]),
+    ],
+)
+def test_factors_that_change_nothing_are_said(car, tmp_path, factors, words):
+    car()
+    path = tmp_path / "campaign.toml"
+    path.write_text(FACTORS + factors)
+    said = unused_of_campaign(load_campaign(path), "campaign.toml")
+    assert len(said) == len(words)
+    for text, word in zip(said, words, strict=True):
+        assert word in text
