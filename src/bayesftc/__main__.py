@@ -1,8 +1,9 @@
 """``bayesftc`` and ``python -m bayesftc``: the command line."""
 
 import sys
+import warnings
 
-from bayesftc._interrupt import EXIT_CODE, SENTENCE, Interrupted, heard
+from bayesftc._interrupt import EXIT_CODE, SENTENCE, Interrupted, ended, heard
 
 
 def main() -> None:
@@ -14,7 +15,10 @@ def main() -> None:
             app(prog_name="bayesftc")
     except (Interrupted, KeyboardInterrupt):
         print(SENTENCE, file=sys.stderr)  # noqa: T201
+        warnings.simplefilter("ignore")  # such as of coroutines that were begun; the sentence is the last word
         sys.exit(EXIT_CODE)
+    finally:
+        ended()
 
 
 if __name__ == "__main__":

@@ -82,6 +82,12 @@ def asked() -> bool:
     return isinstance(answer, _Interrupts) and answer.asked
 
 
+def ended() -> None:
+    """Hear no Ctrl-C any more: all is done, and Python, clearing away, would die of the signal instead of giving its exit code."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 @contextmanager
 def heard() -> Iterator[None]:
     """Raise `Interrupted` at Ctrl-C, at the latest at the end of what is done inside; later ones are ignored then.

@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,6 +26,8 @@ ADDRESSES = 12 * GIGABYTE
 """Beyond this a process gets no memory, so that nothing that is wrong with a case harms the machine."""
 SECONDS = 120.0
 """That a case may take: all end in a few, alone on a machine."""
+MARK = "ATTACK_CASE"
+"""Variable of the environment that says for which case a process was started."""
 SENTENCES = {1, *range(3, 19), 20}
 """Exit codes of `BayesFTCError`."""
 FOREIGN = re.compile(
@@ -119,8 +122,9 @@ class CommandLine:
         for name, content in case.files.items():
             (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
         before = set(os.listdir(folder))
+        mark = f"{folder}"
         said = self._call(
-            {"arguments": case.arguments, "folder": str(folder), "environment": dict(case.environment)}, seconds
+            {"arguments": case.arguments, "folder": str(folder), "environment": {**case.environment, MARK: mark}}, seconds
         )
         if isinstance(said, str):
             for path in self._temporary.iterdir():  # what a process leaves that was killed is no fault of its
@@ -130,8 +134,11 @@ class CommandLine:
             left = [name for name in os.listdir(folder) if name not in before and name not in case.leaves]
             left += [f"the temporary {name}" for name in os.listdir(self._temporary)]
             left += [f"the half file {path.name}" for path in folder.rglob("*") if is_half(path)]
-            left += [f"the process {name}" for name in self._children()]
+            left += [f"the process {name}" for name in self._processes(mark)]
             outcome = Outcome(**said, left=tuple(left))
+        for pid, _ in marked(mark):
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
         if outcome.left:
             self._end()
         shutil.rmtree(folder, ignore_errors=True)
@@ -169,18 +176,17 @@ class CommandLine:
             return f"it took more than {seconds:g} s"
         return f"its process ended ({process.returncode})"
 
-    def _children(self) -> list[str]:
-        """Return the names of the processes that the process has left running."""
-        return [f"{name} ({pid})" for pid, name in children(self._process.pid) if "resource_tracker" not in name]
+    def _processes(self, mark: str) -> list[str]:
+        """Return the processes that a case has left running: those that the process has started, and those they have."""
+        found = dict(children(self._process.pid)) | dict(marked(mark))
+        return [f"{name[:80]} ({pid})" for pid, name in found.items() if "resource_tracker" not in name]
 
     def _end(self) -> None:
         process, self._process = self._process, None
         if process is None:
             return
-        try:
+        with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
         process.stdin.close()
         process.stdout.close()
         process.wait()
@@ -205,6 +211,18 @@ def children(pid: int) -> list[tuple[int, str]]:
                 continue
             if state != "Z":
                 found.append((int(child), name))
+    return found
+
+
+def marked(mark: str) -> list[tuple[int, str]]:
+    """Return the processes that were started for a case, whoever their parents are now, and what they are called."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            if f"{MARK}={mark}\0".encode() in (entry / "environ").read_bytes():
+                found.append((int(entry.name), (entry / "comm").read_text().strip()))
+        except OSError:
+            continue
     return found
 
 

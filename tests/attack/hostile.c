@@ -30,7 +30,7 @@ static void *spin(void *nothing) { for (;;) usleep(1000); }
 /* Return the status that a function has to return at once, or -1; `way` says what is left to do. */
 static int trap(const char *function)
 {
-    static int calls = 0;
+    static int calls = 0, once = 0;
     const char *text = getenv("HOSTILE");
     char name[64] = "";
     int from = 0;
@@ -46,9 +46,9 @@ static int trap(const char *function)
     if (!strcmp(way, "abort")) abort();
     if (!strcmp(way, "kill")) raise(SIGKILL);
     if (!strcmp(way, "hang")) spin(NULL);
-    if (!strcmp(way, "thread")) pthread_create(&thread, NULL, spin, NULL);
+    if (!strcmp(way, "thread") && !once++) pthread_create(&thread, NULL, spin, NULL);
     if (!strcmp(way, "print")) { printf("%0100d\n", 1); fprintf(stderr, "%0100d\n", 2); }
-    if (!strcmp(way, "fork") && fork() == 0) { sleep(1000); _exit(0); }
+    if (!strcmp(way, "fork") && !once++ && fork() == 0) { sleep(1000); _exit(0); }
     if (!strcmp(way, "close")) for (int i = 3; i < 256; ++i) close(i);
     if (!strcmp(way, "mask")) { signal(SIGINT, SIG_IGN); signal(SIGTERM, SIG_IGN); signal(SIGCHLD, SIG_IGN); }
     if (!strcmp(way, "huge")) free(malloc((size_t)1 << 40));

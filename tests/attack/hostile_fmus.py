@@ -151,7 +151,7 @@ def hostile_archive(fmi: str, library: bytes, rng: np.random.Generator) -> bytes
         if way == 4:
             return bytes(whole[: int(rng.integers(len(whole)))])
         if way == 5:  # sizes, checksums, places and flags that are not so
-            marks = [m.start() for m in re.finditer(rb"PK\1\2|PK\3\4|PK\5\6", whole)]
+            marks = [m.start() for m in re.finditer(rb"PK\x01\x02|PK\x03\x04|PK\x05\x06", whole)]
             at = int(rng.choice(marks)) + int(rng.integers(4, 46))
             whole[at : at + 4] = struct.pack(
                 "<I", int(rng.choice([0, 1, 8, 2**31, 2**32 - 1, int(rng.integers(2**32))]))

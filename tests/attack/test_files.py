@@ -166,9 +166,9 @@ def test_recordings(line, chance, count):
             yield (
                 f"{i}",
                 Case(
-                    ("monitor", "data.csv", "--json", *(known if chance.random() < 0.7 else ("--fit", *known))),
+                    ("monitor", "data.csv", "--json", *(known if chance.random() < 0.7 else ("--fit", "--model", "new.toml"))),
                     files,
-                    leaves=("model.toml",),
+                    leaves=("new.toml",),
                 ),
             )
 
