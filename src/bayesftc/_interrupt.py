@@ -83,7 +83,7 @@ def asked() -> bool:
 
 
 def ended() -> None:
-    """Hear no Ctrl-C any more: all is done, and Python, clearing away, would die of the signal instead of giving its exit code."""
+    """Hear no Ctrl-C any more: all is done, and Python, while it clears away, would die of the signal."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 

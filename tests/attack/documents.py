@@ -7,7 +7,7 @@ import numpy as np
 LEARNERS = (
     'kind = "FixedPrecision"',
     'kind = "PointMassPrecision"\nrate = 0.1\nlower_bound = 0.001\nvariance_bound = 1.0\nfull = true',
-    'kind = "GammaPrecision"\nforgetting = 0.95\nprior_shape = 2.0\ncalibration = { slope = 2.0, intercept = -7.0, feature = "log" }',
+    'kind = "GammaPrecision"\nforgetting = 0.95\ncalibration = { slope = 2.0, intercept = -7.0, feature = "log" }',
     'kind = "GammaPrecision"\nforgetting = 0.9\nwindow = 5\nestimate = "mode"\nbelief_uncertainty = true',
     'kind = "WishartPrecision"\nforgetting = 0.95\ndegrees_of_freedom = 6.0',
     'kind = "EFFDI"\nthreshold = 19.76\nduration = 0.08',
@@ -141,7 +141,7 @@ def scenario(rng: np.random.Generator) -> str:
     head = '[simulation]\nduration = 0.2\nseed = 1\nengine = "interpreted"\nrecord = "*"\ndecimation = 1\n'
     faults = "".join(f"[[faults]]\n{any_of(FAULTS, rng)}\n" for _ in range(rng.integers(3)))
     if rng.random() < 0.03:
-        plant = '[plant]\nfmu = "PositionServo"\ncontrol = "voltage"\nmeasured = "angle"\n[noise.load]\nkind = "Gaussian"\nstd = 0.02\n'
+        plant = '[plant]\nfmu = "PositionServo"\ncontrol = "voltage"\nmeasured = "angle"\n'
         return (
             head
             + plant

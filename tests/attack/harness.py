@@ -124,7 +124,8 @@ class CommandLine:
         before = set(os.listdir(folder))
         mark = f"{folder}"
         said = self._call(
-            {"arguments": case.arguments, "folder": str(folder), "environment": {**case.environment, MARK: mark}}, seconds
+            {"arguments": case.arguments, "folder": str(folder), "environment": {**case.environment, MARK: mark}},
+            seconds,
         )
         if isinstance(said, str):
             for path in self._temporary.iterdir():  # what a process leaves that was killed is no fault of its

@@ -22,8 +22,10 @@ TWO = """<?xml version="1.0" encoding="UTF-8"?>
 <CoSimulation modelIdentifier="hostile" canHandleVariableCommunicationStepSize="true"/>
 <ModelVariables>
 <ScalarVariable name="u" valueReference="0" causality="input" variability="continuous"><Real start="0"/></ScalarVariable>
-<ScalarVariable name="x" valueReference="1" causality="local" variability="continuous" initial="exact"><Real start="0"/></ScalarVariable>
-<ScalarVariable name="der(x)" valueReference="2" causality="local" variability="continuous"><Real derivative="2"/></ScalarVariable>
+<ScalarVariable name="x" valueReference="1" causality="local" variability="continuous" initial="exact">
+<Real start="0"/></ScalarVariable>
+<ScalarVariable name="der(x)" valueReference="2" causality="local" variability="continuous">
+<Real derivative="2"/></ScalarVariable>
 <ScalarVariable name="y" valueReference="3" causality="output" variability="continuous"><Real/></ScalarVariable>
 </ModelVariables>
 <ModelStructure><Outputs><Unknown index="4" dependencies="2"/></Outputs><Derivatives><Unknown index="3"/></Derivatives>

@@ -74,7 +74,7 @@ def test_all_is_finite_and_well_a_second_later(block, steps, make_block, chance)
     )
     last = {name.partition(".")[2]: result[name] for name in result if name.startswith("block.")}
     for name, values in last.items():
-        if name in MOMENTARY or np.isnan(values[-1]).any() and name == "fault_probability":
+        if name in MOMENTARY or (np.isnan(values[-1]).any() and name == "fault_probability"):
             continue
         assert np.isfinite(values).all(), name
     assert abs(last["x_hat"][-1].item() - 20.0) < 3.0

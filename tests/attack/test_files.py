@@ -166,7 +166,12 @@ def test_recordings(line, chance, count):
             yield (
                 f"{i}",
                 Case(
-                    ("monitor", "data.csv", "--json", *(known if chance.random() < 0.7 else ("--fit", "--model", "new.toml"))),
+                    (
+                        "monitor",
+                        "data.csv",
+                        "--json",
+                        *(known if chance.random() < 0.7 else ("--fit", "--model", "new.toml")),
+                    ),
                     files,
                     leaves=("new.toml",),
                 ),

@@ -2,7 +2,6 @@
 
 import itertools
 
-import numpy as np
 import pytest
 from harness import Case
 from hostile_fmus import (

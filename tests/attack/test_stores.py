@@ -1,9 +1,7 @@
 """Stores of campaigns that are damaged: a sentence, or what was in them; never other numbers."""
 
-import io
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +14,9 @@ from bayesftc.cosim.errors import StoreError
 pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
 pytest.importorskip("jinja2", reason="reports need the extra 'campaign'")
 
-from bayesftc.cosim._campaign.store import CampaignStore
 from harness import Case
+
+from bayesftc.cosim._campaign.store import CampaignStore
 
 FILE = """
 scenario = "loop.toml"
@@ -80,7 +79,7 @@ def same(found, expected):
         return False
     done = found["status"] != "pending"
     for name, values in expected.items():
-        whole = name == "time" or name in found.keys() - {"status"} and name in ("run", "point", "seed")
+        whole = name == "time" or (name in found.keys() - {"status"} and name in ("run", "point", "seed"))
         rows = values if whole else values[done]
         other = found[name] if whole or name.startswith("table ") else found[name][done]
         if rows.shape != other.shape or (rows.astype(str) != other.astype(str)).any():

@@ -1,4 +1,4 @@
-"""What a scenario or campaign says to no effect, in sentences: mostly a slip, and no error, as in a short run of a long scenario."""
+"""What a scenario or campaign says to no effect, in sentences: a slip, or a short run of a long scenario, and so no error."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
             f"{Place(path)}: the factor {name!r} changes nothing: a campaign has its own; leave it out."
             for name in of_campaign
         ),
-        *_late(where, starts, campaign.job.duration),
+        *_late(where, starts, campaign.job.steps * campaign.job.step),
         *_unread(where, scenario),
     ]
 
@@ -95,7 +95,7 @@ def _unread(root: Place, scenario: Scenario) -> Iterator[str]:
             yield f"{root / 'sensors.matrix'} has a row of zeros, so that sensor {i} reads nothing of the plant."
         if len(measured) == matrix.shape[1]:
             for j in np.flatnonzero(~matrix.any(axis=0)):
-                yield f"{root / 'sensors.matrix'} has a column of zeros, so that no sensor reads {measured[j]!r}."
+                yield f"{root / 'sensors.matrix'} has a column of zeros, so that no sensor reads {measured[int(j)]!r}."
     if isinstance(model, LinearModel):
         for i in np.flatnonzero(~model.matrix("C").any(axis=1)):
             yield f"{root / 'model.C'} has a row of zeros, so that the controller does not use sensor {i}."
