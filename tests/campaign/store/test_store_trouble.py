@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from stored import DRILL, PLAN, SIGNALS, assert_piece, assert_whole, create, drilled, outcome, resume
+from stored import DRILL, PLAN, SIGNALS, TIME, assert_piece, assert_whole, create, drilled, outcome, resume
 
 from bayesftc.cosim import StoreError
 from bayesftc.cosim._campaign import durable
@@ -72,6 +72,55 @@ def test_a_damaged_table_of_all_runs_is_made_again(tmp_path):
         for piece in PLAN.pieces:
             store.write(outcome(piece))
         assert_whole(store)
+
+
+def flipped(path, at):
+    """Flip a bit of a file."""
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+
+
+def test_times_of_which_a_bit_has_flipped_are_no_times(tmp_path):
+    with create(tmp_path / "s") as store:
+        store.write(outcome(PLAN.pieces[0]))
+    chunk, refused = tmp_path / "s" / "signals.zarr" / "time" / "c" / "0", 0
+    for at in range(chunk.stat().st_size):
+        flipped(chunk, at)
+        try:
+            np.testing.assert_array_equal(CampaignStore.open(tmp_path / "s").dataset()["time"], TIME)
+        except StoreError as error:
+            assert "with the time of each row, is missing or damaged; take a copy of it" in str(error)
+            refused += 1
+        flipped(chunk, at)
+    assert refused > len(TIME)
+    np.testing.assert_array_equal(CampaignStore.open(tmp_path / "s").time, TIME)
+
+
+def test_a_description_of_which_a_digit_has_changed_is_damaged(tmp_path):
+    create(tmp_path / "s").close()
+    path = tmp_path / "s" / "campaign.json"
+    text = path.read_text()
+    assert '"a.b": 2.5' in text
+    path.write_text(text.replace('"a.b": 2.5', '"a.b": 3.5'))
+    with pytest.raises(StoreError, match="is damaged, or that of another program"):
+        CampaignStore.open(tmp_path / "s")
+
+
+def test_what_the_group_says_to_other_programs_is_not_believed(tmp_path):
+    """Nor how large a chunk says that it is."""
+    with create(tmp_path / "s") as store:
+        for piece in PLAN.pieces:
+            store.write(outcome(piece))
+    group = tmp_path / "s" / "signals.zarr"
+    for path in group.rglob("zarr.json"):
+        path.write_text("{")
+    assert_whole(CampaignStore.open(tmp_path / "s"))
+    chunk = group / "plant.v" / "c.1.0"
+    huge = bytes([0x28, 0xB5, 0x2F, 0xFD, 0xE4, *(1 << 40).to_bytes(8, "little")])  # a frame of a terabyte
+    chunk.write_bytes(huge + chunk.read_bytes()[5:])
+    with pytest.raises(StoreError, match="its bytes are others than were written"):
+        CampaignStore.open(tmp_path / "s").dataset()["plant.v"].load()
 
 
 # Killed at any moment
