@@ -160,7 +160,14 @@ def scenario(rng: np.random.Generator) -> str:
         )
         faults += f"[[input_faults.force]]\n{fault}\n"
     controller = ACTIVE_INFERENCE if rng.random() < 0.2 else any_of(CONTROLLERS, rng)
-    learner = any_of([text for text in LEARNERS if "actuator_modes" not in text or "joint" not in controller], rng)
+    learner = any_of(
+        [
+            text
+            for text in LEARNERS
+            if "actuator_modes" not in text or (controller is not ACTIVE_INFERENCE and "joint" not in controller)
+        ],
+        rng,
+    )
     parts = (
         *(plant, f"[sensors]\n{any_of(SENSORS, rng)}", faults, f"[reference]\n{any_of(SOURCES, rng)}\n"),
         *(MODEL, f"[controller]\n{controller}", f"[controller.precision]\n{learner}\n"),
