@@ -17,6 +17,7 @@ from bayesftc.cosim._fmi.archive import absolute, extract, open_archive, read_en
 from bayesftc.cosim._fmi.description import FMUDescription
 from bayesftc.cosim._ssp.flat import Feed, Flat, Path as Place, Variable, components
 from bayesftc.cosim._ssp.read import SSP_FILE, Component, Linear, Parameter, Structure, Value, read_structure
+from bayesftc.cosim._ssp.steps import every
 from bayesftc.cosim._ssp.write import save_ssp
 from bayesftc.cosim._zip import LARGEST_XML, check_xml
 from bayesftc.cosim.diagram import Diagram, Node
@@ -24,6 +25,7 @@ from bayesftc.cosim.errors import SSPError, did_you_mean
 from bayesftc.cosim.fmu import FMU, describe
 from bayesftc.cosim.mathblocks import Gain
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.timebase import show
 
 _KINDS: dict[str, Literal["co-simulation", "model exchange"] | None] = {
     "any": None,
@@ -55,8 +57,9 @@ def open_ssp(
     path : str or path
         An ``.ssp`` file, or an ``.ssd`` with the files that it refers to beside it or in folders below.
     dt : float, str or Fraction, optional
-        The base step in seconds, which SSP has no word for; by default what `save_ssp` has noted, else the step size that all
-        FMUs name in their default experiment.
+        The base step in seconds, which SSP has no word for; by default what the annotations say: of this package, of the Open
+        Simulation Platform (``FixedStepAlgorithm``) or of OMSimulator (``FixedStepMaster``). A component with a ``StepSizeHint``
+        runs at that multiple of the base step.
     variant : str
         Which ``.ssd`` of an ``.ssp`` to open; what it refers to is relative to it.
     isolate : bool
@@ -72,8 +75,9 @@ def open_ssp(
     Raises
     ------
     SSPError
-        If the file is missing, damaged or hostile, breaks the rules of SSP, or has what cannot be a diagram (signal
-        dictionaries, components that are no FMUs, mappings that are not linear, connections of some elements of arrays).
+        If the file is missing, damaged or hostile, breaks the rules of SSP, says nothing of a step (where `dt` does not either),
+        or has what cannot be a diagram (signal dictionaries, components that are no FMUs, mappings that are not linear,
+        connections of some elements of arrays).
     FMUError
         If one of its FMUs cannot be used.
 
@@ -110,14 +114,14 @@ def open_ssp(
     variables = {place: _variables(descriptions[file]) for place, file in files.items()}
     flat = Flat(structure, variables, where)
     flat.warn_of_unknown()
-    diagram = Diagram(_step(dt, structure, list(descriptions.values()), where))
+    diagram = Diagram(_base_step(structure, list(descriptions.values()), where) if dt is None else dt)
     feeds = {place: dict(flat.feeds(place)) for place in files}
     nodes = {}
     for place, component in flat.components.items():
         values = {p.name: _value(p, flat, variables[place][p.name], place) for p in flat.values(place).values()}
         joined = [*feeds[place], *(f.output for fed in feeds.values() for f in fed.values() if f.component == place)]
         block = _fmu(files[place], component, values, joined, isolate, validate)
-        nodes[place] = diagram.add(block, "_".join(".".join(place).split()))
+        nodes[place] = diagram.add(block, "_".join(".".join(place).split()), every(component.step, diagram.step))
         _check_sizes(block, component, nodes[place].name, where)
     for place, node in nodes.items():
         for name, feed in feeds[place].items():
@@ -163,20 +167,23 @@ def _variables(description: FMUDescription) -> dict[str, Variable]:
     return {v.name: Variable(v.causality, v.unit) for v in description.variables}
 
 
-def _step(
-    dt: float | str | Fraction | None, structure: Structure, descriptions: list[FMUDescription], where: str
-) -> float | str | Fraction:
-    if dt is not None:
-        return dt
-    if structure.step is not None:
-        return structure.step
-    own = {d.default_experiment.get("stepSize") for d in descriptions}
-    step = own.pop()
-    if own or step is None:
-        raise SSPError(
-            f"{where} does not say at which step to run it, nor do its FMUs agree on one; give dt=... in seconds."
-        )
-    return step
+def _base_step(structure: Structure, descriptions: Sequence[FMUDescription], where: str) -> Fraction:
+    """Return the step that the SSP gives; where it gives none, the caller has to, for all that runs depends on it."""
+    steps = structure.steps
+    if steps.fixed is not None:
+        return steps.fixed
+    told = {text for d in descriptions if (text := d.default_experiment.get("stepSize"))}
+    hints = {show(c.step) for _, c in components(structure.system) if c.step is not None}
+    advice = [
+        f"its FMUs recommend {' and '.join(sorted(map(str, told)))} s" if told else "",
+        f"its components have steps of {' and '.join(sorted(hints))} s" if hints else "",
+        f"its solver has variable steps of up to {steps.longest} s" if steps.longest else "",
+    ]
+    known = "; ".join(part for part in advice if part)
+    raise SSPError(
+        f"{where} does not say at which step to run it{f' ({known})' if known else ''}; give dt=... in seconds, as in "
+        f"open_ssp(path, dt={next(iter(sorted(map(str, told))), '0.01')})."
+    )
 
 
 def _fmu(

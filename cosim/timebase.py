@@ -90,7 +90,11 @@ def _exact(seconds: float | str | Fraction, what: str) -> Fraction:
             raise TypeError
         if isinstance(seconds, Rational):
             return Fraction(int(seconds.numerator), int(seconds.denominator))  # NumPy's whole numbers overflow
-        return Fraction(seconds if isinstance(seconds, str) else float(seconds))
+        if isinstance(seconds, str) and "/" in seconds:
+            return Fraction(seconds)
+        rounded = float(seconds)
+        # As an exact power of ten, what is out of the range of doubles (1e999999999) would take for ever.
+        return Fraction(seconds if isinstance(seconds, str) and rounded and math.isfinite(rounded) else rounded)
     except (ValueError, TypeError, OverflowError, ZeroDivisionError):
         raise StepSizeError(f"{what} {brief(seconds)} is no finite number; give seconds, as 0.02 or '1/50'.") from None
 

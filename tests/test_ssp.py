@@ -141,7 +141,7 @@ def test_two_components(tmp_path, fmi):
 def test_isolated_components(tmp_path, same_bits):
     text = ssd(system(component("a", bindings=START) + component("b"), link("a.v", "b.disturbance")))
     path = packed(tmp_path, text)
-    assert cosim.open_ssp(path, isolate=True)["b"].block.isolate
+    assert cosim.open_ssp(path, dt=H, isolate=True)["b"].block.isolate
     same_bits(run(path, isolate=True, steps=10)["b.v"], run(path, steps=10)["b.v"])
 
 
@@ -453,14 +453,6 @@ def test_files_that_are_no_ssp(tmp_path):
     refused(packed(tmp_path, "<html/>"), "it is <html>")
     path = packed(tmp_path, ssd(system(A)))
     refused(path, "has no 'other.ssd'; known names: SystemStructure.ssd", variant="other.ssd")
-
-
-def test_the_step(tmp_path):
-    assert float(cosim.open_ssp(packed(tmp_path, ssd(system(A)))).step) == H  # as its only FMU says
-    both = A + component("arm", source="arm.fmu", connectors=connected("output", "x"))
-    path = packed(tmp_path, ssd(system(both)), **{"arm.fmu": fmus.path("TwoLinkArm").read_bytes()})
-    refused(path, "does not say at which step to run it, nor do its FMUs agree on one; give dt=", dt=None)
-    assert float(cosim.open_ssp(path, dt=0.001).step) == 0.001
 
 
 def test_hostile_files(tmp_path, cache):

@@ -98,7 +98,7 @@ class Flat:
         """Warn of values that are bound to systems, but are nothing's."""
         for path, system in systems(self._structure.system):
             for parameter in system.parameters:
-                if not list(self._targets_of(path, parameter.name)):
+                if not list(self._targets_of(path, parameter.name)) and not self._is_connector(path, parameter.name):
                     names = [".".join((*p[len(path) :], n)) for p in self._below(path) for n in self._variables[p]]
                     self._ignored(parameter, ".".join(path) or "the system", [*names, *system.connectors])
 
@@ -243,6 +243,14 @@ class Flat:
                 yield from self._targets_of(below, rest)
             elif rest in self._variables[below]:
                 yield (below, rest), Linear()
+
+    def _is_connector(self, path: Path, name: str) -> bool:
+        """Return whether a hierarchical name means a connector of a system; one that feeds nothing takes any value."""
+        system = self._system(path)
+        if name in system.connectors:
+            return True
+        inner = ((e, s) for e, s in system.elements.items() if isinstance(s, System) and name.startswith(f"{e}."))
+        return any(self._is_connector((*path, e), name.removeprefix(f"{e}.")) for e, _ in inner)
 
     def _inward(self, place: Place, linear: Linear) -> Iterator[tuple[Place, Linear]]:
         for edge in self._targets.get(place, ()):

@@ -5,10 +5,10 @@ Files of SSP 1.0 are checked against its schemas. Of SSP 2.0 there are arrays an
 
 from __future__ import annotations
 
-import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from fractions import Fraction
 from math import isfinite, prod
 from pathlib import Path
 from types import MappingProxyType
@@ -17,19 +17,16 @@ from urllib.parse import unquote, urlsplit
 from xml.etree.ElementTree import Element, fromstring
 
 from bayesftc.cosim import units
+from bayesftc.cosim._ssp.schema import SSC, SSD, SSM, SSV, problems_of
+from bayesftc.cosim._ssp.steps import Steps, step_hint, steps_of
 from bayesftc.cosim._zip import Kind
 from bayesftc.cosim.errors import LAX, SSPError
 from bayesftc.cosim.units import Unit
 
-NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"
-SSD, SSV, SSM, SSC = (
-    f"{{{NAMESPACE}{kind}}}" for kind in ("Description", "ParameterValues", "ParameterMapping", "Common")
-)
 SSP_FILE = Kind("SSP", ".ssp", "SystemStructure.ssd", SSPError, ("SystemStructure.ssd",), "ssps")
 FMU_TYPE = "application/x-fmu-sharedlibrary"
 
 Value = float | int | bool | str | tuple[Any, ...]
-_SCHEMAS = {SSD: "Description", SSV: "ParameterValues", SSM: "ParameterMapping"}
 _DIMENSION = f"{SSC}Dimension"
 _DIGITS = 19
 _OF_FMI3 = {"Float64": "Real", "Float32": "Real"} | {
@@ -100,12 +97,13 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Component:
-    """An FMU in a system: where it lies, what it is used as, its connectors and the values bound to it."""
+    """An FMU in a system: where it lies, what it is used as, its connectors, the values bound to it, and its own step."""
 
     source: str
     implementation: str
     connectors: Mapping[str, Connector]
     parameters: tuple[Parameter, ...]
+    step: Fraction | None = None
 
 
 @dataclass(frozen=True)
@@ -120,15 +118,15 @@ class System:
 
 @dataclass(frozen=True)
 class Structure:
-    """A system structure: the system, the meaning of units, and the step in seconds, where this package has written it."""
+    """A system structure: the system, the meaning of units, and what a tool has noted of its step."""
 
     system: System
     units: Mapping[str, Unit] = field(default_factory=lambda: MappingProxyType({}))
-    step: str | None = None
+    steps: Steps = field(default_factory=Steps)
 
     def unit(self, name: str) -> Unit | None:
-        """Return what a unit means: as defined in the file, else to pint."""
-        return self.units.get(name) or units.parse(name)
+        """Return what a unit means: as defined in the file, else to pint; some write it in brackets, ``[m3]``."""
+        return self.units.get(name) or units.parse(name) or units.parse(name.removeprefix("[").removesuffix("]"))
 
 
 def read_structure(content: bytes, where: str, resource: Callable[[str], bytes], *, validate: bool = True) -> Structure:
@@ -190,8 +188,7 @@ class _Reader:
         system = root.find(f"{SSD}System")
         if system is None:
             self.refuse("has no System")
-        step = next((e.get("step") for e in root.iter("bayesftc") if e.get("step")), None)
-        return Structure(self.system(system, ""), dict(self.unit_definitions(root)), step)
+        return Structure(self.system(system, ""), dict(self.unit_definitions(root)), steps_of(root, self.where))
 
     def parsed(self, content: bytes, where: str, tag: str) -> Element:
         root = fromstring(content)
@@ -202,12 +199,19 @@ class _Reader:
                 f"{version or 'none'}); export it as one."
             )
         if self.validate and version.startswith("1."):
-            problems = list(_problems(content))
-            if problems:
-                more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+            problems = list(problems_of(content))
+            serious = list(problems_of(content, tidy=True)) if problems else []
+            if serious:
+                more = f"; and {len(serious) - _SHOWN} more" if len(serious) > _SHOWN else ""
                 raise SSPError(
-                    f"{where} breaks the rules of SSP: {'; '.join(problems[:_SHOWN])}{more}. Ask its maker for a valid one, or "
+                    f"{where} breaks the rules of SSP: {'; '.join(serious[:_SHOWN])}{more}. Ask its maker for a valid one, or "
                     f"{LAX}"
+                )
+            if problems:
+                warnings.warn(
+                    f"{where} breaks the rules of SSP, but its meaning is clear: {'; '.join(problems[:_SHOWN])}. It is read so; "
+                    "other tools may refuse it.",
+                    stacklevel=2,
                 )
         return root
 
@@ -246,6 +250,7 @@ class _Reader:
             element.get("implementation", "any"),
             self.connectors(element),
             self.bindings(element, path),
+            step_hint(element, f"The component {path!r} of {self.where}"),
         )
 
     def connectors(self, element: Element) -> dict[str, Connector]:
@@ -261,7 +266,9 @@ class _Reader:
         return found
 
     def connection(self, element: Element, path: str) -> Connection:
-        start, end = ((element.get(f"{side}Element"), element.get(f"{side}Connector", "")) for side in ("start", "end"))
+        start, end = (
+            (element.get(f"{side}Element") or None, element.get(f"{side}Connector", "")) for side in ("start", "end")
+        )  # the system's own connector has no element, or, as OMSimulator writes it, an empty one
         what = f"the connection from {shown(path, start)} to {shown(path, end)}"
         if element.get("startIndices") is not None or element.get("endIndices") is not None:
             self.refuse(
@@ -397,33 +404,6 @@ def shown(path: str, end: tuple[str | None, str]) -> str:
     """Return the end of a connection as a message shows it."""
     element, connector = end
     return f"{path}{element}.{connector}" if element is not None else f"{path}{connector}"
-
-
-@cache
-def _schema(kind: str) -> Any:
-    import fmpy.ssp
-    from lxml import etree
-
-    folder = os.path.join(os.path.dirname(fmpy.ssp.__file__), "schema")
-    return etree.XMLSchema(file=os.path.join(folder, f"SystemStructure{kind}.xsd"))
-
-
-def _problems(content: bytes) -> Iterator[str]:
-    """Yield what breaks the schemas, in the file itself and in parameter sets and mappings that stand in it."""
-    from lxml import etree
-
-    try:
-        root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
-    except etree.XMLSyntaxError as error:  # it is stricter than the parser before it
-        yield str(error.msg).removesuffix(".")
-        return
-    inner = [root, *root.iter(f"{SSV}ParameterSet", f"{SSM}ParameterMapping")]
-    for element in dict.fromkeys(inner):
-        kind = _SCHEMAS.get(element.tag[: element.tag.index("}") + 1])
-        schema = _schema(kind) if kind else None
-        if schema is not None and not schema.validate(etree.fromstring(etree.tostring(element))):
-            for problem in schema.error_log:
-                yield f"line {element.sourceline + problem.line - 1}: {problem.message.removesuffix('.')}"
 
 
 __all__ = [

@@ -17,7 +17,8 @@ import numpy as np
 
 from bayesftc.cosim._fmi.archive import absolute, open_archive
 from bayesftc.cosim._fmi.description import FMUVariable
-from bayesftc.cosim._ssp.read import FMU_TYPE, NAMESPACE, SSC, SSD, SSP_FILE, SSV, Linear
+from bayesftc.cosim._ssp.read import FMU_TYPE, SSP_FILE, Linear
+from bayesftc.cosim._ssp.schema import NAMESPACE, SSC, SSD, SSV
 from bayesftc.cosim.diagram import Diagram, Node
 from bayesftc.cosim.errors import SSPError
 from bayesftc.cosim.fmu import FMU
@@ -25,6 +26,7 @@ from bayesftc.cosim.mathblocks import Gain
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.sources import Constant
 
+_OSP, _OSP_TYPE = "{http://opensimulationplatform.com/SSP/OSPAnnotations}", "com.opensimulationplatform"
 _STAMP = (1980, 1, 1, 0, 0, 0)
 _TYPES = {"Real": "Real", "Float64": "Real", "Float32": "Real", "Boolean": "Boolean", "String": "String"}
 _LARGEST_INTEGER = 2**31
@@ -45,8 +47,9 @@ def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
 
     FMUs become components, with what was set of their parameters and start values. Scalar `Gain` blocks between them become
     linear transformations of connections (of several in a row the product); `Constant` blocks become start values of the inputs
-    that they feed. The file is of SSP 1.0, or of 2.0 where there are arrays. The step is noted in an annotation that `open_ssp`
-    knows; other tools must be told it. A tool that steps all FMUs side by side gives the result of ``build("jacobi")``.
+    that they feed. The file is of SSP 1.0, or of 2.0 where there are arrays. The step is noted in annotations that `open_ssp`
+    and the Open Simulation Platform (libcosim) know; other tools need it from you. A tool that steps all FMUs side by side gives
+    the result of ``build("jacobi")``.
 
     Parameters
     ----------
@@ -161,6 +164,7 @@ def _fmu(node: Node) -> FMU:
 def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], name: str) -> Element:
     for prefix, kind in (("ssd", "Description"), ("ssv", "ParameterValues"), ("ssc", "Common")):
         register_namespace(prefix, f"{NAMESPACE}{kind}")
+    register_namespace("osp", _OSP[1:-1])
     root = Element(f"{SSD}SystemStructureDescription", version="1.0", name=name, generationTool="bayesftc")
     system = SubElement(root, f"{SSD}System", name="system")
     elements = SubElement(system, f"{SSD}Elements")
@@ -169,13 +173,18 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
         _add_component(elements, connections, diagram, node, resources[Path(_fmu(node).path)])
     if len(connections):
         system.append(connections)
-    annotation = SubElement(SubElement(system, f"{SSD}Annotations"), f"{SSC}Annotation", type="bayesftc")
-    SubElement(annotation, "bayesftc", step=str(diagram.step))
+    SubElement(_annotation(system, "bayesftc"), "bayesftc", step=str(diagram.step))
+    algorithm = SubElement(_annotation(SubElement(root, f"{SSD}DefaultExperiment"), _OSP_TYPE), f"{_OSP}Algorithm")
+    SubElement(algorithm, f"{_OSP}FixedStepAlgorithm", baseStepSize=repr(float(diagram.step)))
     if next(root.iter(f"{SSC}Dimension"), None) is not None:  # SSP 1.0, which more tools read, has no arrays
         for versioned in (root, *root.iter(f"{SSV}ParameterSet")):
             versioned.set("version", "2.0")
     indent(root)
     return root
+
+
+def _annotation(owner: Element, kind: str) -> Element:
+    return SubElement(SubElement(owner, f"{SSD}Annotations"), f"{SSC}Annotation", type=kind)
 
 
 def _add_component(elements: Element, connections: Element, diagram: Diagram, node: Node, source: str) -> None:
