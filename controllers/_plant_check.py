@@ -38,6 +38,9 @@ SIZE = 0.25
 SHOWN = 1e-3
 """Responses of less than this share of the largest one are not compared."""
 
+RUNAWAY = 1e6
+"""A plant's answer that is larger than the model's by this is no matter of a gain."""
+
 LATER = 0.25
 """A delay must lessen what the scaled response leaves to this share of it."""
 
@@ -58,16 +61,25 @@ class Mismatch:
         Size of the plant's answer over the model's; negative for the other sign.
     delay : int
         Samples by which it comes later.
+    runs_away : bool
+        Whether the plant's answer grows without bound where the model's does not.
     """
 
     control: str
     output: str
     ratio: float
     delay: int
+    runs_away: bool = False
 
     def sentence(self, dt: float) -> str:
         """Return what differs and what to do."""
         where = f"A step of {self.control} moves {self.output}"
+        if self.runs_away:
+            return (
+                f"With a step of {self.control}, {self.output} runs away in the plant, and not in the model. An FMU's own solver "
+                f"may be unstable at communication steps of {dt:.3g} s: give a shorter dt, or use kind='model exchange' where it can "
+                "be; else look for an instability that the model lacks."
+            )
         if self.delay:
             return (
                 f"{where} {self.delay * dt:.3g} s later in the plant than in the model. Make the delay part of the model, or "
@@ -160,6 +172,9 @@ def _differences(seen: Floats, expected: Floats, control: str, outputs: Sequence
     for i in range(expected.shape[1]):
         name = outputs[i] if len(outputs) == expected.shape[1] else f"output {i} ({', '.join(outputs)})"
         if largest[i] <= SHOWN * largest.max() or not np.isfinite(seen[:, i]).all():
+            continue
+        if np.abs(seen[:, i]).max() > RUNAWAY * largest[i]:
+            found.append(Mismatch(control, name, float("inf"), 0, runs_away=True))
             continue
         ratio, left = _scaled(seen[:, i], expected[:, i])
         late = [(_scaled(seen[:, i], _shifted(expected[:, i], k)), k) for k in range(1, len(expected) // 2)]

@@ -12,7 +12,7 @@ from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
 from bayesftc.controllers._plant_check import compare_with_plant
 from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.identification import Identification
-from bayesftc.controllers.linearization import INPUT_NOISE, Names, elements_of, linearize, names_of
+from bayesftc.controllers.linearization import INPUT_NOISE, Names, elements_of, linearize, names_of, refuse_unmoved
 from bayesftc.controllers.lqg import LQGController
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
@@ -122,6 +122,7 @@ def design(
         seen, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
         wanted = seen if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
         linear = linearize(plant, measured=seen, actuated=driven, others=wanted, noise=noise, dt=dt, at=at, order=order)
+        refuse_unmoved(linear, driven)
         if noise is None:
             columns = linear.columns(driven)
             scale = _room(u_min, u_max, len(columns))
@@ -209,7 +210,7 @@ def _goal_rows(model: LinearModel, goal: Any) -> Floats:
 
 def _initial(model: LinearModel) -> Floats:
     """Return a first belief: ten times as uncertain as it will be of the next sample."""
-    from scipy.linalg import solve_discrete_are
+    from scipy.linalg import LinAlgError, solve_discrete_are
 
     moving = model.moving
     A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
@@ -217,5 +218,12 @@ def _initial(model: LinearModel) -> Floats:
     spread = 1e-9 * max(float(np.trace(Q)), 1e-12)
     start = np.zeros((model.states, model.states))
     n = moving.states
-    start[:n, :n] = 10.0 * solve_discrete_are(A.T, C.T, Q + spread * np.eye(n), R)
-    return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)
+    try:
+        start[:n, :n] = 10.0 * solve_discrete_are(A.T, C.T, Q + spread * np.eye(n), R)
+        return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)
+    except (ModelError, LinAlgError, ValueError):
+        raise ModelError(
+            "No steady Kalman filter exists for this model in double precision: its numbers are too far apart, or its sensors "
+            "hardly see how it moves. Measure an output that the control moves more, give a shorter or longer dt, or of an FMU "
+            "whose states are not seen a lower order=."
+        ) from None

@@ -30,6 +30,9 @@ Names = str | Sequence[str]
 INPUT_NOISE = 0.05
 """Process noise where nothing is said: this share of each actuated input's scale, in every sample."""
 
+_NEGLIGIBLE = 1e-12
+"""A control that moves the states by less than this, of their own size or 1, moves them by rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
@@ -157,6 +160,23 @@ def linearize(
     if not isinstance(block.system, LinearSystem):
         return _of_nonlinear(block, inputs, outputs, dt, at or {}).seen()
     return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}).seen()
+
+
+def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
+    """Refuse controls that move nothing about the operating point, as a spring's stiffness where the spring is at rest.
+
+    Raises
+    ------
+    ModelError
+        That names the control.
+    """
+    size = max(1.0, *(float(np.abs(v).max(initial=0.0)) for v in (linear.x, linear.y)))
+    for j in linear.columns(actuated):
+        if float(np.abs(linear.B[:, j]).max(initial=0.0)) * max(1.0, abs(linear.u[j])) <= _NEGLIGIBLE * size:
+            raise ModelError(
+                f"{linear.inputs[j]} moves nothing about the operating point, so the plant is not controllable by it. Take another input, or "
+                "an operating point at which it has an effect (start values, or at=...)."
+            )
 
 
 def names_of(given: Names, what: str) -> list[str]:
@@ -299,6 +319,7 @@ def _of_fmu(
     at: Mapping[str, float | Sequence[float]],
     order: int | None,
 ) -> Linearization:
+    _refuse_without_inputs(fmu)
     step = _fmu_step(fmu, dt)
     fmu = replace(fmu, inputs=_variables(fmu, [*inputs, *at]), outputs=_variables(fmu, outputs))
     into, out = (
@@ -323,6 +344,15 @@ def _of_fmu(
     return Linearization(found.A, found.B, found.C, *point, driven, seen, step)
 
 
+def _refuse_without_inputs(fmu: FMU) -> None:
+    changeable = [v.name for v in fmu.description.variables if v.causality == "input" or v.variability == "tunable"]
+    if not changeable:
+        raise ModelError(
+            f"The FMU {fmu.default_name!r} has no input, so there is nothing that could control it. Export it with an input; "
+            "as it is, it can be watched: give its sensors to a StateEstimator, or their recording to `bayesftc monitor`."
+        )
+
+
 def _variables(fmu: FMU, names: Sequence[str]) -> list[str]:
     """Return the variables of an FMU that are named, in whole or by an element (``y[1]``), each once."""
     known = {variable.name for variable in fmu.description.variables}
@@ -342,6 +372,11 @@ def _of_equations(
     from bayesftc.cosim._exchange.equations import ModelEquations
 
     with ModelEquations(fmu) as model:
+        if not len(model.x0):
+            raise ModelError(
+                f"The FMU {fmu.default_name!r} has no state: its outputs follow its inputs at once (a relative degree of 0), so "
+                "there are no dynamics to control. Solve for the input, or put it in front of a plant that has."
+            )
         x, u, rate = _rest(model.derivatives, model.x0, u, free, model.nominals)
         a, b, c, d = model.jacobians(x, u)
         y, start = model.outputs(x, u), model.x0
@@ -419,6 +454,6 @@ def _rest(
 def _refuse_direct(D: Floats) -> None:
     if np.any(D != 0):
         raise ModelError(
-            "An output depends at once on an input (D is not 0), which the model y = C x cannot express; measure another output, "
-            "or delay the input."
+            "An output depends at once on an input (D is not 0, a relative degree of 0), which the model y = C x cannot express; "
+            "measure another output, or delay the input."
         )

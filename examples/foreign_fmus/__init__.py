@@ -1,0 +1,1 @@
+"""Plants that other tools exported, in closed loops with failing sensors."""

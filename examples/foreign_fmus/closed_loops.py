@@ -1,0 +1,135 @@
+"""Plants from five other tools, each with two redundant sensors of which one fails while the loop tracks.
+
+Run it with ``python -m bayesftc.examples.foreign_fmus.closed_loops [runs]``. `controllers.design` makes a controller of each FMU
+and nothing else. Beside it run the same controller without fault tolerance (fixed precisions), and an oracle that is told at once
+to leave the failing sensor out. Tools that are not installed are named and left out.
+"""
+
+import sys
+import warnings
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesftc import controllers, cosim
+from bayesftc.examples.foreign_fmus.makers import MAKERS, MissingTool
+
+WAYS = ("fault-tolerant", "without", "oracle")
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is seen and driven of a plant, where it is to go, and which fault one of the two sensors has."""
+
+    tool: str
+    measured: str
+    actuated: str
+    dt: float
+    std: float
+    accept: tuple[float, float]
+    reference: cosim.Source
+    fault: cosim.Fault
+    duration: float
+    noise: dict[str, float] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    offsets: dict[str, float] = field(default_factory=dict)
+
+
+CASES = (
+    Case(
+        "PythonFMU", "level", "pump", 0.5, 0.002, (0.01, 5e-4),
+        cosim.Step(time=60.0, before=0.1, after=0.15), cosim.Injection(sensor=0, start=90.0, stop=150.0, magnitude=0.05), 180.0,
+        {"pump": 2e-5},
+    ),
+    Case(
+        "PythonFMU3", "air", "heater", 60.0, 0.1, (0.5, 1.0),
+        cosim.Step(time=7200.0, before=18.0, after=21.0), cosim.Injection(sensor=1, start=10800.0, stop=18000.0, magnitude=3.0), 21600.0,
+        {"heater": 0.05},
+    ),
+    Case(
+        "CasADi", "y", "torque", 0.05, 0.01, (0.02, 5.0),
+        cosim.Sine(amplitude=0.5, period=6.0), cosim.Freeze(sensor=0, start=6.0, stop=14.0), 18.0,
+        {"torque": 0.1},
+    ),
+    Case(
+        "OpenModelica", "y", "f", 0.005, 0.001, (0.005, 500.0),
+        cosim.Step(time=0.5, after=0.05), cosim.Injection(sensor=1, start=1.0, stop=2.0, magnitude=-0.02), 2.5,
+        {"f": 5.0}, {"kind": "model exchange", "parameters": {"fixed.s0": 0.5}},
+    ),
+    Case(
+        "qfmu", "y1", "u1", 0.02, 0.01, (0.05, 2.0),
+        cosim.Sine(amplitude=1.0, period=6.0), cosim.Freeze(sensor=1, start=6.0, stop=14.0), 18.0,
+        {"u1": 0.05},
+    ),
+)  # fmt: skip
+
+
+def make_loop(case: Case, file: Path, way: str) -> cosim.Diagram:
+    """Return the closed loop of a case under one of the three controllers."""
+    plant = cosim.FMU(file, **case.settings)
+    controller = controllers.design(
+        plant,
+        measured=case.measured,
+        actuated=case.actuated,
+        dt=case.dt,
+        sensors=2,
+        sensor_std=case.std,
+        noise=case.noise,
+        disturbance=True if case.tool.startswith("Python") else None,  # of a nonlinear plant the model is not quite true
+        acceptable_error=case.accept[0],
+        acceptable_control=case.accept[1],
+        precision=controllers.SwitchingPrecision() if way == "fault-tolerant" else controllers.FixedPrecision(),
+    )
+    fault = case.fault
+    if way == "oracle":
+        fault = cosim.Dropout(sensor=fault.sensor, start=fault.start, stop=fault.stop)
+    return cosim.closed_loop(
+        plant,
+        controller,
+        control=case.actuated,
+        measured=case.measured,
+        sensors=cosim.Sensors(count=2, std=case.std),
+        faults=[replace(fault, name="fault")],
+        reference=case.reference,
+    )
+
+
+def main(
+    runs: int = 5,
+    engine: Literal["auto", "compiled", "interpreted"] = "auto",
+    cases: tuple[Case, ...] = CASES,
+) -> dict[tuple[str, str], float]:
+    """Print the error while a sensor is failing of each plant and controller, and who is blamed; return the means."""
+    print(f"{'RMSE of the output, a sensor failing':40}" + "".join(f"{way:>16}" for way in WAYS) + "   blamed at the end")
+    table: dict[tuple[str, str], float] = {}
+    with TemporaryDirectory() as folder:
+        for case in cases:
+            try:
+                file = MAKERS[case.tool](Path(folder))
+            except MissingTool as missing:
+                print(f"{case.tool:40}{missing}")
+                continue
+            shown, blamed = "", ""
+            for way in WAYS:
+                loop, errors = make_loop(case, file, way), []
+                for seed in range(runs):
+                    result = loop.simulate(case.duration, seed=seed, engine=engine)
+                    failing = (result.time >= case.fault.start) & (result.time < case.fault.stop)
+                    error = result[f"plant.{case.measured}"] - result["reference.y"]
+                    errors.append(float(np.sqrt(np.mean(error[failing] ** 2))))
+                    if way == "fault-tolerant":
+                        worst = result["controller.fault_probability"][failing].mean(axis=0).round(2)
+                        blamed = f"{worst.tolist()}, sensor {case.fault.sensor} fails"
+                table[case.tool, way] = float(np.mean(errors))
+                shown += f"{np.mean(errors):16.4g}"
+            print(f"{case.tool + ': ' + file.name:40}{shown}   {blamed}")
+    return table
+
+
+if __name__ == "__main__":
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that these FMUs do not say what their outputs depend on
+        main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
