@@ -7,11 +7,11 @@ docs/other-tools.md, and what is refused, with the sentence.
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 import warnings
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,11 +44,67 @@ def exporter(tool):
     return next((name for part, name in FAMILIES if part in tool), tool.split(",")[0][:30] or "not said")
 
 
-def step_of(description):
-    """Return the recommended step, or a five-hundredth of the default experiment."""
+def step_of(path, description):
+    """Return the step that the FMU demands or recommends, or a five-hundredth of its default experiment."""
+    import fmpy
+
     said = description.default_experiment
-    step = said.get("stepSize") or ((said.get("stopTime") or 1.0) - (said.get("startTime") or 0.0)) / 500
-    return float(step) if float(step) > 0 else 0.01
+    demanded = getattr(
+        fmpy.read_model_description(str(path), validate=False).coSimulation, "fixedInternalStepSize", None
+    )
+    long = (said.get("stopTime") or 1.0) - (said.get("startTime") or 0.0)
+    step = float(demanded or said.get("stepSize") or long / 500)
+    return step if step > 0 else 0.01
+
+
+def by_hand(path, step, outputs, moved):
+    """Return the outputs by fmpy's binding of FMI 2 with the calls that are made here: each at the double nearest to its time."""
+    import fmpy
+    from fmpy.fmi2 import FMU2Slave
+
+    from bayesftc.cosim.timebase import rational_step
+
+    exact = rational_step(step)
+    model = fmpy.read_model_description(str(path), validate=False)
+    references = {v.name: v.valueReference for v in model.modelVariables}
+    identifier, guid = model.coSimulation.modelIdentifier, model.guid
+    slave = FMU2Slave(guid=guid, unzipDirectory=fmpy.extract(str(path)), modelIdentifier=identifier, instanceName="p")
+    tolerance = getattr(model.defaultExperiment, "tolerance", None)
+    slave.instantiate()
+    slave.setupExperiment(tolerance=None if tolerance is None else float(tolerance), startTime=0.0)
+
+    def put(after):
+        for name, pair in moved.items():
+            slave.setReal([references[name]], [pair[after]])
+
+    put(False)
+    slave.enterInitializationMode()
+    put(False)
+    slave.exitInitializationMode()
+    rows = []
+    for k in range(STEPS + 1):
+        rows.append([slave.getReal([references[name]])[0] for name in outputs])
+        if k < STEPS:
+            put(k >= JUMP)
+            slave.doStep(float(k * exact), step)
+    slave.terminate()
+    slave.freeInstance()
+    return dict(zip(outputs, np.array(rows).T, strict=True))
+
+
+def euler(path, step, block, moved):
+    """Return the outputs of a model exchange FMU by Euler's method, of its equations as they are read here."""
+    from bayesftc.cosim import ModelEquations
+
+    with ModelEquations(block) as model:
+        x, rows = model.x0.copy(), []
+        for k in range(STEPS + 1):
+            u = model.u0.copy()
+            for name, pair in moved.items():
+                u[model.input_names.index(name)] = pair[k >= JUMP]
+            rows.append(model.outputs(x, u, k * step))
+            x = x + step * model.derivatives(x, u, k * step)
+        return dict(zip(model.output_names, np.array(rows).T, strict=True))
 
 
 def jumps(block):
@@ -66,24 +122,25 @@ def jumps(block):
     return found
 
 
-def ours(path, kind, step, tolerance):
-    """Return the outputs by name, and the inputs' jumps."""
+def block_of(path, kind, tolerance):
+    """Return the FMU as a block with the outputs that are compared."""
     from bayesftc import cosim
 
-    settings = {"rtol": tolerance} if kind == "model exchange" else {}
-    block = cosim.FMU(path, kind=kind, **settings)
-    if kind == "co-simulation":
-        block = cosim.FMU(path, kind=kind, timing="plant", outputs=names(block), **settings)
-    else:
-        block = cosim.FMU(path, kind=kind, outputs=names(block), **settings)
+    settings = {"rtol": tolerance} if kind == "model exchange" else {"timing": "plant"}
+    return cosim.FMU(path, kind=kind, outputs=names(cosim.FMU(path, kind=kind)), **settings)
+
+
+def ours(block, step, moved):
+    """Return the outputs by name."""
+    from bayesftc import cosim
+
     diagram = cosim.Diagram(dt=step)
     plant = diagram.add(block, "p")
-    moved = jumps(block)
     for number, (name, (before, after)) in enumerate(moved.items()):
-        source = cosim.Step(time=JUMP * diagram.step, before=before, after=after)
+        source = cosim.Step(time=JUMP * step, before=before, after=after)
         diagram.connect(diagram.add(source, f"u{number}")["y"], plant[name])
     result = diagram.simulate(STEPS * diagram.step, engine="interpreted")
-    return {p.name: np.asarray(result[f"p.{p.name}"]) for p in block.outputs}, moved, float(diagram.step)
+    return {p.name: np.asarray(result[f"p.{p.name}"]) for p in block.outputs}
 
 
 def names(block):
@@ -94,7 +151,7 @@ def names(block):
     return local[:10]
 
 
-def fmpys(path, kind, step, tolerance, outputs, moved):
+def fmpys(path, kind, step, tolerance, outputs, moved, solver="CVode"):
     """Return the same outputs as fmpy computes them; in its table two rows at one time hold an input until it jumps."""
     import fmpy
 
@@ -117,6 +174,8 @@ def fmpys(path, kind, step, tolerance, outputs, moved):
         record_events=False,
         relative_tolerance=tolerance,
         set_stop_time=False,
+        solver=solver,
+        step_size=step,
     )
     return {name: np.asarray(found[name], float) for name in outputs}
 
@@ -125,9 +184,11 @@ def difference(mine, theirs):
     """Return the largest difference of any output, in units of that output's largest value."""
     worst = 0.0
     for name, values in mine.items():
-        other = theirs[name].reshape(values.shape) if theirs[name].size == values.size else theirs[name]
-        if other.shape != values.shape:
+        other = theirs[name]
+        rows = min(len(values), len(other))  # of an FMU that ends the simulation one may record the last step
+        if max(len(values), len(other)) > rows + 1 or values[:rows].size != other[:rows].size:
             return float("nan")
+        values, other = values[:rows].ravel(), other[:rows].ravel()
         both = np.isnan(values) & np.isnan(other)
         scale = max(np.nanmax(np.abs(other), initial=0.0), 1e-12)
         worst = max(worst, float(np.max(np.where(both, 0.0, np.abs(values - other)), initial=0.0)) / scale)
@@ -139,27 +200,40 @@ def one(path, kind):
     from bayesftc import cosim
     from bayesftc.cosim.fmu import describe
 
-    seen = {}
     warnings.simplefilter("ignore")
     description = describe(path)
-    step = step_of(description)
+    step, seen = step_of(path, description), {}
     told = description.default_experiment.get("tolerance")
     tolerance = TIGHT if kind == "model exchange" else (None if told is None else float(told))
-    mine = moved = None
+    mine, moved = {}, {}
     try:
-        mine, moved, step = ours(path, kind, step, tolerance)
+        block = block_of(path, kind, tolerance)
+        if not block.outputs:
+            return {"nothing": "it has no numeric output and no local real variable to compare"}
+        moved = jumps(block)
+        try:
+            mine = ours(block, step, moved)
+        except cosim.BayesFTCError as error:
+            if not moved:
+                raise
+            seen["inputs"] = f"left alone: {error}"
+            moved, block = {}, replace(block, inputs=[])
+            mine = ours(block, step, moved)
     except cosim.BayesFTCError as error:
         seen["refused"] = str(error)
-    if mine is not None and not mine:
-        seen["refused"] = "It has no output and no local variable to compare."
-        return seen
     try:
-        theirs = fmpys(path, kind, step, tolerance, mine or (), moved or {})
-        if mine is not None:
-            seen["difference"] = difference(mine, theirs)
+        theirs = fmpys(path, kind, step, tolerance, mine, moved)
         seen["fmpy"] = True
     except Exception as error:  # noqa: BLE001 - fmpy has no errors of its own
-        seen["fmpy"] = f"{type(error).__name__}: {error}"
+        return seen | {"fmpy": f"{type(error).__name__}: {error}", "here": bool(mine)}
+    if not mine:
+        return seen
+    seen["difference"] = difference(mine, theirs)
+    if kind == "model exchange" and seen["difference"] > SAME:
+        same = fmpys(path, kind, step, tolerance, mine, moved, solver="Euler")
+        seen |= {"cvode": seen["difference"], "difference": difference(euler(path, step, block, moved), same)}
+    elif seen["difference"] > SAME and description.fmi_version.startswith("2"):
+        seen |= {"simulate_fmu": seen["difference"], "difference": difference(mine, by_hand(path, step, mine, moved))}
     return seen
 
 
@@ -197,32 +271,35 @@ def watched(path):
 
 
 def table(rows):
-    """Print rows by exporter in Markdown, then the sentences of refusals."""
+    """Print rows by exporter in Markdown, then what is not the same, with the sentences."""
     families = defaultdict(list)
     for row in rows:
         families[exporter(row["tool"])].append(row)
-    print("| exporter | FMUs | kinds run | same as fmpy (1e-9) | largest difference | refused | runs in neither |")
-    print("|---|---|---|---|---|---|---|")
-    for family, members in sorted(families.items(), key=lambda item: -len(item[1])):
-        compared = [row for row in members if row.get("difference") is not None]
-        same = [row for row in compared if row["difference"] <= SAME]
+    print(
+        "| exporter | FMUs | run in both | the same to 1e-9 | largest difference | run here only | in fmpy only | in neither |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for family, members in sorted(families.items(), key=lambda item: (-len(item[1]), item[0])):
+        compared = [row["difference"] for row in members if row.get("difference") is not None]
         refused = [row for row in members if "refused" in row and row.get("fmpy") is True]
-        neither = len(members) - len(compared) - len(refused)
-        largest = max((row["difference"] for row in compared), default=None)
+        files = len({row["file"] for row in members})
+        here = sum(row.get("here", False) for row in members)
+        neither = sum("difference" not in row and "nothing" not in row for row in members) - len(refused) - here
+        same = sum(value <= SAME for value in compared)
         print(
-            f"| {family} | {len({row['file'] for row in members})} | {len(compared)} | {len(same)} | "
-            f"{'' if largest is None else f'{largest:.1e}'} | {len(refused)} | {neither} |"
+            f"| {family} | {files} | {len(compared)} | {same} | {f'{max(compared):.1e}' if compared else ''} | {here} | {len(refused)} | "
+            f"{neither} |"
         )
     print()
     for row in rows:
-        if row.get("difference", 0.0) > SAME or "difference" not in row:
-            told = (
-                row.get("refused")
-                or row.get("crash")
-                or (f"differs by {row['difference']:.1e}" if "difference" in row else "")
-            )
-            note = "" if row.get("fmpy") in {True, None} else f" [fmpy: {re.sub(chr(10), ' ', row['fmpy'])[:150]}]"
-            print(f"- {row['file']} ({row['kind']}, {exporter(row['tool'])}): {told}{note}")
+        apart = {
+            name: f"{row[name]:.1e}" for name in ("difference", "simulate_fmu", "cvode") if row.get(name, 0.0) > SAME
+        }
+        words = [row[name] for name in ("refused", "crash", "inputs", "nothing") if name in row]
+        if isinstance(row.get("fmpy"), str):
+            words.append(f"fmpy: {' '.join(row['fmpy'].split())[:150]}")
+        if apart or words:
+            print(f"- {row['file']} ({row['kind']}, {exporter(row['tool'])}): {apart or ''} {'; '.join(words)}")
 
 
 def main(arguments=None):

@@ -77,8 +77,8 @@ class Mismatch:
         if self.runs_away:
             return (
                 f"With a step of {self.control}, {self.output} runs away in the plant, and not in the model. An FMU's own solver "
-                f"may be unstable at communication steps of {dt:.3g} s: give a shorter dt, or use kind='model exchange' where it can "
-                "be; else look for an instability that the model lacks."
+                f"may be unstable at communication steps of {dt:.3g} s: give a shorter dt, or use kind='model exchange' where it "
+                "can be; else look for an instability that the model lacks."
             )
         if self.delay:
             return (

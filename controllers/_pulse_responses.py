@@ -288,7 +288,9 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
     scaled = markov / rows[:, None]
     columns = np.abs(scaled).max(axis=(0, 1))
     if not columns.any():
-        raise ModelError(f"No input moves any of the outputs; actuate and measure others. {RECORD}")
+        raise ModelError(
+            f"No input moves any of the outputs: the plant is not controllable by them; actuate and measure others. {RECORD}"
+        )
     columns = np.where(columns > 0, columns, 1.0)
     scaled, doubt = scaled / columns, error / rows[:, None] / columns
     half = (len(markov) - 1) // 2

@@ -174,8 +174,8 @@ def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
     for j in linear.columns(actuated):
         if float(np.abs(linear.B[:, j]).max(initial=0.0)) * max(1.0, abs(linear.u[j])) <= _NEGLIGIBLE * size:
             raise ModelError(
-                f"{linear.inputs[j]} moves nothing about the operating point, so the plant is not controllable by it. Take another input, or "
-                "an operating point at which it has an effect (start values, or at=...)."
+                f"{linear.inputs[j]} moves nothing about the operating point, so the plant is not controllable by it. Take "
+                "another input, or an operating point at which it has an effect (start values, or at=...)."
             )
 
 
@@ -319,7 +319,7 @@ def _of_fmu(
     at: Mapping[str, float | Sequence[float]],
     order: int | None,
 ) -> Linearization:
-    _refuse_without_inputs(fmu)
+    _refuse_without_ports(fmu, outputs)
     step = _fmu_step(fmu, dt)
     fmu = replace(fmu, inputs=_variables(fmu, [*inputs, *at]), outputs=_variables(fmu, outputs))
     into, out = (
@@ -344,12 +344,19 @@ def _of_fmu(
     return Linearization(found.A, found.B, found.C, *point, driven, seen, step)
 
 
-def _refuse_without_inputs(fmu: FMU) -> None:
-    changeable = [v.name for v in fmu.description.variables if v.causality == "input" or v.variability == "tunable"]
-    if not changeable:
+def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
+    """Refuse an FMU that nothing goes into, or comes out of."""
+    known = fmu.description.variables
+    if not any(v.causality == "input" or v.variability == "tunable" for v in known):
         raise ModelError(
             f"The FMU {fmu.default_name!r} has no input, so there is nothing that could control it. Export it with an input; "
             "as it is, it can be watched: give its sensors to a StateEstimator, or their recording to `bayesftc monitor`."
+        )
+    local = {v.name for v in known if v.causality == "local"}
+    if not any(v.causality == "output" for v in known) and not local.intersection(_variables(fmu, measured)):
+        raise ModelError(
+            f"The FMU {fmu.default_name!r} has no output, so no sensor could see it. Export it with an output, or measure one of "
+            f"its local variables by name{': ' + ', '.join(sorted(local)[:8]) if local else ' (it has none either)'}."
         )
 
 

@@ -46,7 +46,8 @@ CASES = (
     ),
     Case(
         "PythonFMU3", "air", "heater", 60.0, 0.1, (0.5, 1.0),
-        cosim.Step(time=7200.0, before=18.0, after=21.0), cosim.Injection(sensor=1, start=10800.0, stop=18000.0, magnitude=3.0), 21600.0,
+        cosim.Step(time=7200.0, before=18.0, after=21.0),
+        cosim.Injection(sensor=1, start=10800.0, stop=18000.0, magnitude=3.0), 21600.0,
         {"heater": 0.05},
     ),
     Case(
@@ -78,7 +79,9 @@ def make_loop(case: Case, file: Path, way: str) -> cosim.Diagram:
         sensors=2,
         sensor_std=case.std,
         noise=case.noise,
-        disturbance=True if case.tool.startswith("Python") else None,  # of a nonlinear plant the model is not quite true
+        disturbance=True
+        if case.tool.startswith("Python")
+        else None,  # of a nonlinear plant the model is not quite true
         acceptable_error=case.accept[0],
         acceptable_control=case.accept[1],
         precision=controllers.SwitchingPrecision() if way == "fault-tolerant" else controllers.FixedPrecision(),
@@ -103,7 +106,9 @@ def main(
     cases: tuple[Case, ...] = CASES,
 ) -> dict[tuple[str, str], float]:
     """Print the error while a sensor is failing of each plant and controller, and who is blamed; return the means."""
-    print(f"{'RMSE of the output, a sensor failing':40}" + "".join(f"{way:>16}" for way in WAYS) + "   blamed at the end")
+    print(
+        f"{'RMSE of the output, a sensor failing':40}" + "".join(f"{way:>16}" for way in WAYS) + "   blamed at the end"
+    )
     table: dict[tuple[str, str], float] = {}
     with TemporaryDirectory() as folder:
         for case in cases:

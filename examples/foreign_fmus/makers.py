@@ -106,7 +106,12 @@ def mass(folder: Path) -> Path:
 def motor(folder: Path) -> Path:
     """Return a motor (position, speed, current; driven by a voltage) as qfmu makes it of matrices: FMI 2, with gcc."""
     package = _need("qfmu", "--no-deps qfmu")
-    matrices = {"-A": "[[0,1,0],[0,-2,10],[0,-1,-20]]", "-B": "[[0],[0],[20]]", "-C": "[[1,0,0]]", "-x0": "[0.0,0.0,0.0]"}
+    matrices = {
+        "-A": "[[0,1,0],[0,-2,10],[0,-1,-20]]",
+        "-B": "[[0],[0],[20]]",
+        "-C": "[[1,0,0]]",
+        "-x0": "[0.0,0.0,0.0]",
+    }
     options = [part for pair in matrices.items() for part in pair]
     command = [sys.executable, "-m", "qfmu", "ss", *options, "-o", str(folder / "motor.fmu")]
     path = os.pathsep.join([str(package.parent), os.environ.get("PYTHONPATH", "")])
