@@ -286,16 +286,15 @@ def table(rows):
         here = sum(row.get("here", False) for row in members)
         neither = sum("difference" not in row and "nothing" not in row for row in members) - len(refused) - here
         same = sum(value <= SAME for value in compared)
-        print(
-            f"| {family} | {files} | {len(compared)} | {same} | {f'{max(compared):.1e}' if compared else ''} | {here} | {len(refused)} | "
-            f"{neither} |"
-        )
+        largest = f"{max(compared):.1e}" if compared else ""
+        print(f"| {family} | {files} | {len(compared)} | {same} | {largest} | {here} | {len(refused)} | {neither} |")
     print()
     for row in rows:
         apart = {
             name: f"{row[name]:.1e}" for name in ("difference", "simulate_fmu", "cvode") if row.get(name, 0.0) > SAME
         }
-        words = [row[name] for name in ("refused", "crash", "inputs", "nothing") if name in row]
+        words = [row[name] for name in ("refused", "crash", "nothing") if name in row]
+        words += [f"inputs {row['inputs']}"] if "inputs" in row and "refused" not in row else []
         if isinstance(row.get("fmpy"), str):
             words.append(f"fmpy: {' '.join(row['fmpy'].split())[:150]}")
         if apart or words:
