@@ -32,7 +32,9 @@ def test_a_step_is_what_was_given_and_small_enough_to_count_with(dt):
     assert step.denominator < 2**53
 
 
-@pytest.mark.parametrize("wrong", [0, -0.1, "0", math.nan, math.inf, "nan", "a", None, [1.0], "1/0", 1j])
+@pytest.mark.parametrize(
+    "wrong", [0, -0.1, "0", math.nan, math.inf, "nan", "a", None, [1.0], "1/0", 1j, "1e999999999", "1e-999999999"]
+)
 def test_no_step(wrong):
     with pytest.raises(cosim.StepSizeError, match=r"^The diagram's step size .*(must be positive|is no finite number)"):
         cosim.Diagram(wrong)
