@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,6 +18,7 @@ from bayesftc.cosim._export.platforms import platforms_of
 from bayesftc.cosim._export.program import program_of
 from bayesftc.cosim._opening import Names
 from bayesftc.cosim._paths import expanded
+from bayesftc.cosim._temporary import BESIDE, temporary_folder
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import FMUError, ModelError, ResultFileError, brief
@@ -220,8 +220,8 @@ def _staged(folder: Path) -> Iterator[Path]:
     """Give a folder beside the files to be, so that each appears under its name only when it is whole."""
     try:
         folder.mkdir(exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".bayesftc-", dir=folder) as scratch:
-            yield Path(scratch)
+        with temporary_folder(BESIDE, folder) as scratch:
+            yield scratch
     except OSError as error:
         raise ResultFileError(
             f"Nothing can be written into {folder}: {error.strerror or error}; choose another folder."

@@ -398,13 +398,13 @@ def test_files_appear_all_or_none(bayesftc_, tmp_path, monkeypatch, file, raised
     done = run_car(bayesftc_, "--out", out, "--duration", "2")
     monkeypatch.undo()
     assert done.exit_code == (130 if isinstance(raised, KeyboardInterrupt) else 12)
-    assert ".writing-" not in done.output
+    assert ".bayesftc-" not in done.output
     if done.exit_code == 12:
         assert "No space left on device" in done.output
         assert str(out) in done.output.replace("\n", "")
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
     assert (tmp_path / "deep").exists() == there
-    assert not list(tmp_path.rglob(".writing-*"))
+    assert not list(tmp_path.rglob(".bayesftc-*"))
 
 
 def test_wrong_options(bayesftc_):

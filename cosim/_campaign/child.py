@@ -8,28 +8,23 @@ from __future__ import annotations
 import logging
 import os
 import pickle
-import resource
-import signal
 import time
 import traceback
 import warnings
 from multiprocessing.connection import Connection
 from typing import Any, TextIO
 
-from bayesftc.cosim._isolation.child import die_with_host
+from bayesftc.cosim._isolation.child import begin
 from bayesftc.cosim.errors import BayesFTCError
 
 PULSE = 0.1
 """Seconds between two signs of life while runs are computed."""
 
 
-def main(lifeline: int, connection: int) -> None:
+def main(*descriptors: str) -> None:
     """Serve one job over the descriptors that the host has opened."""
-    for descriptor in (lifeline, connection):
-        os.set_inheritable(descriptor, False)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's
-    die_with_host(lifeline)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+    lifeline, connection = map(int, descriptors)
+    begin(lifeline, connection)
     talk = Connection(connection)
     status = 0
     try:

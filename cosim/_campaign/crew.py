@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import socket
 import struct
 import subprocess
-import sys
 import threading
 import time
 import warnings
@@ -19,7 +17,7 @@ from typing import Any
 from bayesftc.cosim._campaign.child import receive
 from bayesftc.cosim._campaign.many import StoppedFromOutside, Wanted
 from bayesftc.cosim._campaign.plan import Piece, joined
-from bayesftc.cosim._isolation.child import how_it_ended, kill_group
+from bayesftc.cosim._isolation.child import can_start, how_it_ended, kill_group, start
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 GLANCE = 0.1
@@ -30,10 +28,6 @@ LEAVING = 5.0
 """Seconds for a process to vanish once it was killed."""
 SENDING = 60
 """Seconds for a message to come whole."""
-_BOOT = (
-    "import sys; descriptors = [int(d) for d in sys.argv[1:3]]; sys.path[:] = sys.argv[3:]; "
-    "from bayesftc.cosim._campaign.child import main; main(*descriptors)"
-)
 
 
 class Lost(Exception):
@@ -132,26 +126,18 @@ class _Worker:
     """One process, and the connection to it."""
 
     def __init__(self) -> None:
-        if os.name != "posix" or not sys.executable:
+        if not can_start():
             raise ModelError(
                 "Worker processes need Linux or macOS and a Python that can be started; use executor=Threads()."
             )
         self.is_recoverable, self._limit = False, None
         with contextlib.ExitStack() as opened:
-            lifeline, self._held = os.pipe()
-            opened.callback(os.close, lifeline)
             ours, theirs = socket.socketpair()
             opened.callback(theirs.close)
             for direction in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
                 ours.setsockopt(socket.SOL_SOCKET, direction, struct.pack("ll", SENDING, 0))
             self._talk = Connection(ours.detach())
-            descriptors = lifeline, theirs.fileno()
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, *map(str, descriptors), *map(os.path.abspath, sys.path)],
-                stdin=subprocess.DEVNULL,
-                pass_fds=descriptors,
-                start_new_session=True,  # out of reach of Ctrl-C, and a group of its own
-            )
+            self._process, self._lifeline = start("bayesftc.cosim._campaign.child:main", [theirs.fileno()])
         self._lock, self._is_over = threading.Lock(), False
 
     @property
@@ -248,7 +234,7 @@ class _Worker:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(LEAVING)
         self._talk.close()
-        os.close(self._held)
+        self._lifeline.close()
 
 
 _registry: dict[Any, Any] = {}

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
-import shutil
-import signal
 import subprocess
-import sys
-import tempfile
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from types import TracebackType
 from typing import Any
 
 from bayesftc.cosim._campaign.executors import cores
-from bayesftc.cosim._isolation.child import die_with_host, kill_group
+from bayesftc.cosim._isolation.child import Lifeline, begin, can_start, kill_group, start
+from bayesftc.cosim._temporary import temporary_folder
+from bayesftc.cosim.errors import ModelError
 
 HOST = "127.0.0.1"
-_BOOT = (
-    "import sys; lifeline, address, folder = sys.argv[1:4]; sys.path[:] = sys.argv[4:]; "
-    "from bayesftc.cosim._campaign.local_cluster import worker; worker(int(lifeline), address, folder)"
-)
+FOLDER = "bayesftc-dask-"
+"""How the name of the folder begins in which workers put what they have no memory for."""
 
 
 class LocalCluster:
@@ -44,64 +39,77 @@ class LocalCluster:
     """
 
     def __init__(self, workers: int | None = None):
+        if not can_start():
+            raise ModelError(
+                "A Dask cluster on this machine needs Linux or macOS and a Python that can be started; use executor=Threads(), "
+                "or give the address= of a scheduler."
+            )
         self._count = workers or cores()
         self.processes: list[subprocess.Popen[bytes]] = []
+        self._lifelines: dict[subprocess.Popen[bytes], Lifeline] = {}
 
     def __enter__(self) -> LocalCluster:
         from distributed import LocalCluster
 
-        self._scheduler: Any = LocalCluster(
-            n_workers=0,
-            host=HOST,
-            protocol="tcp",
-            processes=True,
-            silence_logs=logging.ERROR,
-            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{HOST}:0"},
-        )
-        self.address: str = self._scheduler.scheduler_address
-        self._folder = tempfile.mkdtemp(prefix="bayesftc-dask-")
-        self._lifeline, self._held = os.pipe()
-        self.processes = [self._start() for _ in range(self._count)]
+        with ExitStack() as stack:
+            self._folder = str(stack.enter_context(temporary_folder(FOLDER)))
+            scheduler: Any = LocalCluster(
+                n_workers=0,
+                host=HOST,
+                protocol="tcp",
+                processes=True,
+                silence_logs=logging.ERROR,
+                scheduler_kwargs={
+                    "dashboard": False,
+                    "dashboard_address": f"{HOST}:0",
+                    "local_directory": self._folder,
+                },
+            )
+            stack.callback(_close, scheduler)
+            self.address: str = scheduler.scheduler_address
+            stack.callback(self._end_all)
+            for _ in range(self._count):
+                self._start()
+            self._stack = stack.pop_all()
         return self
 
     def tend(self) -> None:
         """Start workers in place of those that have died."""
-        self.processes = [p if p.poll() is None else self._start() for p in self.processes]
+        for process in [p for p in self.processes if p.poll() is not None]:
+            self._end(process)
+            self._start()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for process in self.processes:
-            kill_group(process)
-            process.wait()
-        os.close(self._held)
-        os.close(self._lifeline)
-        with suppress(Exception):
-            self._scheduler.close(timeout=5)
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._stack.close()
 
-    def _start(self) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                _BOOT,
-                str(self._lifeline),
-                self.address,
-                self._folder,
-                *map(os.path.abspath, sys.path),
-            ],
-            stdin=subprocess.DEVNULL,
-            pass_fds=[self._lifeline],
-            start_new_session=True,
+    def _start(self) -> None:
+        process, lifeline = start(
+            "bayesftc.cosim._campaign.local_cluster:worker", arguments=[self.address, self._folder]
         )
+        self.processes.append(process)
+        self._lifelines[process] = lifeline
+
+    def _end_all(self) -> None:
+        for process in list(self.processes):
+            self._end(process)
+
+    def _end(self, process: subprocess.Popen[bytes]) -> None:
+        kill_group(process)
+        process.wait()
+        self.processes.remove(process)
+        self._lifelines.pop(process).close()
 
 
-def worker(lifeline: int, address: str, folder: str) -> None:
+def _close(scheduler: Any) -> None:
+    with suppress(Exception):
+        scheduler.close(timeout=5)
+
+
+def worker(lifeline: str, address: str, folder: str) -> None:
     """Be a worker until the scheduler has gone."""
-    os.set_inheritable(lifeline, False)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    die_with_host(lifeline)
+    begin(int(lifeline))
     asyncio.run(_serve(address, folder))
 
 

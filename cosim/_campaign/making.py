@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from bayesftc.cosim._campaign import chunks, parts
 from bayesftc.cosim._campaign.durable import sync_all, sync_folder
 from bayesftc.cosim._campaign.metadata import NAME, Metadata, Signal, hash_of
 from bayesftc.cosim._campaign.plan import Plan
+from bayesftc.cosim._temporary import BESIDE, temporary_folder
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import StoreError
 
@@ -73,8 +73,7 @@ def make(path: Path, metadata: Metadata, time: Floats, fmus: Mapping[str, str | 
             what = "is not empty" if path.is_dir() else "is a file"
             raise StoreError(f"A campaign cannot be stored in {path}: it {what}; choose another folder.")
         path.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
-        try:
+        with temporary_folder(BESIDE, path.parent) as made:
             made.chmod(0o777 & ~_umask())
             _copy_fmus(made / FMUS, fmus)
             (made / parts.FOLDER).mkdir()
@@ -83,8 +82,6 @@ def make(path: Path, metadata: Metadata, time: Floats, fmus: Mapping[str, str | 
             metadata.write(made)
             sync_all(made)
             os.replace(made, path)  # over an empty folder too: whoever sees the folder sees all of it
-        finally:
-            shutil.rmtree(made, ignore_errors=True)
         sync_folder(path.parent)
     except OSError as error:
         raise StoreError(

@@ -14,7 +14,7 @@ from collections.abc import Collection
 from multiprocessing.connection import Connection, wait
 
 from bayesftc.cosim._isolation import protocol
-from bayesftc.cosim._isolation.child import how_it_ended, kill_group
+from bayesftc.cosim._isolation.child import Lifeline, can_start, how_it_ended, kill_group, start
 from bayesftc.cosim.errors import FMUError
 
 GLANCE = 0.5
@@ -25,11 +25,6 @@ SOON = 0.01
 
 LEAVING = 5.0
 """Seconds for a process to end by itself, or to vanish once it was killed."""
-
-_BOOT = (
-    "import sys; descriptors = [int(d) for d in sys.argv[1:5]]; sys.path[:] = sys.argv[5:]; "
-    "from bayesftc.cosim._isolation.worker import main; main(*descriptors)"
-)
 
 
 class WorkerProcess:
@@ -49,7 +44,7 @@ class WorkerProcess:
     """
 
     def __init__(self, inputs: int, outputs: int, attention: float):
-        if sys.platform != "linux" or not sys.executable:
+        if sys.platform != "linux" or not can_start():
             raise FMUError(
                 "isolate=True needs Linux and a Python that can be started as a program; leave it out, and the FMU runs in this "
                 "process."
@@ -59,8 +54,6 @@ class WorkerProcess:
             opened.callback(os.close, memory)
             os.ftruncate(memory, protocol.size(inputs, outputs))
             self.shared = protocol.Shared(memory, inputs, outputs)
-            lifeline, self._held = os.pipe()
-            opened.callback(os.close, lifeline)
             self.steps, steps = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             opened.callback(steps.close)
             seconds, part = divmod(max(round(attention * 1e6), 1), 1_000_000)
@@ -70,15 +63,10 @@ class WorkerProcess:
                 ours.setsockopt(socket.SOL_SOCKET, direction, struct.pack("ll", int(LEAVING), 0))
             opened.callback(talk.close)
             self.talk = Connection(ours.detach())
-            theirs = lifeline, memory, steps.fileno(), talk.fileno()
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, *map(str, theirs), *map(os.path.abspath, sys.path)],
-                stdin=subprocess.DEVNULL,
-                pass_fds=theirs,
-                start_new_session=True,  # out of reach of Ctrl-C, and a group of its own with all that the FMU starts
-            )
+            theirs = memory, steps.fileno(), talk.fileno()
+            self._process, lifeline = start("bayesftc.cosim._isolation.worker:main", theirs)
         # Where nobody closes it. In a forked process, which runs what is registered as well, it is let go of (`_forked`).
-        self._end = weakref.finalize(self, _end, self._process, self.talk, self.steps, self._held)
+        self._end = weakref.finalize(self, _end, self._process, self.talk, self.steps, lifeline)
         self.is_anothers = False
         """Whether a fork has made this a copy, in a process that has not started it."""
         _alive.add(self)
@@ -154,8 +142,6 @@ class WorkerProcess:
         """
         self.is_anothers = True
         self._end.detach()
-        with contextlib.suppress(OSError):
-            os.close(self._held)
         self.talk.close()
         self.shared.part()
         deaf, gone = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -208,10 +194,10 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forked)
 
 
-def _end(process: subprocess.Popen[bytes], talk: Connection, steps: socket.socket, held: int) -> None:
+def _end(process: subprocess.Popen[bytes], talk: Connection, steps: socket.socket, lifeline: Lifeline) -> None:
     talk.close()
     steps.close()
     kill_group(process)
-    os.close(held)
+    lifeline.close()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(LEAVING)

@@ -10,8 +10,6 @@ import errno
 import logging
 import os
 import pickle
-import resource
-import signal
 import socket
 import threading
 import time
@@ -25,7 +23,7 @@ import numpy as np
 
 from bayesftc.cosim._fmi import messages
 from bayesftc.cosim._isolation import protocol
-from bayesftc.cosim._isolation.child import die_with_host
+from bayesftc.cosim._isolation.child import begin
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import BayesFTCError, FMUError
 
@@ -41,13 +39,10 @@ QUICK = 2e-4
 """Seconds for a step and all that the host does in between, up to which the FMU's process keeps to the host's processor."""
 
 
-def main(lifeline: int, memory: int, step_socket: int, connection: int) -> None:
+def main(*descriptors: str) -> None:
     """Serve one FMU over the descriptors that the host has opened."""
-    for descriptor in (lifeline, memory, step_socket, connection):
-        os.set_inheritable(descriptor, False)  # programs that the FMU starts have no business with them
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, which ends this process as it sees fit
-    die_with_host(lifeline)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+    lifeline, memory, step_socket, connection = map(int, descriptors)
+    begin(lifeline, memory, step_socket, connection)
     talk = Connection(connection)
     steps = socket.socket(fileno=step_socket)
     status = 0

@@ -1,6 +1,8 @@
 """What several tests of campaigns share."""
 
 import os
+import signal
+import uuid
 from pathlib import Path
 
 import pytest
@@ -53,3 +55,26 @@ def living():
         return mine - {os.getpid()}
 
     return found
+
+
+@pytest.fixture
+def marked(tmp_path):
+    """Return an environment with folders of its own, and a function that returns the processes that have it and live."""
+    mark = f"BAYESFTC_MARK={uuid.uuid4().hex}"
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    name, value = mark.split("=")
+
+    def found():
+        pids = set()
+        for entry in Path("/proc").iterdir():
+            try:
+                if entry.name.isdigit() and mark.encode() in (entry / "environ").read_bytes():
+                    pids.add(int(entry.name))
+            except OSError:  # it has ended meanwhile, or is a zombie, which has no environment
+                continue
+        return pids
+
+    yield {**os.environ, name: value, "TMPDIR": str(folder)}, found
+    for pid in found():
+        os.kill(pid, signal.SIGKILL)

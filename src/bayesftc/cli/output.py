@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -115,18 +114,17 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
     """Give an empty folder inside `folder`; what is in it at the end moves into `folder`, and a failure leaves nothing."""
+    from bayesftc.cosim._temporary import BESIDE, temporary_folder
+
     made = [p for p in (folder, *folder.parents) if not p.exists()]
-    stage = None
+    stage: Path | None = None
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        stage = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder))
-        yield stage
-        for file in sorted(stage.iterdir()):
-            file.replace(folder / file.name)
-        stage.rmdir()
+        with temporary_folder(BESIDE, folder) as stage:
+            yield stage
+            for file in sorted(stage.iterdir()):
+                file.replace(folder / file.name)
     except BaseException as error:
-        if stage is not None:
-            shutil.rmtree(stage, ignore_errors=True)
         for path in made:
             with suppress(OSError):  # not made yet, or somebody else's files are in it by now
                 path.rmdir()
