@@ -15,7 +15,6 @@ import numpy as np
 
 from bayesftc.cosim._coupled.engines import check_groups, place_words
 from bayesftc.cosim._fmi.embedded import interrupts
-from bayesftc.cosim._fmi.messages import ENDS
 from bayesftc.cosim._fmi.rounding import Roundable, warn_of_rounding
 from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
 BREATH = 0.05
 """Seconds between two returns of the compiled loop to Python."""
 
+_MEMBERS = {name for name in (*vars(External), *External.__annotations__) if not name.startswith("_")}
+
 Progress = Callable[[int, int], None]
 
 
@@ -51,6 +52,7 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
         if isinstance(node.block, ExternalBlock):
             with kept():
                 instance = node.block.instantiate(schedule.step * node.every, node.name)
+            _check_instance(node.block, instance)
             stack.callback(instance.close)
             instances[i] = instance
             rounding: Roundable | None = getattr(instance, "rounding", None)
@@ -63,6 +65,16 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
     place_tables(run)
     make_room(run, steps)
     return run
+
+
+def _check_instance(block: ExternalBlock, instance: External) -> None:
+    """Refuse an instance that lacks something of what `External` says."""
+    missing = _MEMBERS - set(dir(type(instance))) - vars(instance).keys()
+    if missing:
+        raise KernelError(
+            f"What {type(block).__name__} has instantiated, a {type(instance).__name__}, lacks {' and '.join(sorted(missing))}; "
+            "give it all that the class External in bayesftc.cosim.block has."
+        )
 
 
 def _take_own_inputs(schedule: Schedule, node: int, values: Mapping[str, Floats], memory: Floats) -> None:
@@ -221,7 +233,7 @@ def explain(failure: Failure, run: Run) -> str:
         )
     own = run.instances.get(failure.node)
     detail = own.explain(failure.status) if own is not None else ""
-    run.ended = detail.startswith(ENDS)
+    run.ended = own is not None and own.has_ended
     if run.ended:
         return f"The run has ended {when}, as {node.name!r} wanted. {detail}"
     if _date_crash(own, failure.k, t):

@@ -86,7 +86,12 @@ class Block:
         """Names of ports that have one unit, whichever it is, as the input and the output of a delay."""
         return ()
 
-    def watching(self, names: Iterable[str]) -> Block:
+    @property
+    def only_recorded(self) -> int:
+        """How many of its outputs' last numbers nothing depends on: a run records them, NaN or not, and they are no state."""
+        return 0
+
+    def watching(self, names: Iterable[str], *, only_recorded: bool = False) -> Block:
         """Return the same block with further variables of these names among its outputs, as far as it has such; else itself."""
         return self
 
@@ -221,6 +226,7 @@ class External(Protocol):
     """
 
     table: NDArray[np.int64]
+    has_ended: bool = False  #: Whether what `explain` was asked for last is no failure: the instance itself ends the simulation.
 
     @property
     def output_address(self) -> int:
@@ -242,6 +248,9 @@ class External(Protocol):
     @property
     def can_save(self) -> bool:
         """Whether `save` and `restore` work."""
+
+    def expect_return(self) -> None:
+        """Be ready from now on to go back to states before the present one; nothing need be done where that is always so."""
 
     def save(self) -> object:
         """Return the present state, to which `restore` goes back; it pickles where the instance can serialise.

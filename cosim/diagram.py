@@ -244,7 +244,7 @@ class Diagram:
             if nodes:
                 node = max(nodes, key=len)
                 asked.setdefault(node, []).append(str(name)[len(node) + 1 :])
-        watching = {node: blocks[node].watching(variables) for node, variables in asked.items()}
+        watching = {node: blocks[node].watching(variables, only_recorded=True) for node, variables in asked.items()}
         if all(block is blocks[node] for node, block in watching.items()):
             return self
         return self.rewired(blocks | watching)

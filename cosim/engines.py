@@ -134,7 +134,7 @@ class CompiledEngine:
             start = slots.start
             checked = node.block.checks_finite and call.kind in WRITES
             begin = schedule.outputs_start(call)
-            outputs = begin, begin + sum(p.size for p in node.outputs)
+            outputs = begin, begin + schedule.depended_on(call.node)
             table = start["parameters"]
             if call.group:
                 group = self._groups[len(rows)] = CompiledGroup(run, call.group)
@@ -354,7 +354,7 @@ class InterpretedEngine:
                 return _failure(schedule, call, k, status, function if isinstance(function, GroupRun) else None)
             if node.block.checks_finite and call.kind in WRITES:
                 start = schedule.outputs_start(call)
-                for i in range(start, start + sum(p.size for p in node.outputs)):
+                for i in range(start, start + schedule.depended_on(call.node)):
                     if not np.isfinite(memory[i]):
                         return _failure(schedule, call, k, NOT_FINITE + i)
         return None

@@ -241,7 +241,13 @@ class FMU(ExternalBlock):
             )
         return starts[name]
 
-    def watching(self, names: Iterable[str]) -> FMU:
+    @property
+    def only_recorded(self) -> int:
+        """See `Block.only_recorded`."""
+        found: int = vars(self).get("_only_recorded", 0)
+        return found
+
+    def watching(self, names: Iterable[str], *, only_recorded: bool = False) -> FMU:
         """See `Block.watching`: an FMU has local variables and parameters."""
         variables = {v.name: v for v in self.description.variables}
         there = {port.name for port in self._ports}
@@ -256,6 +262,9 @@ class FMU(ExternalBlock):
         watching = replace(self, outputs=[*outputs, *dict.fromkeys(further)])
         # What is looked at changes nothing: inputs feed through to whom they fed through before.
         object.__setattr__(watching, "inputs", self.inputs)
+        if only_recorded:
+            more = sum(port.size for port in watching.outputs) - sum(port.size for port in self.outputs)
+            object.__setattr__(watching, "_only_recorded", self.only_recorded + more)
         return watching
 
     def instantiate(self, step: Fraction, name: str) -> External:

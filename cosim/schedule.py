@@ -77,6 +77,8 @@ class Schedule:
         Blocks that are computed together: algebraic loops, and FMUs that are coupled tightly.
     connected : frozenset of (int, str)
         The outputs that something is connected to: node and name.
+    remembered : ndarray of int
+        The places in memory of what a run has to remember: all but outputs that are there to be recorded only.
     """
 
     def __init__(self, diagram: Diagram, coupling: Coupling = Coupling()):  # noqa: B008 - it is frozen
@@ -124,6 +126,7 @@ class Schedule:
         self.evaluate = tuple(evaluate)
         self.advance = self._advance(diagram, stepped)
         self.compiled = all(d is None or d.compiled for d in self.definitions)
+        self.remembered = self._remembered(grouping)
 
     def kernel(self, call: Call) -> Kernel | None:
         """Return the Python step function of a call; None for an external block, and where only inputs are brought."""
@@ -139,7 +142,12 @@ class Schedule:
     def layout(self) -> tuple[Any, ...]:
         """Return what two diagrams must have in common for the memory of one to be that of the other."""
         blocks = tuple((node.name, type(node.block).__name__, node.every) for node in self.nodes)
-        return str(self.step), self.coupling, blocks, len(self.initial)
+        return str(self.step), self.coupling, blocks, len(self.remembered)
+
+    def depended_on(self, i: int) -> int:
+        """Return how many numbers the outputs of a node have, those left out that are there to be recorded only."""
+        block = self.nodes[i].block
+        return sum(port.size for port in block.outputs) - block.only_recorded
 
     def describe(self) -> str:
         """Return the order of a step as text, a line a call; an FMU's line names the FMUs that it sees at t_k+1 already."""
@@ -276,6 +284,15 @@ class Schedule:
             places[i] = total
             total += sum(port.size for port in self.nodes[i].outputs)
         return places, np.concatenate([values, np.full(total - len(values), np.nan)])
+
+    def _remembered(self, grouping: Grouping) -> np.ndarray[Any, np.dtype[np.int64]]:
+        remembered = np.ones(len(self.initial), dtype=np.bool_)
+        for i, node in enumerate(self.nodes):
+            begins = {self.slots[i].start["outputs"], *grouping.copies(i)} | {self.ahead[j] for j in {i} & self.ahead.keys()}
+            for begin in begins if node.block.only_recorded else ():
+                end = begin + self.depended_on(i)
+                remembered[end : end + node.block.only_recorded] = False
+        return np.flatnonzero(remembered)
 
     def _advance(self, diagram: Diagram, groups: list[Group]) -> tuple[Call, ...]:
         sampled = [i for i in range(len(self.nodes)) if not is_external(self.nodes[i]) and self.updates(i)]

@@ -52,7 +52,7 @@ class RunState:
     seed : int
         Seed of the run.
     memory : ndarray
-        States, parameters, inputs and outputs of all blocks.
+        States, parameters, inputs and outputs of all blocks, without what is only recorded.
     instances : mapping of str to object
         The saved state of each FMU.
     layout : tuple
@@ -287,10 +287,10 @@ class Session:
         given = {
             node.name: dict(node.block.parameters or {}) for node in self._schedule.nodes if isinstance(node.block, FMU)
         }
-        return RunState(run.k, run.seed, run.memory.copy(), saved, self._schedule.layout(), given)
+        return RunState(run.k, run.seed, run.memory[self._schedule.remembered], saved, self._schedule.layout(), given)
 
     def restore(self, state: RunState) -> None:
-        """Go back to a saved state: of this session, or of another one of the same diagram.
+        """Go back to a saved state: of this session, or of another one of the same diagram, whatever that recorded.
 
         Raises
         ------
@@ -305,12 +305,14 @@ class Session:
             raise ModelError(
                 f"{state!r} is no saved state of this diagram; restore what save_state() has returned for the same blocks."
             )
-        _check_parameters(self._schedule, state)
+        memory = self._schedule.initial.copy()
+        memory[self._schedule.remembered] = state.memory
+        _check_parameters(self._schedule, memory, state.parameters)
         run = self._opened()
         run.sound = False  # until all of it is restored
         for i, instance in run.instances.items():
             instance.restore(state.instances[self._schedule.nodes[i].name])
-        run.memory[:] = state.memory
+        run.memory[:] = memory
         place_tables(run)
         self._pacer = None
         if state.seed != run.seed:
@@ -404,19 +406,19 @@ def _settable(schedule: Schedule) -> dict[str, tuple[slice, tuple[int, ...], boo
     return found
 
 
-def _check_parameters(schedule: Schedule, state: RunState) -> None:
-    """Refuse a state of a diagram of the same blocks with other parameters."""
+def _check_parameters(schedule: Schedule, memory: Floats, parameters: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse the memory, and the parameters of the FMUs, of a diagram of the same blocks with other parameters."""
     for node, slots, definition in zip(schedule.nodes, schedule.slots, schedule.definitions, strict=True):
         for name, (section, _, shape) in slots.sections.items() if definition else ():
             if section == "parameters":
                 place = slice(slots.offset(name), slots.offset(name) + prod(shape))
-                there, here = state.memory[place], schedule.initial[place]
+                there, here = memory[place], schedule.initial[place]
                 # What is computed for a sample time may differ in its last bits on another machine.
                 last = 1e-13 * float(np.max(np.abs(here[np.isfinite(here)]), initial=0.0))
                 if not np.allclose(there, here, rtol=1e-9, atol=last, equal_nan=True):
                     raise _other_parameters(node.name, name)
         if isinstance(node.block, FMU):
-            before, now = state.parameters.get(node.name, {}), dict(node.block.parameters or {})
+            before, now = parameters.get(node.name, {}), dict(node.block.parameters or {})
             own = {variable.name: variable.start for variable in node.block.description.variables}
             for name in sorted(before.keys() | now.keys()):
                 values = before.get(name, own.get(name)), now.get(name, own.get(name))

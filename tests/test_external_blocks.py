@@ -29,7 +29,7 @@ def move(state, table, inputs, outputs, t, k):
 
 
 class RunningCart:
-    can_save = True
+    can_save, has_ended = True, False
 
     def __init__(self, mass, h, words):
         self.numbers = np.array([0.0, 0.0, mass, h])
@@ -45,6 +45,9 @@ class RunningCart:
 
     def explain(self, status):
         return "The force is absurd."
+
+    def expect_return(self):
+        pass
 
     def save(self):
         return self.numbers.copy()
@@ -174,3 +177,28 @@ def test_a_campaign_in_which_a_step_fails(campaign_as_alone):
     diagram.connect(diagram.add(cosim.Gaussian(std=300.0), "wind")["y"], diagram.add(Cart(2.0), "cart")["force"])
     table = campaign_as_alone(diagram, 2.0, seeds=range(12))
     assert set(table["status"]) == {"ok", "failed"}
+
+
+class Sparse(Cart):
+    def instantiate(self, step, name):
+        instance = super().instantiate(step, name)
+        without = {"expect_return", "has_ended", "__dict__", "__weakref__"}
+        return type("Sparse", (), {k: v for k, v in vars(RunningCart).items() if k not in without})(
+            instance.numbers[2], float(step), self.words
+        )
+
+
+def test_an_instance_that_lacks_something_is_refused():
+    diagram = cosim.Diagram(DT)
+    diagram.add(Sparse(), "cart")
+    with pytest.raises(cosim.KernelError, match=r"What Sparse has instantiated, a Sparse, lacks expect_return and has_ended;"):
+        diagram.simulate(0.1)
+
+
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
+def test_an_instance_may_end_the_simulation(monkeypatch, engine):
+    monkeypatch.setattr(RunningCart, "has_ended", True)
+    with pytest.warns(UserWarning, match="as 'cart' wanted"):
+        result = pushed(force=2e3).simulate(1.0, engine=engine)
+    assert result.stopped == "The run has ended at t = 0 s (step 0), as 'cart' wanted. The force is absurd."
+    assert len(result.time) == 1

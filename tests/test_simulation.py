@@ -11,6 +11,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import Port, _running
+from bayesftc.cosim.block import External
 
 
 @pytest.fixture
@@ -189,7 +190,7 @@ class Slow(cosim.ExternalBlock):
         return SlowInstance()
 
 
-class SlowInstance:
+class SlowInstance(External):
     table = np.zeros(1, dtype=np.int64)
     closed = 0
 

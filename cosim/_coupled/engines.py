@@ -112,9 +112,9 @@ class InterpretedGroup(GroupRun):
 
     def sweep(self, t: float, h: float, k: int) -> int:
         """Make the calls of a sweep."""
-        memory, nodes = self.run.memory, self.run.schedule.nodes
+        memory, schedule = self.run.memory, self.run.schedule
         for c, (part, function) in enumerate(self._parts):
-            node = nodes[part.node]
+            node = schedule.nodes[part.node]
             every = node.every if self.group.every == 1 else 1
             if k % every:
                 continue
@@ -125,7 +125,7 @@ class InterpretedGroup(GroupRun):
                 self.record[steps.PART], self.record[steps.STATUS] = c, status
                 return 1
             if node.block.checks_finite and part.kind != "update":
-                for i in range(part.outputs, part.outputs + sum(p.size for p in node.block.outputs)):
+                for i in range(part.outputs, part.outputs + schedule.depended_on(part.node)):
                     if not np.isfinite(memory[i]):
                         self.record[steps.PART], self.record[steps.STATUS] = c, NOT_FINITE + i
                         return 1
@@ -223,7 +223,7 @@ class CompiledGroup(GroupRun):
         gathers: list[tuple[int, int, int]] = []
         for part in group.parts:
             node, start = schedule.nodes[part.node], schedule.slots[part.node].start
-            outputs = part.outputs, part.outputs + sum(p.size for p in node.block.outputs)
+            outputs = part.outputs, part.outputs + schedule.depended_on(part.node)
             checked = node.block.checks_finite and part.kind != "update"
             rows.append(
                 [self._function(part), node.every if group.every == 1 else 1,
@@ -322,9 +322,7 @@ def check_groups(run: Run) -> None:
         names = " and ".join(schedule.nodes[i].name for i in group.nodes)
         for i in group.externals if group.restores else ():
             node, instance = schedule.nodes[i], run.instances[i]
-            expect_return = getattr(instance, "expect_return", None)
-            if expect_return is not None:
-                expect_return()
+            instance.expect_return()
             if not instance.can_save:
                 what = "step_error" if group.doubling else f"{coupling.method} coupling"
                 raise FMUError(

@@ -173,6 +173,10 @@ class Grouping:
                         groups.append(self._step(nodes, island, needs, plants))
         return groups
 
+    def copies(self, i: int) -> set[int]:
+        """Return where copies of a node's outputs begin that it has for groups."""
+        return {places[i] for places in (self._ahead, self._now) if i in places}
+
     def _step(self, nodes: list[int], island: list[int], needs: Mapping[int, set[int]], plants: list[int]) -> Group:
         schedule, coupling = self._schedule, self._coupling
         order = self._sweep_order(nodes, needs, plants)
@@ -221,11 +225,11 @@ class Grouping:
         size = -1
         if coupling.step_error is not None:
             size = self.places.take(1)
-            lies = [(i, schedule.slots[i].start["outputs"], self.places.take(2 * self._width(i))) for i in nodes]
+            lies = [(i, schedule.slots[i].start["outputs"], self.places.take(2 * schedule.depended_on(i))) for i in nodes]
             doubling = tuple(
                 (begin + e, self._now[i] + e, self._ahead[i] + e, kept + 2 * e, kept + 2 * e + 1)
                 for i, begin, kept in lies
-                for e in range(self._width(i))
+                for e in range(schedule.depended_on(i))
             )
         return Group(
             nodes=tuple(nodes),

@@ -103,6 +103,11 @@ class CompiledInstance(ExchangeInstance):
             if self._call("tolerances", nothing, nothing, 0.0):
                 raise StopError(self._why())
 
+    @property
+    def has_ended(self) -> bool:
+        """See `bayesftc.cosim.block.External.has_ended`."""
+        return int(self._model.table[words.REASON]) in {words.ENDS, words.ENDS_AFTER_STEP}
+
     def _why(self) -> str:
         return reason(self._model, self._name, self._cvode.said if self._cvode else "")
 

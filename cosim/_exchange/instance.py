@@ -86,6 +86,11 @@ class ExchangeInstance(ABC):
     def _why(self) -> str: ...
 
     @property
+    @abstractmethod
+    def has_ended(self) -> bool:
+        """See `bayesftc.cosim.block.External.has_ended`."""
+
+    @property
     def can_save(self) -> bool:
         """See `bayesftc.cosim.block.External.can_save`."""
         return self._model.can_save
@@ -96,7 +101,7 @@ class ExchangeInstance(ABC):
         return self._model.own_inputs
 
     def expect_return(self) -> None:
-        """See `bayesftc.cosim._fmi.steps.StepFunctions.expect_return`."""
+        """See `bayesftc.cosim.block.External.expect_return`."""
         self._model.expect_return()
 
     def save(self) -> SavedModel:

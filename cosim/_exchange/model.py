@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.library import ModelLibrary
-from bayesftc.cosim._exchange.port_values import PortValues, StopError
+from bayesftc.cosim._exchange.port_values import EndError, PortValues, StopError
 from bayesftc.cosim._exchange.words import ITERATIONS
 from bayesftc.cosim._exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim._fmi.description import FMUVariable, Value
@@ -271,7 +271,9 @@ class ExchangeModel:
         Raises
         ------
         StopError
-            If the iteration does not end, or the FMU ends the simulation.
+            If the iteration does not end.
+        EndError
+            If the FMU ends the simulation.
         CallError
             If a call fails.
         """
@@ -288,7 +290,7 @@ class ExchangeModel:
             self.check("update_discrete", update(self.component, info))
             nominals = nominals or bool(info.nominals)
             if info.terminate:
-                raise StopError(f"{ENDS} (terminateSimulation)")
+                raise EndError(f"{ENDS} (terminateSimulation)")
             if not info.needed:
                 break
         else:
@@ -323,7 +325,7 @@ class ExchangeModel:
         return self.info.smooth and self.next_event == math.inf
 
     def expect_return(self) -> None:
-        """See `bayesftc.cosim._fmi.steps.StepFunctions.expect_return`."""
+        """See `bayesftc.cosim.block.External.expect_return`."""
         self.table[words.NO_RETURN] = 0
 
     def save(self) -> SavedModel:

@@ -20,6 +20,10 @@ class StopError(Exception):
     """Why an instance cannot go on, as a sentence."""
 
 
+class EndError(StopError):
+    """The FMU itself ends the simulation, which is no failure."""
+
+
 class PortValues:
     """The groups of one type in which inputs and outputs lie.
 

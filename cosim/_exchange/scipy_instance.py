@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc.cosim._exchange import words
 from bayesftc.cosim._exchange.instance import ENTRY, ExchangeInstance, Timing
 from bayesftc.cosim._exchange.model import ExchangeModel
-from bayesftc.cosim._exchange.port_values import StopError
+from bayesftc.cosim._exchange.port_values import EndError, StopError
 from bayesftc.cosim._exchange.reasons import endless_events, too_many_events
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim.block import Floats
@@ -36,7 +36,7 @@ class ScipyInstance(ExchangeInstance):
 
     def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing, solver: Any):
         super().__init__(model, step, timing)
-        self._solver, self._reason = solver, ""
+        self._solver, self._reason, self._has_ended = solver, "", False
         self._raised: BaseException | None = None
         self._views: dict[tuple[int, int], Floats] = {}
 
@@ -94,7 +94,13 @@ class ScipyInstance(ExchangeInstance):
 
     def _stop(self, error: StopError | CallError) -> int:
         self._reason = error.sentence() if isinstance(error, CallError) else str(error)
+        self._has_ended = isinstance(error, EndError)
         return words.STOPPED
+
+    @property
+    def has_ended(self) -> bool:
+        """See `bayesftc.cosim.block.External.has_ended`."""
+        return self._has_ended
 
     def _why(self) -> str:
         raised, self._raised = self._raised, None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._exchange.model import ExchangeModel
-from bayesftc.cosim._exchange.port_values import StopError
+from bayesftc.cosim._exchange.port_values import EndError, StopError
 from bayesftc.cosim._exchange.reasons import REMEDY, nan_derivative
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim._exchange.words import PRECISION
@@ -127,5 +127,5 @@ class ScipySolver:
         status = model.library.completed_step(model.component, not model.info.can_save, self._enter, self._terminate)
         model.check("completed_step", status)
         if self._terminate.value:
-            raise StopError(f"{ENDS} (terminateSimulation, after a step of the integrator)")
+            raise EndError(f"{ENDS} (terminateSimulation, after a step of the integrator)")
         return bool(self._enter.value)

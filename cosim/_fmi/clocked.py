@@ -292,6 +292,7 @@ class ClockedInstance(Instance):
 
     def explain(self, status: int) -> str:
         """See `Instance.explain`."""
+        self.has_ended = False
         raised = [callback.taken() for callback in self._callbacks_of_engine]
         if status == RAISED:
             raise next(error for error in raised if error is not None)

@@ -69,6 +69,7 @@ class Instance(StepFunctions):
         self._library, self._name = library, name
         self._messages = Messages(name)
         self._component, self._healthy, self._fatal = 0, True, False
+        self.has_ended = False
         major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
         into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
         into, out = self._arranged((into, groups(outputs, major, "Get", find)))
@@ -229,7 +230,8 @@ class Instance(StepFunctions):
         """Return what a status means in FMI's words, with the instance's last messages."""
         where, code = decoded(status)
         self._healthy = 0 <= code <= DISCARD  # after an error it may not be asked to terminate
-        if status == TERMINATED:
+        self.has_ended = status == TERMINATED
+        if self.has_ended:
             return f"{ENDS} (terminateSimulation). {self._messages.quoted()}"
         said = self._messages.quoted()
         reached = self._scratch.view(np.float64)[REACHED]
@@ -256,8 +258,11 @@ class Instance(StepFunctions):
         if code == PENDING:
             more = "Steps that go on by themselves are not waited for: export the FMU so that it makes them at once."
         if code == DISCARD:
-            more = self._library.last_words(self._component) if where == STEP else "It does not take such a value."
-            if more.startswith(ENDS):
+            if where != STEP:
+                more = "It does not take such a value."
+            else:
+                more, self.has_ended = self._library.last_words(self._component)
+            if self.has_ended:
                 return f"{more} {said}"
         return " ".join(s for s in (f"{function} returned {status_word(code)}.", more, said) if s)
 

@@ -149,9 +149,9 @@ class Library(ABC):
             if not fatal:
                 self.free(component)
 
-    def last_words(self, component: int) -> str:
-        """Return what more is known of a discarded step, as a sentence or nothing."""
-        return ""
+    def last_words(self, component: int) -> tuple[str, bool]:
+        """Return what more is known of a discarded step, as a sentence or nothing, and whether the FMU ends the simulation."""
+        return "", False
 
     def call(self, function: str, *arguments: Any) -> Any:
         """Call an FMI function through fmpy.
@@ -251,17 +251,17 @@ class Library2(Library):
         """See `Library.free`."""
         self.call("fmi2FreeInstance", component)
 
-    def last_words(self, component: int) -> str:
+    def last_words(self, component: int) -> tuple[str, bool]:
         """See `Library.last_words`."""
         ended, reached = ctypes.c_int(0), ctypes.c_double(0.0)
         try:
             self.call("fmi2GetBooleanStatus", component, 3, ctypes.byref(ended))
             if ended.value:
-                return f"{ENDS} (terminated)."
+                return f"{ENDS} (terminated).", True
             self.call("fmi2GetRealStatus", component, 2, ctypes.byref(reached))
         except CallError:
-            return ""
-        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do."
+            return "", False
+        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do.", False
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Integer" if kind == "Enumeration" else kind
@@ -340,9 +340,9 @@ class Library3(Library):
         """See `Library.free`."""
         self.call("fmi3FreeInstance", component)
 
-    def last_words(self, component: int) -> str:
+    def last_words(self, component: int) -> tuple[str, bool]:
         """See `Library.last_words`."""
-        return "It has stayed where it was; a smaller step may do."
+        return "It has stayed where it was; a smaller step may do.", False
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Int64" if kind == "Enumeration" else kind

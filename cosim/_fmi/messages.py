@@ -20,7 +20,7 @@ FORWARDED = 10_000
 """How many messages of an instance are forwarded; an FMU that says more is kept from filling disks and taking all time."""
 
 ENDS = "The FMU asks to end the simulation"
-"""How the reason begins of an FMU that ends a run, which is no failure."""
+"""How the sentence begins that says of an FMU that it ends a run, which is no failure."""
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 """The standard's words for what a call returned."""

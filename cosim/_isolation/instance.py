@@ -100,6 +100,7 @@ class Isolated:
         inputs, outputs = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
         plain = copy.copy(block)
         object.__setattr__(plain, "isolate", False)
+        self.has_ended = False
         self._kind, self._is_closed = pickle.dumps((plain, time_limit)), False
         spare = take(self._kind)
         self._process = spare or WorkerProcess(inputs, outputs, min(protocol.ATTENTION, time_limit))
@@ -201,7 +202,7 @@ class Isolated:
         self._h = h
 
     def expect_return(self) -> None:
-        """See `bayesftc.cosim._fmi.steps.StepFunctions.expect_return`."""
+        """See `bayesftc.cosim.block.External.expect_return`."""
         self._ask("expect_return")
 
     def _order(self, command: int) -> None:
@@ -257,10 +258,12 @@ class Isolated:
         if status == protocol.INTERRUPTED and self._interrupt is None:
             self._interrupt = KeyboardInterrupt()
         self._raise_interrupt()
+        self.has_ended = False
         try:
-            return str(self._ask("explain", status))
+            text, self.has_ended = self._ask("explain", status)
         except FMUCrashed as crash:
             return str(crash)
+        return str(text)
 
     def save(self) -> IsolatedState:
         """See `bayesftc.cosim.block.External.save`."""

@@ -212,9 +212,7 @@ class _Worker:
         self._serve = _CompiledLoop(self._running, self._shared, self._steps, self._step, self._reads_ahead)
 
     def _do_expect_return(self) -> None:
-        expect_return = getattr(self._running, "expect_return", None)
-        if expect_return is not None:
-            expect_return()
+        self._running.expect_return()
 
     def _do_let_round(self, names: tuple[str, ...]) -> None:
         self._running.rounding.let_round(names)  # type: ignore[attr-defined]
@@ -223,8 +221,10 @@ class _Worker:
         names: tuple[str, ...] = self._running.rounding.rounded_outputs()  # type: ignore[attr-defined]
         return names
 
-    def _do_explain(self, status: int) -> str:
-        return self._instance.explain(status) if self._instance else ""
+    def _do_explain(self, status: int) -> tuple[str, bool]:
+        if self._instance is None:
+            return "", False
+        return self._instance.explain(status), self._instance.has_ended
 
     def _do_close(self) -> None:
         instance, self._instance = self._instance, None
