@@ -1,6 +1,7 @@
 """What numba puts in place of each function of :mod:`bayesftc.cosim.ops`; imported only when something is compiled."""
 
 import math
+from importlib import import_module
 from typing import Any
 
 import numba
@@ -8,6 +9,7 @@ import numpy as np
 from numba import extending
 
 from bayesftc.cosim import ops
+from bayesftc.cosim._warning import warn_user
 
 # numba compiles math.sqrt and friends to the C library's functions (or the correctly rounded instruction), which is what
 # CPython's math module calls too. Where CPython raises, these return what IEEE 754 says.
@@ -79,14 +81,30 @@ OPTIONS = {"error_model": "numpy", "forceinline": True}
 ENTRY_OPTIONS: dict[str, Any] = {"error_model": "numpy", "forceinline": True}
 """How the function around a step function is compiled, which the engine calls by its address."""
 
-if (0, 61) <= numba.version_info.short < (0, 69):  # it builds on what numba may change
-    from bayesftc.cosim._numba_callee import Callee
+KNOWN = (0, 69)
+"""The first version of numba whose inside nobody has compared with what our pipelines expect of it."""
 
-    OPTIONS |= {"pipeline_class": Callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-if (0, 62) <= numba.version_info.short < (0, 69):  # before, LLVM's passes were ordered otherwise
-    from bayesftc.cosim._numba_entry import Entry
 
-    ENTRY_OPTIONS |= {"pipeline_class": Entry}
+def _pipeline(module: str, name: str) -> Any:
+    """Return one of our pipelines, which take numba's inside for granted; None, with a warning, where that may be another."""
+    reason = f"it is newer than what this bayesftc knows, numba {KNOWN[0]}.{KNOWN[1] - 1}"
+    if numba.version_info.short < KNOWN:
+        try:
+            return getattr(import_module(f"bayesftc.cosim.{module}"), name)
+        except (ImportError, AttributeError) as error:
+            reason = f"its inside is not as expected ({error})"
+    warn_user(
+        f"numba {numba.__version__} compiles step functions in its own way, as {reason}: the numbers are the same, but compiling "
+        f"takes longer, and runs may. Take a newer bayesftc, or 'numba<{KNOWN[0]}.{KNOWN[1]}'."
+    )
+    return None
+
+
+if callee := _pipeline("_numba_callee", "Callee"):
+    OPTIONS |= {"pipeline_class": callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    # Before 0.62, LLVM's passes were ordered otherwise.
+    if numba.version_info.short >= (0, 62) and (entry := _pipeline("_numba_entry", "Entry")):
+        ENTRY_OPTIONS |= {"pipeline_class": entry}
 
 extending.register_jitable(**OPTIONS)(_select)
 _IMPLEMENTATIONS = {name: value for name, value in globals().items() if name[1:] in ops.NAMES}

@@ -6,7 +6,6 @@ They are for runs that stay alive (`session`), of which a simulation is one that
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING
@@ -20,6 +19,7 @@ from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._memory import TABLE
 from bayesftc.cosim._pacing import Pacer
+from bayesftc.cosim._warning import warn_user
 from bayesftc.cosim.block import External, ExternalBlock, Floats
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
@@ -204,12 +204,11 @@ def advance(
 def warn_of_arithmetic(run: Run) -> None:
     """Warn that an FMU of a run has changed how this process computes; it was put back."""
     suspects = " or ".join(repr(run.schedule.nodes[i].name) for i in run.instances)
-    warnings.warn(
+    warn_user(
         f"The FMU of {suspects} has changed how this process rounds, or makes numbers below 2.2e-308 zero, for all that is "
         "computed. It was put back, but the results of other blocks may differ in their last digits from what they should be: "
         "isolate the FMU (isolate=True).",
         RuntimeWarning,
-        stacklevel=4,
     )
 
 

@@ -226,7 +226,9 @@ class External(Protocol):
     """
 
     table: NDArray[np.int64]
-    has_ended: bool = False  #: Whether what `explain` was asked for last is no failure: the instance itself ends the simulation.
+    has_ended: bool = (
+        False  #: Whether what `explain` was asked for last is no failure: the instance itself ends the simulation.
+    )
 
     @property
     def output_address(self) -> int:

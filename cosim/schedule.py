@@ -288,7 +288,9 @@ class Schedule:
     def _remembered(self, grouping: Grouping) -> np.ndarray[Any, np.dtype[np.int64]]:
         remembered = np.ones(len(self.initial), dtype=np.bool_)
         for i, node in enumerate(self.nodes):
-            begins = {self.slots[i].start["outputs"], *grouping.copies(i)} | {self.ahead[j] for j in {i} & self.ahead.keys()}
+            begins = {self.slots[i].start["outputs"], *grouping.copies(i)} | {
+                self.ahead[j] for j in {i} & self.ahead.keys()
+            }
             for begin in begins if node.block.only_recorded else ():
                 end = begin + self.depended_on(i)
                 remembered[end : end + node.block.only_recorded] = False

@@ -6,7 +6,6 @@ all else that a run remembers stands in its memory and in its FMUs.
 
 from __future__ import annotations
 
-import warnings
 import weakref
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, closing, nullcontext
@@ -22,6 +21,7 @@ from numpy.typing import ArrayLike
 from bayesftc.cosim._isolation.spares import Spares
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim._running import advance, choose_engine, failed, make_room, open_run, place_tables
+from bayesftc.cosim._warning import warn_user
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import is_external
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
@@ -215,7 +215,7 @@ class Session:
             stopped=stopped,
         )
         if run.ended:
-            warnings.warn(str(stopped), stacklevel=2)
+            warn_user(str(stopped))
         elif stopped:
             raise failed(stopped, result, run)
         return result

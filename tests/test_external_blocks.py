@@ -191,14 +191,19 @@ class Sparse(Cart):
 def test_an_instance_that_lacks_something_is_refused():
     diagram = cosim.Diagram(DT)
     diagram.add(Sparse(), "cart")
-    with pytest.raises(cosim.KernelError, match=r"What Sparse has instantiated, a Sparse, lacks expect_return and has_ended;"):
+    with pytest.raises(
+        cosim.KernelError, match=r"What Sparse has instantiated, a Sparse, lacks expect_return and has_ended;"
+    ):
         diagram.simulate(0.1)
 
 
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 def test_an_instance_may_end_the_simulation(monkeypatch, engine):
     monkeypatch.setattr(RunningCart, "has_ended", True)
-    with pytest.warns(UserWarning, match="as 'cart' wanted"):
+    with pytest.warns(UserWarning, match="as 'cart' wanted") as caught:
         result = pushed(force=2e3).simulate(1.0, engine=engine)
+        with pushed(force=2e3).start(engine=engine) as session:
+            session.advance(1.0)
+    assert [warning.filename for warning in caught] == [__file__] * 2
     assert result.stopped == "The run has ended at t = 0 s (step 0), as 'cart' wanted. The force is absurd."
     assert len(result.time) == 1

@@ -92,7 +92,9 @@ def test_isolated_and_in_campaigns(lag, same_bits):
 
 @pytest.mark.parametrize("coupling", COUPLINGS, ids=str)
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
-@pytest.mark.parametrize(("before", "after"), [(None, FURTHER), (FURTHER, None), (["a.odd"], ["b.fast", "a.odd"])], ids=str)
+@pytest.mark.parametrize(
+    ("before", "after"), [(None, FURTHER), (FURTHER, None), (["a.odd"], ["b.fast", "a.odd"])], ids=str
+)
 def test_a_state_goes_to_a_run_that_records_something_else(lag, before, after, engine, coupling, same_bits):
     diagram = pair(lag, **coupling)
     whole = diagram.simulate(1.0, engine=engine, record=["*", *FURTHER])

@@ -10,7 +10,6 @@ import re
 import threading
 import time
 import uuid
-import warnings
 from collections import Counter, deque
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -25,6 +24,7 @@ from bayesftc.cosim._campaign.extras import extra
 from bayesftc.cosim._campaign.local_cluster import LocalCluster
 from bayesftc.cosim._campaign.plan import Piece, joined
 from bayesftc.cosim._campaign.shipping import Content, Parcel
+from bayesftc.cosim._warning import warn_user
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class _Campaign:
             raise _lost(error) from None
         self._looked = time.monotonic()
         if not self._threads and self._began and self._looked - self._began > CONNECTING:
-            warnings.warn("The Dask cluster has no workers; the campaign waits for some.", UserWarning, stacklevel=2)
+            warn_user("The Dask cluster has no workers; the campaign waits for some.")
             self._began = 0.0
 
     def _submit(self, pieces: Iterator[Piece]) -> None:
@@ -328,10 +328,8 @@ def _check(client: Client) -> None:
         unlike = changes(own, theirs)
         if unlike:
             said = "; ".join(unlike).replace(" before", " here").replace(" now", " there")
-            warnings.warn(
-                f"The Dask worker {worker} differs from this machine ({said}): the last places of its numbers may do so too.",
-                UserWarning,
-                stacklevel=2,
+            warn_user(
+                f"The Dask worker {worker} differs from this machine ({said}): the last places of its numbers may do so too."
             )
             return
 

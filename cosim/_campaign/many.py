@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from bayesftc.cosim._isolation.spares import Spares
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._running import BREATH, advance, choose_engine, explain, open_run, warn_of_arithmetic
 from bayesftc.cosim._state_functions import StateFunctions
+from bayesftc.cosim._warning import warn_user
 from bayesftc.cosim.block import Floats
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.recording import Selection
@@ -303,11 +303,10 @@ class ManyRuns:
         first[:] = kept_  # whose memory the repetition has taken
         if not same:
             self._shut()
-            warnings.warn(
+            warn_user(
                 "An FMU that is put back to its beginning does not repeat the run that it made before; each run gets new "
                 "instances of it, which is slower.",
                 RuntimeWarning,
-                stacklevel=2,
             )
         return same
 

@@ -225,7 +225,9 @@ class Grouping:
         size = -1
         if coupling.step_error is not None:
             size = self.places.take(1)
-            lies = [(i, schedule.slots[i].start["outputs"], self.places.take(2 * schedule.depended_on(i))) for i in nodes]
+            lies = [
+                (i, schedule.slots[i].start["outputs"], self.places.take(2 * schedule.depended_on(i))) for i in nodes
+            ]
             doubling = tuple(
                 (begin + e, self._now[i] + e, self._ahead[i] + e, kept + 2 * e, kept + 2 * e + 1)
                 for i, begin, kept in lies

@@ -18,7 +18,10 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
 DISTRIBUTED = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="needs the package distributed"
 )
-EXECUTORS = [pytest.param(Processes(3), id="Processes"), pytest.param(DaskCluster(workers=3), id="DaskCluster", marks=DISTRIBUTED)]
+EXECUTORS = [
+    pytest.param(Processes(3), id="Processes"),
+    pytest.param(DaskCluster(workers=3), id="DaskCluster", marks=DISTRIBUTED),
+]
 DEADLINE = 10.0
 """Seconds in which all must be gone."""
 
@@ -70,7 +73,11 @@ def drill(executor, marked, kills):
         kill(executor, environment, living, drawn)
         end = time.monotonic() + DEADLINE
         while left := living():
-            assert time.monotonic() < end, (number, kill.__name__, [Path(f"/proc/{p}/cmdline").read_bytes() for p in left])
+            assert time.monotonic() < end, (
+                number,
+                kill.__name__,
+                [Path(f"/proc/{p}/cmdline").read_bytes() for p in left],
+            )
             time.sleep(0.05)
         assert len(list(folder.iterdir())) <= 1, "what the kill before has left was not swept"
     with started(executor, environment, 2, 0.1) as client:

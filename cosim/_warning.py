@@ -1,0 +1,24 @@
+"""Warnings that show the user's line, however many calls of this package lie between it and what warns."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from types import FrameType
+
+import bayesftc
+
+_PACKAGE = os.path.dirname(os.path.abspath(bayesftc.__file__)) + os.sep
+
+
+def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the innermost line outside this package; at the outermost one where there is none."""
+    level = 1
+    frame: FrameType | None = sys._getframe()
+    while frame is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, category, stacklevel=level)
+
+
+__all__ = ["warn_user"]
