@@ -226,9 +226,6 @@ class External(Protocol):
     """
 
     table: NDArray[np.int64]
-    has_ended: bool = (
-        False  #: Whether what `explain` was asked for last is no failure: the instance itself ends the simulation.
-    )
 
     @property
     def output_address(self) -> int:
@@ -246,6 +243,10 @@ class External(Protocol):
 
     def explain(self, status: int) -> str:
         """Return what the status means, with the last messages of the instance."""
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether what `explain` was asked for last is no failure: the instance itself ends the simulation."""
 
     @property
     def can_save(self) -> bool:

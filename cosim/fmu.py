@@ -263,7 +263,7 @@ class FMU(ExternalBlock):
         # What is looked at changes nothing: inputs feed through to whom they fed through before.
         object.__setattr__(watching, "inputs", self.inputs)
         if only_recorded:
-            more = sum(port.size for port in watching.outputs) - sum(port.size for port in self.outputs)
+            more = sum(port.size for port in watching._ports) - sum(port.size for port in self._ports)
             object.__setattr__(watching, "_only_recorded", self.only_recorded + more)
         return watching
 

@@ -395,6 +395,175 @@ def test_a_numba_that_is_not_known_is_told_at_once(python, tmp_path, other, reas
     assert len(values) == 1
 
 
+def test_functions_of_one_name_are_told_apart(evaluate):
+    # Both helpers are called h, and both are reached by way of g first, in whichever order they are then given.
+    def make_h(a):
+        def h(x):
+            return x + a
+
+        return h
+
+    one, two = make_h(1.0), make_h(10.0)
+
+    def g(x):
+        return one(x) + two(x)
+
+    def make(left, right):
+        def kernel(y):
+            y[0] = 0.0 * g(1.0) + left(1.0) * 2.0 + right(1.0)
+
+        return kernel
+
+    assert evaluate(make(one, two))[0] == 15.0
+    assert evaluate(make(two, one))[0] == 24.0
+    assert evaluate(make(two, two))[0] == 33.0
+    assert fingerprint(make(one, two), "") == fingerprint(make(one, two), "")
+
+
+SERVICE = """
+from numba.extending import intrinsic, register_jitable
+RATE = {rate}
+
+@intrinsic
+def native(context, x):
+    def codegen(context, builder, signature, args):
+        return {native}
+    return x(x), codegen
+
+@register_jitable
+def helper(x):
+    return {helper}
+
+def service(x):
+    return native(helper(x)) + RATE
+"""
+
+
+def test_the_engines_own_functions_are_known_by_the_code_that_is_loaded(module):
+    plain = {"rate": "1.0", "native": "args[0]", "helper": "x"}
+
+    def print_of(text=SERVICE, **changes):
+        return service_fingerprint(module(text, **{**plain, **changes}).service, "")
+
+    loaded = module(SERVICE, **plain).service
+    edited = [print_of(), print_of(rate="2.0"), print_of(native="args[1]"), print_of(helper="2.0 * x")]
+    assert len(set(edited)) == 4
+    assert print_of("# moved\n\n" + SERVICE) == edited[0]
+    assert service_fingerprint(loaded, "") == edited[0]  # though its file has been edited since
+    assert service_fingerprint(loaded, "another wrapper") != edited[0]
+
+
+def test_constants_that_look_alike_are_told_apart(module):
+    def print_of(value):
+        return fingerprint(module().make(value), "")
+
+    values = [
+        0.1,
+        np.float64(0.1),
+        np.float32(0.1),
+        0.0,
+        -0.0,
+        0,
+        False,
+        1,
+        True,
+        1.0,
+        0.1 + 2**-56,
+        math.nan,
+        (1.0,),
+        (1.0, 1.0),
+    ]
+    assert len({print_of(value) for value in values}) == len(values)
+
+
+TWO_FILES = """
+import json, sys
+sys.path.insert(0, sys.argv[1])
+from bayesftc import cosim
+from bayesftc.cosim import Port, _compiler
+from other import helper
+SHIFT = 1.0
+class B(cosim.Block):
+    inputs = (Port("z", draw="normal"),)
+    outputs = (Port("y"),)
+    def define(self, step):
+        return cosim.Definition(kernel)
+def kernel(y, z):
+    y[0] = helper(z[0]) + SHIFT
+d = cosim.Diagram(1); d.add(B(), "b"); r = d.simulate(3, record=["b.y", "b.z"])
+print(json.dumps([_compiler.STATISTICS, (r["b.y"] / r["b.z"]).tolist(), r["b.y"].tolist()]))
+"""
+
+
+def test_across_processes(python, tmp_path):
+    cache, other = tmp_path / "cache", tmp_path / "other.py"
+
+    def run(helper, text=TWO_FILES):
+        other.write_text(helper)
+        return python(text, tmp_path, cache=cache, stdin=True)
+
+    first = run("def helper(x):\n    return 2.0 * x\n")
+    assert first[0] == {"compiled": 2, "loaded": 0}  # the block and the loop
+    again = run(
+        "# moved\n\ndef helper(x):\n    return 2.0 * x  # so\n", TWO_FILES.replace("SHIFT = 1.0", "# why\nSHIFT = 1.0")
+    )
+    assert again[0] == {"compiled": 0, "loaded": 2}
+    assert again[1:] == first[1:]
+    edited = run("def helper(x):\n    return 3.0 * x\n")
+    assert edited[0] == {"compiled": 1, "loaded": 1}
+    np.testing.assert_allclose((np.array(edited[2]) - 1) / (np.array(first[2]) - 1), 1.5, rtol=1e-12)
+    assert len({p.stat().st_mtime for p in cache.rglob("*.py")}) == 1  # whoever writes a text, numba finds it unchanged
+    # What is damaged is compiled anew: numba's index, its code, and the text that they belong to.
+    files = sorted(p for p in cache.rglob("*") if p.is_file())
+    for file in files:
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert run("def helper(x):\n    return 3.0 * x\n")[0] == {"compiled": 2, "loaded": 0}
+    for file in files:
+        if file.suffix in {".nbi", ".nbc"}:
+            file.write_bytes(b"")
+    mended = run("def helper(x):\n    return 3.0 * x\n")
+    assert mended[0] == {"compiled": 2, "loaded": 0}
+    assert mended[1:] == edited[1:]
+    assert not list(cache.rglob("*.tmp"))
+
+
+SMALL = textwrap.dedent("""
+    import json, sys
+    from bayesftc import cosim
+    from bayesftc.cosim import _compiler
+    space = {}
+    exec("def kernel(t, y):\\n    y[0] = 2.0 * t + 1.0", space)
+    class B(cosim.Block):
+        outputs = (cosim.Port("y"),)
+        def define(self, step):
+            return cosim.Definition(space["kernel"])
+    step = B().online(1)
+    print(json.dumps([_compiler.STATISTICS, [step().y for _ in range(3)]]))
+""")
+
+
+def test_processes_at_once_on_an_empty_cache_and_code_without_a_file(tmp_path):
+    environment = {**os.environ, "BAYESFTC_CACHE": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", SMALL]
+    several = [
+        subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    for process in several:
+        out, error = process.communicate(timeout=120)
+        assert process.returncode == 0, error
+        assert json.loads(out)[1] == [1.0, 3.0, 5.0]
+    later = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert json.loads(later.stdout) == [{"compiled": 0, "loaded": 1}, [1.0, 3.0, 5.0]]
+
+
+def test_long_and_foreign_function_names(module, evaluate):
+    long, foreign = "k" * 300, "größe"
+    for name in (long, foreign):
+        written = module(MODULE.replace("def kernel(y)", f"def {name}(y)").replace("return kernel", f"return {name}"))
+        assert evaluate(written.make(3.0)) == (9.5, 1)
+
+
 def nothing_yet(y):
     y[0] = 1.25
 

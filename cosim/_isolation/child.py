@@ -25,7 +25,8 @@ except ImportError:
 
 _BOOT = (
     "import sys; module, function, count = sys.argv[1], sys.argv[2], int(sys.argv[3]); arguments = sys.argv[4:][:count]; "
-    "sys.path[:] = sys.argv[4 + count:]; from importlib import import_module; getattr(import_module(module), function)(*arguments)"
+    "sys.path[:] = sys.argv[4 + count:]; "
+    "from importlib import import_module; getattr(import_module(module), function)(*arguments)"
 )
 _held: dict[int, Lifeline] = {}
 """The lifelines that this process holds, by their descriptors."""
@@ -108,7 +109,7 @@ def start(
 
 
 def begin(*descriptors: int) -> None:
-    """Begin as a program that `start` has started; the first descriptor is its lifeline, the others are those that it inherits."""
+    """Begin as a program that `start` has started; the first descriptor is its lifeline, the others are those it inherits."""
     for descriptor in descriptors:
         os.set_inheritable(descriptor, False)  # programs that are started from here have no business with them
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, which ends this process as it sees fit
