@@ -10,6 +10,7 @@ import errno
 import logging
 import os
 import pickle
+import select
 import socket
 import threading
 import time
@@ -34,6 +35,9 @@ _LOST = {errno.EPIPE, errno.ECONNRESET, errno.EBADF, errno.ENOTSOCK}
 
 LINE_BUFFERED = 1
 """C's _IOLBF."""
+
+HEARING = 1.0
+"""Seconds for what an FMU has printed to be logged once it is freed; one that prints without an end is not waited for."""
 
 QUICK = 2e-4
 """Seconds for a step and all that the host does in between, up to which the FMU's process keeps to the host's processor."""
@@ -120,18 +124,37 @@ class _Worker:
         log.propagate = False
         self._forward = _Forward(talk, self._shared)
         log.addHandler(self._forward)
-        threading.Thread(target=self._overhear, args=(_caught_output(),), daemon=True).start()
+        self._printed, self._overhearing = _caught_output(), threading.Lock()
+        self._listener = threading.Thread(target=self._overhear, daemon=True)
+        self._listener.start()
 
-    def _overhear(self, source: int) -> None:
-        """Log what the FMU prints, line by line."""
-        with open(source, "rb", buffering=0) as file, suppress(OSError, ValueError):
-            rest = b""
-            while piece := file.read(messages.LENGTH):
+    def _overhear(self) -> None:
+        """Log what the FMU prints, line by line, until it closes its output."""
+        rest = b""
+        while self._is_printed(wait=None):
+            with self._overhearing:
+                piece = os.read(self._printed, messages.LENGTH)
+                if not piece:
+                    return
                 *lines, rest = (rest + piece).split(b"\n")
                 if len(rest) >= messages.LENGTH:
                     lines, rest = [*lines, rest], b""
                 for line in lines:
                     messages.logger.info("%s: %s", self._name, line.decode("utf-8", errors="replace").rstrip())
+
+    def _hear_out(self) -> None:
+        """Wait until all that the FMU has printed is logged: the thread that does so may be late on a busy machine."""
+        end = time.monotonic() + HEARING
+        while self._listener.is_alive() and time.monotonic() < end:
+            with self._overhearing:
+                if not self._is_printed(wait=0):
+                    return
+            time.sleep(0.001)
+
+    def _is_printed(self, wait: float | None) -> bool:
+        with suppress(OSError, ValueError):  # an FMU may close what is not its own
+            return bool(select.select([self._printed], [], [], wait)[0])
+        return False
 
     def run(self) -> int:
         """Answer until the host has gone, which ends this process when it needs it no more; return the exit code."""
@@ -230,6 +253,7 @@ class _Worker:
         instance, self._instance = self._instance, None
         if instance is not None:
             instance.close()
+            self._hear_out()
 
     def _do_save(self, token: int) -> None:
         self._saved[token] = self._running.save()
