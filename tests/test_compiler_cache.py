@@ -138,7 +138,7 @@ REFUSED = {
     first: r"calls itself \(first -> second -> first\)",
     uses_a_helper_with_math: r"'uses_math' .* uses 'math'",
     imports: r"'imports' .* imports inside; import from bayesftc.cosim.ops at the top",
-    comprehends: r"has a function or comprehension inside|uses 'sum_up'|cannot be compiled",
+    comprehends: r"has a function or comprehension inside|makes a list|uses 'sum_up'|cannot be compiled",
     writes_global: r"writes a global variable; declare a state",
     calls_default: r"'helper_with_default' .* (has a default that is no number|uses)",
     make_unfilled(): r"uses 'late', which has no value yet",

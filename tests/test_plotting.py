@@ -48,7 +48,8 @@ def test_the_panels_of_a_run(signals, tmp_path):
         assert len(axis.collections) == 1
         assert len(axis.collections[0].get_paths()) == 1
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        warnings.simplefilter("error")  # as of panels that do not fit
+        warnings.simplefilter("ignore", DeprecationWarning)  # older versions of matplotlib call what pyparsing renames
         figure.savefig(tmp_path / "run.png", dpi=80)
     height, width, _ = imread(tmp_path / "run.png").shape
     assert (width, height) == (640, round(80 * figure.get_figheight()))

@@ -18,7 +18,7 @@ for name in ("fcntl", "resource", "grp", "pwd", "termios"):
     sys.modules[name] = None
 for module, names in (
     (os, "fork register_at_fork getpgrp getpgid killpg setsid waitid memfd_create O_ASYNC sched_getaffinity "
-         "sched_setaffinity sched_getcpu getloadavg sysconf"),
+         "sched_setaffinity sched_getcpu getloadavg"),
     (signal, "SIGKILL SIGALRM SIGHUP SIGUSR1 SIGSTOP pthread_kill pthread_sigmask setitimer alarm sigwait"),
 ):
     for name in names.split():
