@@ -90,14 +90,14 @@ class Library1(Library):
         """See `Library.free`."""
         self.call("fmiFreeSlaveInstance", component)
 
-    def last_words(self, component: int) -> str:
+    def last_words(self, component: int) -> tuple[str, bool]:
         """See `Library.last_words`."""
         reached = ctypes.c_double(0.0)
         try:
             self.call("fmiGetRealStatus", component, _LAST_TIME, ctypes.byref(reached))
         except CallError:
-            return ""
-        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do."
+            return "", False
+        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do.", False
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Integer" if kind == "Enumeration" else kind
