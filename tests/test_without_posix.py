@@ -24,6 +24,8 @@ for module, names in (
     for name in names.split():
         if hasattr(module, name):
             delattr(module, name)
+if hasattr(os, "process_cpu_count"):  # from Python 3.13 on, which asks what was taken away
+    os.process_cpu_count = os.cpu_count
 """
 ALL = """
 import importlib, pkgutil
