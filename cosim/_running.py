@@ -69,7 +69,7 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
 
 def _check_instance(block: ExternalBlock, instance: External) -> None:
     """Refuse an instance that lacks something of what `External` says."""
-    missing = _MEMBERS - set(dir(type(instance))) - vars(instance).keys()
+    missing = _MEMBERS - set(dir(type(instance))) - getattr(instance, "__dict__", {}).keys()
     if missing:
         raise KernelError(
             f"What {type(block).__name__} has instantiated, a {type(instance).__name__}, lacks {' and '.join(sorted(missing))}; "

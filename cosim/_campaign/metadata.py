@@ -111,6 +111,7 @@ class Metadata:
             "environment": self.environment,
             "resumed": self.resumed,
         }
+        text = json.loads(json.dumps(text, default=_plain))  # as it will be read, by which the check is made
         text[CHECK] = _check(text)
         write_whole(folder / NAME, json.dumps(text, indent=1, ensure_ascii=False).encode())
 
@@ -166,7 +167,7 @@ class Metadata:
 
 
 def _check(text: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(text, sort_keys=True, default=_plain).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()
 
 
 def hash_of(times: Floats) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Sequence
 from typing import Protocol
 
 from bayesftc.cosim._fmi.description import FMUVariable
 from bayesftc.cosim._fmi.groups import MAY_ROUND, ROUNDED, Group
+from bayesftc.cosim._warning import warn_user
 
 
 class Roundable(Protocol):
@@ -60,8 +60,7 @@ def warn_of_rounding(outputs: Roundable, name: str) -> None:
     """Warn that outputs of a block were rounded in a run that ends."""
     found = [repr(output) for output in outputs.rounded_outputs()]
     if found:
-        warnings.warn(
+        warn_user(
             f"{' and '.join(found)} of {name!r} reached whole numbers that no double holds exactly (2**53 or more): the result "
-            "has the nearest ones. Nothing is connected to them; leave them out by outputs=[...] if nobody needs them.",
-            stacklevel=2,
+            "has the nearest ones. Nothing is connected to them; leave them out by outputs=[...] if nobody needs them."
         )

@@ -191,7 +191,8 @@ class Isolated:
 
     def rounded_outputs(self) -> tuple[str, ...]:
         """See `bayesftc.cosim._fmi.rounding.Roundable.rounded_outputs`; nothing is known of a process that has crashed."""
-        found: tuple[str, ...] = () if self.crash is not None else self._ask("rounded")
+        over = self.crash is not None or self._is_closed or self._process.is_over
+        found: tuple[str, ...] = () if over else self._ask("rounded")
         return found
 
     #: See `bayesftc.cosim.block.VariableStep`.
