@@ -27,7 +27,7 @@ from bayesftc.cosim.ops import absolute, both, either, maximum, select, sqrt
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
     from bayesftc.controllers.precision import Learner
-    from bayesftc.cosim.block import Floats, Kernel
+    from bayesftc.cosim._types import Floats, Kernel
 
 EXPLICABLE = 1e12
 """Largest squared innovation, in units of its variance, that a fault explains: a million standard deviations."""

@@ -9,7 +9,7 @@ import numpy as np
 from bayesftc.controllers._bank_kernels import PROBABILITY, STATE
 from bayesftc.controllers._course import COURSE, COURSE_SCRATCH
 from bayesftc.controllers._switching_kernels import FIRST, FIRST_SETTINGS, LEAST
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 ACTUATOR_SETTINGS = 9
 BEGIN, END, MEAN, FOLLOWS, VARIANCE, WALK, ABSOLUTE, RELATIVE, TAKES = range(ACTUATOR_SETTINGS)

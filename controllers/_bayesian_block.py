@@ -24,7 +24,8 @@ from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import Learner, PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim._invalid import Invalid, invalid_values
-from bayesftc.cosim.block import Block, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 

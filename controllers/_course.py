@@ -11,7 +11,7 @@ forgetting, stabilised; Kulhavy and Zarrop 1993). So the noise may be of any sca
 suspicious as a wild one. A sample's density is Student's t (Bishop 2006, exercise 3.13).
 """
 
-from bayesftc.controllers._special import squared_gamma_half_step
+from bayesftc.controllers._special import LOG_2_PI, squared_gamma_half_step
 from bayesftc.cosim.ops import log, maximum, select, sqrt
 
 ORDER = 3
@@ -28,8 +28,6 @@ ROOT, REGRESSORS, SOLVED, REACHED, COURSE_SCRATCH = 0, 9, 12, 15, 18
 FORGETTING, FADING, SHAPE0, RATE0, MEANS, WEIGHTS0, EQUALS0, COUNTED0 = 0, 1, 2, 3, 4, 7, 10, 11
 """Places in the settings: the forgetting factor of the regression and of the level, the prior's shape and rate, the coefficients'
 means and precisions; how many repetitions of how many samples are expected."""
-
-LOG_2_PI = 1.8378770664093453
 
 LEAST_RATE = 1e-6
 """Least rate of the noise's precision: samples that repeat exactly must not make it infinitely precise."""

@@ -27,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.controllers._linalg import add_product, multiply
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, maximum, select, sqrt
 

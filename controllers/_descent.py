@@ -1,6 +1,7 @@
 """Step functions of active inference: prediction errors, precisions, free energy, its gradient, and a step along it."""
 
 from bayesftc.controllers._linalg import cholesky, solve_columns
+from bayesftc.controllers._special import LOG_2_PI
 from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
 
 MEAN_CAP = 1e150
@@ -8,8 +9,6 @@ MEAN_CAP = 1e150
 
 STEP_CAP = 1e100
 """No gradient step goes further: an absurd goal asks for it, and from there the quadratic terms are no numbers any more."""
-
-LOG_2_PI = 1.8378770664093453
 
 
 def read(y, expected, limit, e, present):

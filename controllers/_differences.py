@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bayesftc.controllers._pulse_responses import BENDS, PoorFitWarning
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 
 STEPS = 10.0 ** -np.arange(1, 11)

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
+from bayesftc.cosim._types import Floats, Kernel, argument_names
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import ModelError
 

@@ -20,7 +20,7 @@ from bayesftc.cosim._tracing import rebound
 if TYPE_CHECKING:
     from bayesftc.controllers.gamma import GammaPrecision
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 WARM = 12.0
 """The runs settle for so many time constants of the slower one of filter and learner."""

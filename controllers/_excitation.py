@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 MOVES = 5.0
 """A direction of past inputs that was moved by less than this many samples' worth was not moved: noise does not average out."""

@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from bayesftc.controllers._observers import Observers
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from bayesftc.cosim.ops import both, minimum, select
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats, Kernel
+    from bayesftc.cosim._types import Floats, Kernel
 
 SQUARES, VECTORS = 2, 3
 """How many arrays of scratch space the filters need: states x states, and as long as there are states or sensors."""

@@ -9,7 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from filterpy.kalman import KalmanFilter
 
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 
 def reference_filter(A: Floats, B: Floats, Q: Floats, mean: Any, covariance: Floats) -> KalmanFilter:

@@ -12,13 +12,13 @@ squares are those of the innovation and of the goal's error, each in its own cov
 
 import numpy as np
 
-from bayesftc.controllers._descent import LOG_2_PI
 from bayesftc.controllers._filter import keep_only
 from bayesftc.controllers._joint import factorise
 from bayesftc.controllers._least_squares import divide
 from bayesftc.controllers._linalg import cholesky, cholesky_semidefinite, solve_vector
+from bayesftc.controllers._special import LOG_2_PI
 from bayesftc.controllers.precision import NAN
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.ops import log, select
 
 

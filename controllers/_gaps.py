@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.controllers import _gaps_kernels as kernels
 from bayesftc.controllers._subspace import choose_past, identify_innovations
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 ROUNDS = 300
 """Rounds at most."""

@@ -14,7 +14,7 @@ from bayesftc.controllers._mode_kernels import AGE, ENTERED, FACTOR, TRUST, WEIG
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import FaultMode, Unmodelled
 from bayesftc.controllers.process_modes import NoisierProcess
-from bayesftc.cosim.block import Floats, argument_names
+from bayesftc.cosim._types import Floats, argument_names
 from bayesftc.cosim.errors import KernelError, ModelError
 
 Mode = TypeVar("Mode", FaultMode, ActuatorMode, NoisierProcess)

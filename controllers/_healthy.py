@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 CHANCE = 1e-6
 """Runs of equal samples that are expected less often than this are not taken for chance."""

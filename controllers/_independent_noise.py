@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 MOST = 60
 """Numbers that are searched for at most: a gradient takes as many evaluations, each as long as the order's third power."""

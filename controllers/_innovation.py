@@ -10,7 +10,7 @@ from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 SETTLED = 1e-9
 """A response that changes by no more in a step has settled."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 _EXACT = 1e-8
 """A direction in which the plant stays, and which nothing sees, does so to this part of the other directions."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats, Kernel
+from bayesftc.cosim._types import Floats, Kernel
 
 
 def linear_rows(function: Kernel, samples: int, states: int) -> Floats:

@@ -7,7 +7,7 @@ import numpy as np
 from bayesftc.controllers._linalg import cholesky, cholesky_semidefinite
 from bayesftc.controllers._ports import port
 from bayesftc.controllers.precision import ERROR_CAP, RATE_FLOOR
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.ops import either, maximum, select, sqrt
 from bayesftc.cosim.ports import Port
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesftc.controllers._linalg import apply
 from bayesftc.controllers.modality import Modality
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,12 @@ the sample's density, which counts only if there is a sample; what it writes as 
 """
 
 from bayesftc.controllers._course import COURSE, follow, misfit
-from bayesftc.controllers._special import squared_gamma_half_step
+from bayesftc.controllers._special import LOG_2_PI, squared_gamma_half_step
 from bayesftc.cosim.ops import absolute, log, maximum, minimum, select, sqrt
 
 WEIGHT, ENTERED, FACTOR, AGE, TRUST, SIZE, OWN = range(7)
 """Places in the block of a mode: two for the switching; a factor of the density, 1 unless it is written, for a root is cheaper
 than its logarithm; the age; the precision that a sample deserves (nominal: 1); the size; own."""
-
-LOG_2_PI = 1.8378770664093453
 
 FURTHEST = 1e12
 """Largest squared innovation, in units of its variance, that a density is computed of: it is held there."""

@@ -16,7 +16,7 @@ from bayesftc.controllers._observers import observers
 if TYPE_CHECKING:
     from bayesftc.controllers._observers import Observers
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 LATEST = 1.0
 """Longest delay and lag in seconds that are tried."""

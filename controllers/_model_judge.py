@@ -13,7 +13,7 @@ from bayesftc.controllers._healthy_stretches import healthy_stretches
 if TYPE_CHECKING:
     from bayesftc.controllers._observers import Observers
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 EVIDENCE = 10.0
 """Log-likelihood ratio over the model as it is that an explanation needs from the sensors of every set, beyond its BIC.

@@ -17,7 +17,7 @@ from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 MOST_SETS = 3
 """Sets of sensors: two tell one faulty sensor from a wrong model, three tell two of them."""

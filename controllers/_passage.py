@@ -18,7 +18,7 @@ import numpy as np
 from bayesftc.controllers._weighted_chi_square import geometric_weights, quantile, tails
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 NODES = 64
 NEVER = 1e-13

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Block, Floats
+    from bayesftc.cosim._types import Floats
+    from bayesftc.cosim.block import Block
 
 SAMPLES = 50
 """Samples of a step response."""

@@ -10,7 +10,8 @@ from types import TracebackType
 
 import numpy as np
 
-from bayesftc.cosim.block import External, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import External
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.ports import labels

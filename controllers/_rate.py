@@ -13,7 +13,7 @@ from bayesftc.cosim.ops import exp, log
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 
 @dataclass(frozen=True)

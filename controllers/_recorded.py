@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesftc.controllers.estimator import StateEstimator
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 SHORT = 1000
 """Steps up to which a recording is not worth the seconds that compiling takes."""

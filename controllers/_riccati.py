@@ -9,7 +9,7 @@ import numpy as np
 from bayesftc.controllers._integrators import Quotient, without_integrators
 from bayesftc.controllers._stabilisability import refuse_unseen_by_goal
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 
 

@@ -14,7 +14,7 @@ from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 
 def with_sensor_errors(

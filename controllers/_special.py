@@ -1,5 +1,8 @@
 """Special functions in step functions, from the operations that every form of them has."""
 
+LOG_2_PI = 1.8378770664093453
+"""Of the logarithm of a normal density."""
+
 
 def squared_gamma_half_step(a):
     """Return ``(Gamma(a + 1/2) / Gamma(a))**2`` for positive `a`, to 1e-12 of it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 
 _EDGE = 1e-9

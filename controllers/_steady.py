@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from bayesftc.controllers._bayesian_block import VARIANCE_CAP
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 
 Packed = tuple[tuple[int, ...], bytes]

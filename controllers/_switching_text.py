@@ -11,8 +11,8 @@ from bayesftc.controllers._bank_layout import Layout
 from bayesftc.controllers._bank_samples import report_actuators, report_process
 from bayesftc.controllers.precision import keep_nominal, report_nothing
 from bayesftc.cosim import ops
+from bayesftc.cosim._types import argument_names
 from bayesftc.cosim._written import function_from_text
-from bayesftc.cosim.block import argument_names
 
 _PASS_TIME = """
 healthy = memory[at + HEALTHY]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._fingerprint import functions_called, where
-from bayesftc.cosim.block import argument_names
+from bayesftc.cosim._types import argument_names
 from bayesftc.cosim.errors import KernelError, ModelError
 
 

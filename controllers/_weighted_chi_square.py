@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 PRECISE = 1e-11
 """Relative change at which halving the step ends."""

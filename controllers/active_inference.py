@@ -24,8 +24,9 @@ from bayesftc.controllers.modality import Modality
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
 from bayesftc.cosim._invalid import Invalid, invalid_values
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim._written import function_from_text
-from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import rational_step

@@ -23,7 +23,8 @@ from bayesftc.controllers._linalg import apply
 from bayesftc.controllers._steady import steady_gains
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import Learner, PrecisionLearner
-from bayesftc.cosim.block import Definition, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError
 
 

@@ -19,7 +19,8 @@ from bayesftc.cosim.probabilities import reliability
 
 if TYPE_CHECKING:
     from bayesftc.controllers.precision import PrecisionLearner
-    from bayesftc.cosim.block import Block, Floats
+    from bayesftc.cosim._types import Floats
+    from bayesftc.cosim.block import Block
     from bayesftc.cosim.diagram import Diagram
 
 TRAINING_SHARE = 0.8

@@ -20,7 +20,7 @@ from bayesftc.controllers._checks import as_number, check_number, refuse_missing
 from bayesftc.controllers._rate import Calibration
 from bayesftc.controllers.monitor import FaultMonitor, LogisticMap
 from bayesftc.controllers.residuals import feature_names
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 
 

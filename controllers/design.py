@@ -17,7 +17,7 @@ from bayesftc.controllers.lqg import LQGController
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmu import FMU
 

@@ -20,7 +20,7 @@ from bayesftc.cosim.errors import ModelError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 Kind = Literal["offset", "drift", "noise"]
 KINDS: tuple[Kind, ...] = ("offset", "drift", "noise")

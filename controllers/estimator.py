@@ -21,7 +21,8 @@ from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
 from bayesftc.cosim._invalid import Invalid, invalid_values
-from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import select
 from bayesftc.cosim.ports import Port

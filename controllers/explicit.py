@@ -22,7 +22,7 @@ from bayesftc.cosim.timebase import whole_steps
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 FURTHEST = 1e6
 """Largest error, in standard deviations, that a distance is computed from: its square must stay finite."""

@@ -38,6 +38,7 @@ from bayesftc.controllers._checks import as_number, as_vector, check_number
 from bayesftc.controllers._course import COURSE, COURSE_SCRATCH, ORDER
 from bayesftc.controllers._default_time import DefaultTime
 from bayesftc.controllers._mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST, log_density
+from bayesftc.controllers._special import LOG_2_PI
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
@@ -141,7 +142,7 @@ class Frozen(FaultMode):
         resolution = as_vector("The resolution of Frozen", self.resolution, model.sensors)
         width = max(float(resolution[sensor]), 1e-9 * sqrt(nominal))
         spread = 2 * self.dither**2 * nominal + width**2 / 6
-        near = log(1 - self.repeats) - 0.5 * (log(spread) + kernels.LOG_2_PI)
+        near = log(1 - self.repeats) - 0.5 * (log(spread) + LOG_2_PI)
         return 0.5 * width, log(self.repeats / width), near, spread
 
     def healthy(self, model: LinearModel, sensor: int) -> tuple[float, float, float, float]:

@@ -19,7 +19,7 @@ from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 # Settings of the gamma learner.
 _FORGETTING, _SHAPE0, _TO_PRIOR, _BELIEF, _MODE, _SLOPE, _INTERCEPT = range(7)

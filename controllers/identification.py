@@ -18,7 +18,7 @@ from bayesftc.controllers._independent_noise import independent_noise
 from bayesftc.controllers._pulse_responses import PoorFitWarning
 from bayesftc.controllers._subspace import PASTS, identify_innovations, samples_needed
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.timebase import rational_step

@@ -13,7 +13,8 @@ import numpy as np
 from bayesftc.controllers._checks import Matrix, as_matrix, as_numbers, as_vector
 from bayesftc.controllers._ports import port
 from bayesftc.cosim._numbers import real
-from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import both, either, maximum, minimum, select
 from bayesftc.cosim.ports import Port

@@ -20,7 +20,7 @@ from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.fault_modes import FaultMode, Frozen, Noisier, Offset
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.switching import SwitchingPrecision
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 
 PRIOR_FAULTS = 0.5

@@ -17,7 +17,7 @@ from bayesftc.controllers._differences import derivative
 from bayesftc.controllers._integrators import without_integrators
 from bayesftc.controllers._pulse_responses import realise
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.linear_system import LinearSystem, held

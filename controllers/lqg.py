@@ -14,7 +14,7 @@ from bayesftc.controllers._checks import Matrix, frozen
 from bayesftc.controllers._riccati import Regulator, regulate
 from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable, shown
 from bayesftc.controllers.bayesian import BayesianController
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import maximum, select
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector
 from bayesftc.controllers._linear_rows import linear_rows
 from bayesftc.controllers._trial import try_out
-from bayesftc.cosim.block import Floats, Kernel, argument_names
+from bayesftc.cosim._types import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import KernelError, ModelError
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.controllers._checks import ROWS, Matrix, as_covariance, as_matrix, as_numbers, as_vector, frozen
 from bayesftc.controllers._sensor_errors import with_sensor_errors
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.timebase import rational_step
 

@@ -35,7 +35,8 @@ from bayesftc.controllers._linear_rows import linear_rows
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.nonlinear_model import NonlinearModel
 from bayesftc.controllers.precision import NAN, Learner
-from bayesftc.cosim.block import Definition, Floats, Kernel
+from bayesftc.cosim._types import Floats, Kernel
+from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, both, select
 

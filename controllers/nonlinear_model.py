@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers._checks import Matrix, as_covariance, as_number, as_vector
 from bayesftc.controllers._trial import try_out
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats, Kernel, argument_names
+from bayesftc.cosim._types import Floats, Kernel, argument_names
 from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import KernelError, ModelError
 from bayesftc.cosim.timebase import rational_step

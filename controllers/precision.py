@@ -29,15 +29,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
-    from bayesftc.controllers.actuator_modes import ActuatorMode
     from bayesftc.controllers.model import LinearModel
 
 NAN = float("nan")
@@ -128,7 +127,7 @@ class PrecisionLearner:
         return self
 
     @property
-    def actuator_modes(self) -> Sequence[ActuatorMode]:
+    def actuator_modes(self) -> Sequence[Any]:
         """The ways in which actuators can fail that it tells; none, unless a learner says so."""
         return ()
 

@@ -11,7 +11,7 @@ from bayesftc.cosim.errors import ModelError, UnknownNameError
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
     from bayesftc.cosim.result import Result
 
 INNOVATION = "innovation"

@@ -21,7 +21,7 @@ from bayesftc.controllers._healthy import why_unhealthy
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 
 @dataclass(frozen=True)

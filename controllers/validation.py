@@ -14,7 +14,7 @@ from bayesftc.controllers._recorded import estimate
 from bayesftc.controllers.baselines import SERFDI
 from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ from bayesftc.cosim.ops import maximum, minimum, select
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 # Settings of the form with one gamma distribution for each sensor.
 _FORGETTING, _SHAPE0, _SLOPE, _INTERCEPT = range(4)

@@ -35,7 +35,7 @@ from bayesftc.cosim.ops import maximum, minimum, select, sqrt
 
 if TYPE_CHECKING:
     from bayesftc.controllers.model import LinearModel
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
 
 
 @cache

@@ -24,13 +24,14 @@ from ._campaign.samples import (
     SobolSequence as SobolSequence,
 )
 from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
+from ._nodes import Node as Node, PortRef as PortRef
 from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .camera import arm_with_camera as arm_with_camera, planar_arm as planar_arm, radial_distortion as radial_distortion
 from .campaign import Campaign as Campaign
 from .control_system import initial_state as initial_state
 from .coupling import Coupling as Coupling
-from .diagram import Diagram as Diagram, Node as Node
+from .diagram import Diagram as Diagram
 from .differentiation import jacobian as jacobian
 from .errors import (
     AlgebraicLoopError as AlgebraicLoopError,
@@ -76,7 +77,7 @@ from .fmu import FMU as FMU
 from .loops import closed_loop as closed_loop
 from .mathblocks import Gain as Gain, Saturation as Saturation, Sum as Sum, UnitDelay as UnitDelay
 from .online import Online as Online
-from .ports import Port as Port, PortRef as PortRef
+from .ports import Port as Port
 from .probabilities import Reliability as Reliability, reliability as reliability
 from .result import Result as Result
 from .sensors import Sensors as Sensors

@@ -38,7 +38,7 @@ from bayesftc.cosim._fingerprint import (
     service_fingerprint,
     where,
 )
-from bayesftc.cosim.block import Kernel
+from bayesftc.cosim._types import Kernel
 from bayesftc.cosim.errors import BayesFTCError, KernelError
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)

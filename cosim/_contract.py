@@ -6,7 +6,8 @@ import dis
 from functools import lru_cache
 from types import CodeType
 
-from bayesftc.cosim.block import Block, Definition, Kernel, argument_names
+from bayesftc.cosim._types import Kernel, argument_names
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import KernelError
 
 RESERVED = frozenset({"t", "k", "inputs", "outputs"})

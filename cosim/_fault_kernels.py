@@ -13,7 +13,7 @@ from functools import cache
 from math import tau
 from typing import Any
 
-from bayesftc.cosim.block import Kernel
+from bayesftc.cosim._types import Kernel
 from bayesftc.cosim.ops import both, floor, maximum, minimum, select, sin
 
 Value = Callable[..., Any]

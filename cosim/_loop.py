@@ -1,10 +1,8 @@
 """The compiled co-simulation loop: one function for all diagrams, which walks tables and calls blocks by address."""
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
+from bayesftc.cosim._by_address import call_block, put_back
 from bayesftc.cosim._numba_called import callee, inlined
 from bayesftc.cosim.random import CHUNK, fill
 from bayesftc.cosim.schedule import NOT_FINITE
@@ -22,32 +20,6 @@ MANY_SIGNATURE = (
     "float64[::1], int64[:, ::1], int64, int64[::1], float64[:, :, ::1], int64, int64, int64, int64, int64[::1], int64[::1])"
 )
 PHASE_SIGNATURE = "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])"
-
-
-@intrinsic
-def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
-    """int32 (*)(double *, double *, double *, double *, double, int64_t), given as integers."""
-    signature = types.int32(types.int64, types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
-
-    def codegen(context, builder, sig, args):
-        i64 = ir.IntType(64)
-        function = ir.FunctionType(ir.IntType(32), [i64, i64, i64, i64, ir.DoubleType(), i64])
-        return builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
-
-    return signature, codegen
-
-
-@intrinsic
-def put_back(typingctx, function, instance, state):
-    """int32 (*)(void *, void *), given as integers: FMI's function that takes an instance back to a saved state."""
-    signature = types.int32(types.int64, types.int64, types.int64)
-
-    def codegen(context, builder, sig, args):
-        i64 = ir.IntType(64)
-        kind = ir.FunctionType(ir.IntType(32), [i64, i64])
-        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
-
-    return signature, codegen
 
 
 # Inlined: as a call of its own, numba passes 32 words of array descriptions, twice a step, which took longer than the FMU.

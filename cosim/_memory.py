@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim._contract import RESERVED
-from bayesftc.cosim.block import Block, Definition, Floats, Kernel, argument_names
+from bayesftc.cosim._types import Floats, Kernel, argument_names
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ports import Port
 

@@ -7,7 +7,7 @@ from numbers import Real
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 def real(value: object) -> float:

@@ -8,8 +8,9 @@ from copy import copy
 from dataclasses import dataclass
 from fractions import Fraction
 
+from bayesftc.cosim._nodes import Node
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import ModelError, UnconnectedInputError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, labels
 

@@ -19,8 +19,9 @@ from bayesftc.cosim._fmi.surroundings import kept
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._memory import TABLE
 from bayesftc.cosim._pacing import Pacer
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim._warning import warn_user
-from bayesftc.cosim.block import External, ExternalBlock, Floats
+from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule

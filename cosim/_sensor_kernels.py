@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from bayesftc.cosim.block import Kernel
+from bayesftc.cosim._types import Kernel
 from bayesftc.cosim.ops import floor, select
 
 

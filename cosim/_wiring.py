@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 
-from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim._nodes import Node, PortRef
+from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.faults import Fault
-from bayesftc.cosim.ports import Port, PortRef
+from bayesftc.cosim.ports import Port
 from bayesftc.cosim.sensors import Sensors
 
 _Known = dict[tuple[str, str, int], list[str] | None]

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from types import FunctionType
 from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayesftc.cosim._types import Floats, Kernel
 from bayesftc.cosim.errors import KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
 
 if TYPE_CHECKING:
     from bayesftc.cosim.control_system import ControlSystem
     from bayesftc.cosim.online import Online
-
-Floats = NDArray[np.float64]
-Kernel = Callable[..., None]
 
 
 @dataclass(frozen=True)
@@ -291,15 +288,3 @@ class VariableStep(External, Protocol):
 
     def resize(self, h: float) -> None:
         """Make steps of `h` seconds from now on, in interpreted runs; compiled ones change the word of the table."""
-
-
-def argument_names(kernel: Kernel) -> tuple[str, ...]:
-    """Return the argument names of a step function."""
-    if not isinstance(kernel, FunctionType):
-        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
-    code = kernel.__code__
-    if code.co_kwonlyargcount or code.co_flags & 0x0C or kernel.__defaults__:
-        raise KernelError(
-            f"Step function {kernel.__name__!r} must have plain arguments: no defaults, no *args, no keywords."
-        )
-    return code.co_varnames[: code.co_argcount]

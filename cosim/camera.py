@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from functools import cache
 from math import isfinite
 
-from bayesftc.cosim.block import Kernel
+from bayesftc.cosim._types import Kernel
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import cos, sin, square
 

@@ -12,7 +12,8 @@ import numpy as np
 from bayesftc.cosim._control.equations import Equations
 from bayesftc.cosim._control.machine import Machine
 from bayesftc.cosim._opening import Names, Signals, chosen, needed, opened, signals_of
-from bayesftc.cosim.block import Block, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmu import FMU

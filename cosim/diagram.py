@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from bayesftc.cosim._interrupts import import_engine
+from bayesftc.cosim._nodes import Node, PortRef
 from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.coupling import Coupling, Method
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
-from bayesftc.cosim.ports import Port, PortRef, labels
+from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import rational_step, whole_number
 from bayesftc.cosim.units import difference
 
@@ -24,56 +24,6 @@ if TYPE_CHECKING:
     from bayesftc.cosim.result import Result
     from bayesftc.cosim.schedule import Schedule
     from bayesftc.cosim.session import RunState, Session
-
-
-@dataclass(frozen=True, eq=False)
-class Node:
-    """A ``block`` that stands in a diagram under a ``name``; ``node["y"]`` refers to its port.
-
-    Of a vector or matrix port, ``node["y[1]"]`` (that is ``node["y"][1]``) and ``node["K[0,1]"]`` refer to one element. It runs
-    at every ``every``-th base step.
-    """
-
-    name: str
-    block: Block
-    every: int
-
-    @cached_property
-    def inputs(self) -> tuple[Port, ...]:
-        """The inputs of the block, which makes them anew for each who asks."""
-        return tuple(self.block.inputs)
-
-    @cached_property
-    def outputs(self) -> tuple[Port, ...]:
-        """The outputs of the block."""
-        return tuple(self.block.outputs)
-
-    def port(self, name: str) -> Port:
-        """Return the port of that name, as `Block.port` does."""
-        found = next((port for port in (*self.outputs, *self.inputs) if port.name == name), None)
-        return self.block.port(name) if found is None else found  # which says what there is
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"name": self.name, "block": self.block, "every": self.every}
-
-    def __getitem__(self, port: str) -> PortRef:
-        directions: list[tuple[Literal["input", "output"], tuple[Port, ...]]] = [
-            ("output", self.outputs),
-            ("input", self.inputs),
-        ]
-        for direction, ports in directions:
-            for candidate in ports:
-                if candidate.name == port:
-                    return PortRef(self, candidate, direction, tuple(range(candidate.size)))
-        for direction, ports in directions:
-            for candidate in ports:
-                if candidate.shape and port in (elements := labels(candidate.name, candidate.shape)):
-                    return PortRef(self, candidate, direction, (elements.index(port),))
-        names = [p.name for _, ports in directions for p in ports]
-        raise UnknownNameError(f"Block {self.name!r} has no port {port!r}; {did_you_mean(port, names)}")
-
-    def __repr__(self) -> str:
-        return f"<{self.name}: {type(self.block).__name__}>"
 
 
 class Diagram:

@@ -22,8 +22,8 @@ import numpy as np
 from bayesftc.cosim import ops
 from bayesftc.cosim._fingerprint import depends_on, functions_called
 from bayesftc.cosim._tracing import rebound
+from bayesftc.cosim._types import Kernel, argument_names
 from bayesftc.cosim._written import function_from_text
-from bayesftc.cosim.block import Kernel, argument_names
 from bayesftc.cosim.errors import KernelError
 
 Shape = int | tuple[int, ...]

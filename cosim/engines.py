@@ -12,7 +12,8 @@ import numpy as np
 from bayesftc.cosim._coupled.engines import CompiledGroup, GroupRun, InterpretedGroup
 from bayesftc.cosim._memory import bind
 from bayesftc.cosim._state_functions import StateFunctions
-from bayesftc.cosim.block import External, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import External
 from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
 from bayesftc.cosim.schedule import NOT_FINITE, Call, Schedule
 

@@ -296,7 +296,7 @@ class FMU(ExternalBlock):
             )
         from bayesftc.cosim._fmi.clocked import ClockedInstance, has_clocks
         from bayesftc.cosim._fmi.instance import Instance
-        from bayesftc.cosim._fmi.library import load_library
+        from bayesftc.cosim._fmi.loading import load_library
 
         kind: Literal["plant", "sampled"] = "sampled" if timing == "sampled" else "plant"
         instance = ClockedInstance if has_clocks(description, [*inputs, *outputs]) else Instance

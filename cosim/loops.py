@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._invalid import invalid_values
+from bayesftc.cosim._nodes import Node, PortRef
 from bayesftc.cosim._numbers import real
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import (
     ConnectionError,
     ModelError,
@@ -24,7 +25,6 @@ from bayesftc.cosim.errors import (
     did_you_mean,
 )
 from bayesftc.cosim.faults import Dropout, Fault, RandomFaults
-from bayesftc.cosim.ports import PortRef
 from bayesftc.cosim.sensors import Sensors
 from bayesftc.cosim.sources import Constant
 from bayesftc.cosim.timebase import show

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.signals import ALARM, ActuatorSignals, Flags, InputSignals, LoopSignals, SensorSignals
 
 NAN = float("nan")

@@ -17,7 +17,8 @@ from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, d
 from bayesftc.cosim.timebase import rational_step, show
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.block import Block, Kernel
+    from bayesftc.cosim._types import Kernel
+    from bayesftc.cosim.block import Block
 
 
 class Outputs(dict[str, Any]):

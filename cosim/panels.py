@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.metrics import periods
 from bayesftc.cosim.panels import finish, legend, make_panels, name_spans, thin
 from bayesftc.cosim.ports import labels

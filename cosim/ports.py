@@ -1,18 +1,17 @@
-"""Typed, named ports of blocks, and references to them that connections are made of."""
+"""Typed, named ports of blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bayesftc.cosim.errors import ConnectionError, ModelError
+from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.diagram import Node
     from bayesftc.cosim.units import Unit
 
 
@@ -63,64 +62,6 @@ class Port:
     def size(self) -> int:
         """Number of elements."""
         return prod(self.shape)
-
-
-@dataclass(frozen=True)
-class PortRef:
-    """A port of a block that stands in a diagram, or some of its elements: ``node["y"]``, ``node["y"][0]``.
-
-    Attributes
-    ----------
-    node : Node
-        The block in its diagram.
-    port : Port
-        The port.
-    direction : {"input", "output"}
-        Which side of the block it is on.
-    elements : tuple of int
-        The elements that are meant, in order.
-    """
-
-    node: Node
-    port: Port
-    direction: Literal["input", "output"]
-    elements: tuple[int, ...]
-
-    @property
-    def name(self) -> str:
-        """``block.port``, with an index where only some elements are meant."""
-        whole = f"{self.node.name}.{self.port.name}"
-        if len(self.elements) == self.port.size:
-            return whole
-        return whole + "[" + ", ".join(map(str, self.elements)) + "]"
-
-    def __getitem__(self, index: int | slice) -> PortRef:
-        try:
-            chosen = self.elements[index] if isinstance(index, slice) else (self.elements[index],)
-        except (IndexError, TypeError):
-            chosen = ()
-        if not chosen:
-            raise ConnectionError(
-                f"{self.name} has {len(self.elements)} elements, numbered from 0 (a matrix row by row); there is no element "
-                f"{index!r}."
-            )
-        return PortRef(self.node, self.port, self.direction, chosen)
-
-    def __repr__(self) -> str:
-        return f"<{self.direction} {self.name}{f' in {self.port.unit}' if self.port.unit else ''}>"
-
-    def __len__(self) -> int:
-        return len(self.elements)
-
-    def __iter__(self) -> Iterator[PortRef]:
-        return (self[i] for i in range(len(self)))
-
-
-def label(reference: PortRef) -> str:
-    """Return the name that results have for a port, or for the one element of it that is meant: ``plant.K[0,1]``."""
-    if len(reference.elements) != 1 or not reference.port.shape:
-        return reference.name
-    return labels(f"{reference.node.name}.{reference.port.name}", reference.port.shape)[reference.elements[0]]
 
 
 def listed(ports: Sequence[Port], most: int = 8) -> str:

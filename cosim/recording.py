@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._nodes import PortRef
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
-from bayesftc.cosim.ports import PortRef
 from bayesftc.cosim.schedule import Schedule
 
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim._paths import is_file
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import labels
 

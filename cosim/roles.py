@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._nodes import Node
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim._wiring import (
     element_name,
     elements,
@@ -16,8 +18,7 @@ from bayesftc.cosim._wiring import (
     find_sensors,
     label_of,
 )
-from bayesftc.cosim.block import Floats
-from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.result import Result
 from bayesftc.cosim.signals import (
     ActuatorSignals,

@@ -21,9 +21,11 @@ from bayesftc.cosim._contract import checked
 from bayesftc.cosim._coupled.groups import Group, Grouping, element_name
 from bayesftc.cosim._feedthrough import Feedthrough
 from bayesftc.cosim._memory import Slots, arrange
-from bayesftc.cosim.block import Definition, ExternalBlock, Floats, Kernel
+from bayesftc.cosim._nodes import Node
+from bayesftc.cosim._types import Floats, Kernel
+from bayesftc.cosim.block import Definition, ExternalBlock
 from bayesftc.cosim.coupling import Coupling
-from bayesftc.cosim.diagram import Diagram, Node, is_external
+from bayesftc.cosim.diagram import Diagram, is_external
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnconnectedInputError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.timebase import show

@@ -13,7 +13,8 @@ import numpy as np
 from bayesftc.cosim import _sensor_kernels as kernels
 from bayesftc.cosim._invalid import Invalid, invalid_values
 from bayesftc.cosim._numbers import reals
-from bayesftc.cosim.block import Block, Definition, Floats, Kernel
+from bayesftc.cosim._types import Floats, Kernel
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 

@@ -19,15 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim._isolation.spares import Spares
+from bayesftc.cosim._nodes import PortRef, label
 from bayesftc.cosim._pacing import Pacer
 from bayesftc.cosim._running import advance, choose_engine, failed, make_room, open_run, place_tables
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim._warning import warn_user
-from bayesftc.cosim.block import Floats
 from bayesftc.cosim.diagram import is_external
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fmu import FMU
-from bayesftc.cosim.ports import PortRef, label, labels
+from bayesftc.cosim.ports import labels
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.recording import select_signals
 from bayesftc.cosim.result import Result

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal
 from bayesftc.cosim.session import Session
 
 if TYPE_CHECKING:
+    from bayesftc.cosim._nodes import PortRef
     from bayesftc.cosim._running import Progress
     from bayesftc.cosim.diagram import Diagram
-    from bayesftc.cosim.ports import PortRef
     from bayesftc.cosim.result import Result
 
 

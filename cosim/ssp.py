@@ -15,12 +15,13 @@ from typing import Literal
 from bayesftc.cosim import units
 from bayesftc.cosim._fmi.archive import absolute, extract, open_archive, read_entry
 from bayesftc.cosim._fmi.description import FMUDescription
+from bayesftc.cosim._nodes import Node
 from bayesftc.cosim._ssp.flat import Feed, Flat, Path as Place, Variable, components
 from bayesftc.cosim._ssp.read import SSP_FILE, Component, Linear, Parameter, Structure, Value, read_structure
 from bayesftc.cosim._ssp.steps import every
 from bayesftc.cosim._ssp.write import save_ssp
 from bayesftc.cosim._zip import LARGEST_XML, check_xml
-from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import SSPError, did_you_mean
 from bayesftc.cosim.fmu import FMU, describe
 from bayesftc.cosim.mathblocks import Gain

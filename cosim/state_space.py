@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim._numbers import reals
-from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.linear_system import LinearSystem, as_rows, held, normalised, signal_names
 from bayesftc.cosim.ports import Port

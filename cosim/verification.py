@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.cosim._export.deviations import Deviation, deviation
 from bayesftc.cosim._export.stand_in import PLACED, Place, StandIn
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import SimulationError
 from bayesftc.cosim.fmu import FMU

@@ -497,7 +497,7 @@ def test_failures_are_sentences_and_leave_the_system_as_it_was(foreign):
 
 
 def test_instances_are_freed_with_their_system():
-    from bayesftc.cosim._fmi.library import load_library
+    from bayesftc.cosim._fmi.loading import load_library
 
     block = car()
     library, systems = load_library(*block._read()), []

@@ -9,7 +9,7 @@ import pytest
 
 from bayesftc import cosim, fmus
 from bayesftc.cosim._fmi.archive import open_archive
-from bayesftc.cosim._fmi.library import _loaded
+from bayesftc.cosim._fmi.loading import _loaded
 from bayesftc.cosim._fmi.sources import read_sources
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.fmu import FMU, describe

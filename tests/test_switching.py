@@ -28,7 +28,7 @@ from bayesftc.controllers._default_time import time_at
 from bayesftc.controllers._mode_kernels import drops, scatters, shifts
 from bayesftc.controllers._special import squared_gamma_half_step
 from bayesftc.controllers.fault_modes import ENTERED, FACTOR, OWN, SIZE
-from bayesftc.cosim.block import argument_names
+from bayesftc.cosim._types import argument_names
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02

@@ -17,7 +17,7 @@ from bayesftc.cosim._campaign.columns import Array
 from bayesftc.cosim._campaign.extras import extra
 from bayesftc.cosim._campaign.metadata import Metadata, hash_of
 from bayesftc.cosim._campaign.plan import Piece
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import StoreError
 
 FOLDER = "signals.zarr"

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 from bayesftc.cosim._campaign.job import Job
 from bayesftc.cosim._campaign.metrics import Metric
-from bayesftc.cosim._campaign.pickling import Reduced, pickled
-from bayesftc.cosim._fmi.archive import open_archive
-from bayesftc.cosim._paths import expanded
 from bayesftc.cosim._wiring import faults_before, find_controller, find_sensors
 from bayesftc.cosim.diagram import Diagram
-from bayesftc.cosim.errors import FMUError, ModelError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.errors import ModelError
 
 
 def described(job: Job) -> dict[str, Any]:
@@ -31,43 +26,6 @@ def described(job: Job) -> dict[str, Any]:
         "metrics": [_settings(metric) for metric in job.metrics],
         "roles": _roles(diagram),
     }
-
-
-def fmus_of(job: Job) -> dict[str, Path]:
-    """Return the FMUs of a campaign, by their SHA-256: those of the first point, wherever they are in it, and of the factors."""
-    found: dict[str, Path] = {}
-
-    def note(thing: Any) -> Reduced | None:
-        if not isinstance(thing, FMU):
-            return None
-        path = Path(thing.path)
-        found[open_archive(path).digest] = path
-        return str, ()
-
-    diagram = job.diagram(0)
-    for part in (diagram, *job.plan.points):
-        try:
-            pickled(part, note)
-        except ModelError:  # a block that does not pickle has none that are of use elsewhere
-            for node in diagram.nodes:
-                note(node.block)
-    for path in paths_among(job):
-        found[open_archive(path).digest] = path
-    return found
-
-
-def paths_among(job: Job) -> list[Path]:
-    """Return the FMUs that factors name by their paths."""
-    values = {value for point in job.plan.points for value in point.values() if isinstance(value, str | Path)}
-    named = sorted(expanded(value).absolute() for value in values if str(value).endswith(".fmu"))
-    found = []
-    for path in named:
-        try:
-            open_archive(path)
-        except FMUError:  # the runs will say so
-            continue
-        found.append(path)
-    return found
 
 
 def _settings(metric: Metric) -> dict[str, Any]:
@@ -97,4 +55,4 @@ def _said(thing: Any) -> str:
     return re.sub(r" at 0x[0-9a-fA-F]+", "", repr(thing))
 
 
-__all__ = ["described", "fmus_of", "paths_among"]
+__all__ = ["described"]

@@ -18,7 +18,7 @@ from bayesftc.cosim._campaign.many import Aside, Block, ManyRuns, Wanted
 from bayesftc.cosim._campaign.metrics import Metric, Runs, is_number
 from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Piece, Plan
 from bayesftc.cosim._campaign.raised import reason_of
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.recording import Selection, select_signals

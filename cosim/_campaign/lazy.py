@@ -11,7 +11,7 @@ from xarray.core import indexing
 
 from bayesftc.cosim._campaign.chunks import Chunks
 from bayesftc.cosim._campaign.plan import Piece
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 class StoredSignal(BackendArray):

@@ -16,7 +16,7 @@ from bayesftc.cosim._campaign.durable import sync_all, sync_folder
 from bayesftc.cosim._campaign.metadata import NAME, Metadata, Signal, hash_of
 from bayesftc.cosim._campaign.plan import Plan
 from bayesftc.cosim._temporary import BESIDE, temporary_folder
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import StoreError
 
 FMUS = "fmus"

@@ -23,8 +23,8 @@ from bayesftc.cosim._isolation.spares import Spares
 from bayesftc.cosim._isolation.turns import one_processor
 from bayesftc.cosim._running import BREATH, advance, choose_engine, explain, open_run, warn_of_arithmetic
 from bayesftc.cosim._state_functions import StateFunctions
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim._warning import warn_user
-from bayesftc.cosim.block import Floats
 from bayesftc.cosim.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.recording import Selection
 from bayesftc.cosim.schedule import NOT_FINITE, Schedule

@@ -15,7 +15,7 @@ from bayesftc.cosim._campaign.durable import write_whole
 from bayesftc.cosim._campaign.environment import environment
 from bayesftc.cosim._campaign.plan import Plan
 from bayesftc.cosim._paths import exists, is_file
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import StoreError, brief
 
 NAME, FORMAT, VERSION = "campaign.json", "bayesftc-campaign", 1

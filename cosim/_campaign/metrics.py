@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.metrics import figures
 from bayesftc.cosim.recording import select_signals

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 OK = "ok"
 FAILED = "failed"

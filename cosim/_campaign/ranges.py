@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._numbers import real
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, brief
 
 TAKES = (

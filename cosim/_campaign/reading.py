@@ -17,7 +17,7 @@ from bayesftc.cosim._campaign.metadata import Metadata
 from bayesftc.cosim._campaign.parts import Part, Parts
 from bayesftc.cosim._campaign.plan import FAILED, Piece, Plan
 from bayesftc.cosim._campaign.redo import Redo
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import StoreError, UnknownNameError, did_you_mean
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from bayesftc.cosim._campaign.design import Design, Level, check_points
 from bayesftc.cosim._campaign.extras import extra
 from bayesftc.cosim._campaign.ranges import checked, scaled
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, brief
 
 

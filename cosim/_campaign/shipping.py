@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim._campaign.describing import fmus_of
+from bayesftc.cosim._campaign.fmus import fmus_of
 from bayesftc.cosim._campaign.job import Job
 from bayesftc.cosim._campaign.pickling import Reduced, pickled
 from bayesftc.cosim._fmi.archive import open_archive, stand_in

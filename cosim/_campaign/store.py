@@ -28,7 +28,7 @@ from bayesftc.cosim._campaign.metadata import Metadata, Signal, differences
 from bayesftc.cosim._campaign.parts import Part
 from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Piece, Plan
 from bayesftc.cosim._campaign.reading import PENDING, StoredCampaign
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import StoreError
 
 WRITERS, UNSYNCED = 8, 1.0

@@ -8,8 +8,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim._campaign.describing import described, fmus_of
+from bayesftc.cosim._campaign.describing import described
 from bayesftc.cosim._campaign.durable import written_to
+from bayesftc.cosim._campaign.fmus import fmus_of
 from bayesftc.cosim._campaign.job import Job
 from bayesftc.cosim._campaign.metadata import NAME
 from bayesftc.cosim._campaign.outcomes import CampaignResult, InMemory

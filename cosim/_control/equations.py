@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesftc.cosim._control.hints import Hints
 from bayesftc.cosim._exchange.equations import ModelEquations
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.ports import Port
 

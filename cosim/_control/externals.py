@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim._fmi.states import SavedState
-from bayesftc.cosim.block import External, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import External
 from bayesftc.cosim.errors import FMUError, ModelError
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.timebase import show

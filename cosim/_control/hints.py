@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bayesftc.cosim.block import Block, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.state_space import StateSpace
 

@@ -14,7 +14,7 @@ from bayesftc.cosim._control.externals import ExternalState, external_state
 from bayesftc.cosim._control.hints import Hints
 from bayesftc.cosim._control.state import state_places
 from bayesftc.cosim._running import choose_engine, explain, open_run
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.engines import Draws, Failure
 from bayesftc.cosim.errors import SimulationError, StepSizeError

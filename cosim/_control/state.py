@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim._memory import Slots
-from bayesftc.cosim.block import Floats, Kernel, argument_names
+from bayesftc.cosim._types import Floats, Kernel, argument_names
 from bayesftc.cosim.diagram import is_external
 from bayesftc.cosim.schedule import Schedule
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from bayesftc.cosim.block import argument_names
+from bayesftc.cosim._types import argument_names
 
 if TYPE_CHECKING:
     from bayesftc.cosim.coupling import Coupling

@@ -7,6 +7,7 @@ from llvmlite import ir
 from numba import carray, types
 from numba.extending import intrinsic
 
+from bayesftc.cosim._by_address import call_block
 from bayesftc.cosim._compiler import as_floats
 from bayesftc.cosim._coupled.steps import PART, RECORD_WORDS, SAVING, STATUS, WORK_ROWS, build
 from bayesftc.cosim._fmi.kernels import number, word
@@ -22,7 +23,6 @@ from bayesftc.cosim._loop import (
     OUTPUTS,
     PARAMETERS,
     STATE,
-    call_block,
 )
 from bayesftc.cosim._numba_called import callee
 from bayesftc.cosim.schedule import NOT_FINITE

@@ -14,7 +14,7 @@ from bayesftc.cosim._exchange.model import ExchangeModel
 from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._exchange.reasons import reason
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS, RESTARTED
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.timebase import step_at
 
 

@@ -16,7 +16,7 @@ from bayesftc.cosim._exchange.settings import DEFAULT_TOLERANCE
 from bayesftc.cosim._fmi.groups import element_names
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.values import resolved
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import FMUError, ModelError
 from bayesftc.cosim.fmu import FMU
 

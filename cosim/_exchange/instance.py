@@ -21,7 +21,7 @@ from bayesftc.cosim._exchange.model import ExchangeModel, SavedModel
 from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._fmi.description import FMUVariable, Value
 from bayesftc.cosim._fmi.library import CallError
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import FMUError, UnknownNameError, did_you_mean
 
 Timing = Literal["plant", "direct", "sampled"]

@@ -13,7 +13,8 @@ from bayesftc.cosim._exchange.bound import Bound
 from bayesftc.cosim._exchange.library1 import ModelLibrary1
 from bayesftc.cosim._fmi.archive import Archive
 from bayesftc.cosim._fmi.description import FMUDescription
-from bayesftc.cosim._fmi.library import CallError, Library2, Library3, load_library
+from bayesftc.cosim._fmi.library import CallError, Library2, Library3
+from bayesftc.cosim._fmi.loading import load_library
 from bayesftc.cosim._fmi.messages import Messages, callback3
 
 _STATUS, _PLACE, _COUNT = ctypes.c_int, ctypes.c_void_p, ctypes.c_size_t

@@ -16,12 +16,12 @@ from bayesftc.cosim._exchange.port_values import EndError, PortValues, StopError
 from bayesftc.cosim._exchange.words import ITERATIONS
 from bayesftc.cosim._exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import own_inputs
 from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.messages import ENDS, Messages
+from bayesftc.cosim._fmi.own_inputs import own_inputs
 from bayesftc.cosim._fmi.states import SavedState, States
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import FMUError
 
 _DISCARD, _FATAL = 2, 4

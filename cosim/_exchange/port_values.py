@@ -13,7 +13,7 @@ from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError
 from bayesftc.cosim._fmi.refusals import function_of, misfit
 from bayesftc.cosim._fmi.rounding import Rounding
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 class StopError(Exception):

@@ -16,7 +16,7 @@ from bayesftc.cosim._exchange.model import ExchangeModel
 from bayesftc.cosim._exchange.port_values import EndError, StopError
 from bayesftc.cosim._exchange.reasons import endless_events, too_many_events
 from bayesftc.cosim._fmi.library import CallError
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.timebase import step_at
 
 INTERRUPTED = 902  # as in bayesftc.cosim._isolation.protocol

@@ -13,7 +13,7 @@ from bayesftc.cosim._exchange.reasons import REMEDY, nan_derivative
 from bayesftc.cosim._exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim._exchange.words import PRECISION
 from bayesftc.cosim._fmi.messages import ENDS
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 class ScipySolver:

@@ -10,7 +10,7 @@ import numpy as np
 from bayesftc.cosim._exchange.port_values import StopError
 from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.library import CallError
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import FMUError
 
 if TYPE_CHECKING:

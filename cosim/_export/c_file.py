@@ -15,7 +15,7 @@ from bayesftc.cosim._export.program import Program
 from bayesftc.cosim._export.signals import Signal, Tunable
 from bayesftc.cosim._export.values import literal
 from bayesftc.cosim._opening import OUTSIDE
-from bayesftc.cosim.block import argument_names
+from bayesftc.cosim._types import argument_names
 from bayesftc.cosim.schedule import Call
 
 _PARTS = ("inputs", "outputs", "parameters", "init", "step", "evaluate", "advance")

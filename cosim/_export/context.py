@@ -6,7 +6,7 @@ import ast
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn, Protocol
 
 from bayesftc.cosim import ops
 from bayesftc.cosim._export.kinds import Array, Constant, Kind, Number, as_number
@@ -14,11 +14,21 @@ from bayesftc.cosim._export.source import place
 from bayesftc.cosim._export.values import ATOM, Value, constant
 from bayesftc.cosim.errors import KernelError
 
-if TYPE_CHECKING:
-    from bayesftc.cosim._export.functions import Functions
-
 OPERATIONS = {getattr(ops, name): name for name in ops.NAMES}
 """The name of each operation of step functions."""
+
+
+class Functions(Protocol):
+    """All functions of one C file, as one of them sees them: those that it calls, and names and tables that are of the file."""
+
+    def require(self, function: FunctionType, kinds: Sequence[Kind]) -> Any:
+        """Return the C function for arguments of these kinds."""
+
+    def allowed(self, name: str) -> str:
+        """Return a name as C allows it."""
+
+    def table(self, values: tuple[Any, ...], kind: Number) -> str:
+        """Return the name of the file's table of these numbers."""
 
 
 class Context:

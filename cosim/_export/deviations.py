@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 @dataclass(frozen=True)

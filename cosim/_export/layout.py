@@ -13,7 +13,7 @@ from bayesftc.cosim._export.names import in_c
 from bayesftc.cosim._export.program import Program
 from bayesftc.cosim._export.signals import Signal, Tunable
 from bayesftc.cosim._opening import OUTSIDE
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 def member(signal: Signal | Tunable) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bayesftc.cosim import ops
 from bayesftc.cosim._memory import Slots
 from bayesftc.cosim._tracing import rebound
-from bayesftc.cosim.block import Kernel, argument_names
+from bayesftc.cosim._types import Kernel, argument_names
 
 Memory = NDArray[Any]
 """An array of objects."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from bayesftc.cosim._export.tunables import Element, settings_of
 from bayesftc.cosim._export.units import Units, unit_of_setting
+from bayesftc.cosim._nodes import Node
 from bayesftc.cosim._opening import OUTSIDE
-from bayesftc.cosim.diagram import Node
 from bayesftc.cosim.ports import Port, labels
 from bayesftc.cosim.schedule import Schedule
 

@@ -8,9 +8,11 @@ from fractions import Fraction
 from math import gcd, isclose
 from pathlib import Path
 
+from bayesftc.cosim._nodes import Node
 from bayesftc.cosim._opening import HandOn
-from bayesftc.cosim.block import Block, Definition, Floats
-from bayesftc.cosim.diagram import Diagram, Node, is_external
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.diagram import Diagram, is_external
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.ports import Port, labels

@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesftc.cosim.block import Block, Definition, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.ports import labels
 
 Element = tuple[str, int]

@@ -32,7 +32,7 @@ from bayesftc.cosim._fmi.instance import Instance
 from bayesftc.cosim._fmi.library import CallError, Library
 from bayesftc.cosim._fmi.refusals import function_of
 from bayesftc.cosim._fmi.steps import failed
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import StepSizeError
 from bayesftc.cosim.timebase import show
 

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bayesftc.cosim._fmi.codes import EXACT
-from bayesftc.cosim._fmi.description import FMUVariable, Value
+from bayesftc.cosim._fmi.description import FMUVariable
 from bayesftc.cosim._fmi.guards import Guarded
 from bayesftc.cosim._fmi.versions import prefix
-from bayesftc.cosim.block import Floats
-from bayesftc.cosim.errors import FMUError
-
-if TYPE_CHECKING:
-    from bayesftc.cosim._fmi.library import Library
+from bayesftc.cosim._types import Floats
 
 VALUES2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
 VALUES3 = ctypes.CFUNCTYPE(
@@ -288,26 +284,6 @@ def groups(
         Group(name, address(name), kind, major, references, start, size, read, clocks)
         for (name, kind, read, clocks), references, start, size in runs
     ]
-
-
-def own_inputs(library: Library, component: int, inputs: Mapping[FMUVariable, Value | None]) -> dict[str, Floats]:
-    """Return the values that an initialized instance has itself given to the inputs without a known one, by name.
-
-    These are arrays of another size than the description has start values for.
-    """
-    found = {}
-    for variable, value in inputs.items():
-        if value is None:
-            (group,) = groups([variable], library.description.fmi_major, "Get", library.function_address)
-            values = np.zeros(group.size)
-            status, _ = group.take(component, values)
-            if status not in (0, 1):
-                raise FMUError(
-                    f"The FMU {library.description.name!r} does not say which start value its input {variable.name!r} has with "
-                    "the sizes that it was given; give it one by parameters=."
-                )
-            found[variable.name] = values
-    return found
 
 
 def type_range(variable: FMUVariable, major: int) -> tuple[float, float]:

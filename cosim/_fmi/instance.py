@@ -29,10 +29,11 @@ from bayesftc.cosim._fmi.codes import (
     UNFIT_OUTPUT,
 )
 from bayesftc.cosim._fmi.description import FMUVariable, Value
-from bayesftc.cosim._fmi.groups import Group, element_names, groups, own_inputs
+from bayesftc.cosim._fmi.groups import Group, element_names, groups
 from bayesftc.cosim._fmi.guards import beyond
 from bayesftc.cosim._fmi.library import CallError, Library
 from bayesftc.cosim._fmi.messages import ENDS, Messages, status_word
+from bayesftc.cosim._fmi.own_inputs import own_inputs
 from bayesftc.cosim._fmi.refusals import function_of, misfit
 from bayesftc.cosim._fmi.rounding import Rounding
 from bayesftc.cosim._fmi.states import SavedState, States

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bayesftc.cosim._fmi.addresses import Addresses
 from bayesftc.cosim._fmi.description import FMUDescription, FMUVariable, Value
 from bayesftc.cosim._fmi.library import C_TYPES, CallError, Library
 from bayesftc.cosim._fmi.messages import Messages, callbacks1
-from bayesftc.cosim._fmi.steps import Addresses
 
 TRUE, FALSE = b"\1", b"\0"
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim._fmi.addresses import Addresses
 from bayesftc.cosim._fmi.codes import (
     ANSWER,
     DISCARD,
@@ -44,7 +44,7 @@ from bayesftc.cosim._fmi.codes import (
     UPDATE_TERMINATE,
 )
 from bayesftc.cosim._fmi.groups import Group
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 _STEP2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
 _STEP3 = ctypes.CFUNCTYPE(
@@ -53,28 +53,6 @@ _STEP3 = ctypes.CFUNCTYPE(
 _ASK2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p)
 _MODE3 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 _UPDATE3 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *[ctypes.c_void_p] * 6)
-
-
-@dataclass(frozen=True)
-class Addresses:
-    """Addresses of the FMI functions that a step may call; 0 where the instance does not have them or is not to use them.
-
-    Attributes
-    ----------
-    do_step : int
-        Makes the step.
-    real_status, boolean_status : int
-        FMI 2, where steps of any size can be made: say how far a discarded step came, and whether the FMU wants to end.
-    enter_event_mode, update_discrete, enter_step_mode : int
-        FMI 3, where event mode is used.
-    """
-
-    do_step: int
-    real_status: int = 0
-    boolean_status: int = 0
-    enter_event_mode: int = 0
-    update_discrete: int = 0
-    enter_step_mode: int = 0
 
 
 @cache

@@ -31,7 +31,8 @@ from bayesftc.cosim._isolation.process import Patience, WorkerProcess
 from bayesftc.cosim._isolation.settings import DEFAULT_LIMIT
 from bayesftc.cosim._isolation.spares import give, take
 from bayesftc.cosim._isolation.states import IsolatedState
-from bayesftc.cosim.block import ExternalBlock, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.errors import FMUCrashed, FMUError
 from bayesftc.cosim.timebase import step_at
 

@@ -11,9 +11,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from bayesftc.cosim._by_address import call_block
 from bayesftc.cosim._fmi.kernels import number, word
 from bayesftc.cosim._isolation import protocol
-from bayesftc.cosim._loop import call_block
 from bayesftc.cosim._numba_called import inlined
 
 # Words of the host's table.

@@ -17,9 +17,10 @@ import numpy as np
 
 from bayesftc.cosim._fmi.archive import absolute, open_archive
 from bayesftc.cosim._fmi.description import FMUVariable
+from bayesftc.cosim._nodes import Node
 from bayesftc.cosim._ssp.read import FMU_TYPE, SSP_FILE, Linear
 from bayesftc.cosim._ssp.schema import NAMESPACE, SSC, SSD, SSV
-from bayesftc.cosim.diagram import Diagram, Node
+from bayesftc.cosim.diagram import Diagram
 from bayesftc.cosim.errors import SSPError
 from bayesftc.cosim.fmu import FMU
 from bayesftc.cosim.mathblocks import Gain

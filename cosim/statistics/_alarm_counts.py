@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.alarms import HOUR, Alarms
-from bayesftc.cosim.block import Floats
 from bayesftc.cosim.metrics import periods
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.metrics import NAN, without_nan
 from bayesftc.cosim.probabilities import Reliability, bins_of, of_bins
 from bayesftc.cosim.statistics._intervals import check_level, interval, ratio

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.alarms import Alarms
-from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.metrics import NAN
 from bayesftc.cosim.signals import Flags

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.statistics._compare import compare
 from bayesftc.cosim.statistics._differences import Correction, decided, outcomes

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesftc.cosim._campaign.extras import extra
 from bayesftc.cosim._campaign.samples import SaltelliDesign
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.statistics._intervals import check_level
 from bayesftc.cosim.statistics._table import Names, cells, check_columns, names_of, numbers, where

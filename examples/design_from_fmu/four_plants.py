@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.plotting import BLACK, BLUE, SENSOR_COLOURS
 
 Traces = dict[tuple[str, str], tuple[Floats, Floats, Floats]]

@@ -10,7 +10,7 @@ import numpy as np
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 from bayesftc.bench._slave import CAR, Unpacked, unpacked_car
 from bayesftc.bench._user_loop import COLUMNS, Setting, user_loop
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 if TYPE_CHECKING:
     from bayesftc.controllers.precision import PrecisionLearner

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 STEP, RTOL = 0.01, 1e-6
 PERIOD = 3.0

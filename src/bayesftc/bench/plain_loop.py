@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 from bayesftc.bench._slave import CAR, Unpacked, unpacked_car
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 STEP = 0.02
 GAIN, OFFSET = -800.0, 16_000.0  # force = 800 (20 m/s - v)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 DT = 0.02
 A, B = 1 - 5.0 / 100.0 * DT, DT / 100.0

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from bayesftc.cosim._fmi.archive import Archive, open_archive
-from bayesftc.cosim._fmi.library import binary_entry, misnamed
+from bayesftc.cosim._fmi.loading import binary_entry, misnamed
 from bayesftc.cosim._fmi.sources import read_sources
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.fmu import FMU, FMUDescription

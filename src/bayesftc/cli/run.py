@@ -24,7 +24,7 @@ from bayesftc.scenario._unused import unused
 if TYPE_CHECKING:
     from bayesftc.controllers import BayesianController
     from bayesftc.cosim._running import Progress
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
     from bayesftc.cosim.diagram import Diagram
     from bayesftc.cosim.result import Result
 

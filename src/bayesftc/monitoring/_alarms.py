@@ -11,7 +11,7 @@ from bayesftc.controllers._checks import check_number
 from bayesftc.controllers._default_time import DefaultTime, time_at
 from bayesftc.controllers.actuator_modes import ActuatorMode
 from bayesftc.controllers.fault_modes import FaultMode
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.monitoring._recording import Recording
 
 

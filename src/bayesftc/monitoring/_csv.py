@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim._paths import exists, expanded, is_file, is_folder
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 
 if TYPE_CHECKING:

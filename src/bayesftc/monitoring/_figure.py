@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
     from bayesftc.monitoring._run import Monitored
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesftc.controllers.fault_modes import HEALTHY_REPEATS
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._columns import SensorErrors
 from bayesftc.monitoring._fit_bias import biases, wander

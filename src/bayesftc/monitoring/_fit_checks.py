@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._moments import median

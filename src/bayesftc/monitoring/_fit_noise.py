@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import nnls
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.monitoring._fit_settings import FIT
 from bayesftc.monitoring._moments import differences, mean, median, windowed
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesftc.controllers._checks import Matrix, as_covariance, as_matrix, check_number
 from bayesftc.controllers.model import LinearModel
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 
 @dataclass(frozen=True)

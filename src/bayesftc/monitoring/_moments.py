@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.monitoring._fit_settings import FIT
 
 MAD = 1.4826

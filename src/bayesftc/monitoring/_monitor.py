@@ -20,7 +20,7 @@ from bayesftc.controllers.learning import LearnedModes, RecordedRun, learn_modes
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.cosim.timebase import rational_step
 from bayesftc.monitoring._alarms import Alarm

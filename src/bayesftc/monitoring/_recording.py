@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers._checks import check_number
 from bayesftc.controllers._resolution import find_resolution
 from bayesftc.cosim._invalid import invalid_values
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.timebase import rational_step, show
 

@@ -15,7 +15,7 @@ from bayesftc.controllers.estimator import StateEstimator
 from bayesftc.controllers.model import LinearModel
 from bayesftc.controllers.precision import PrecisionLearner
 from bayesftc.controllers.switching import SwitchingPrecision
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.signals import Flags
 from bayesftc.monitoring._alarms import ActuatorEvent, Alarm, FaultEvent, actuator_events, sensor_events

@@ -13,7 +13,7 @@ from bayesftc.report.svg import INK, figure, legend, words
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bayesftc.cosim.block import Floats
+    from bayesftc.cosim._types import Floats
     from bayesftc.report.contents import Contents
 
 RUNS = 200

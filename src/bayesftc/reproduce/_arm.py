@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.signals import ALARM
 from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce import paper

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.block import Kernel
+from bayesftc.cosim._types import Kernel
 from bayesftc.reproduce.settings import Arm
 
 FAULTY, HEALTHY = 0, 1

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayesftc import cosim
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.metrics import auc as area
 from bayesftc.cosim.probabilities import reliability
 from bayesftc.cosim.signals import Flags

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.random import check_seed
 from bayesftc.reproduce import _bound_kernels as kernels

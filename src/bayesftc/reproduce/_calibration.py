@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.probabilities import Reliability, reliability
 from bayesftc.cosim.signals import Flags
 from bayesftc.cosim.statistics import mean_reliability

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._campaign.seeds import hashed_seeds
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.metrics import auc as area
 from bayesftc.cosim.statistics import interval, roc_curve, roc_rates
 from bayesftc.reproduce import _filterpy, _residuals, paper

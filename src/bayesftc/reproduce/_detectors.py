@@ -9,8 +9,8 @@ from operator import add
 from typing import Any, TypeVar
 
 from bayesftc import cosim
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.alarms import Alarms, alarm_threshold, judge_alarms
-from bayesftc.cosim.block import Floats
 from bayesftc.reproduce._ensemble import Ensemble
 from bayesftc.reproduce._residuals import SIGNALS, Residual
 from bayesftc.reproduce._streams import KINDS, Faults, Stream, Streams

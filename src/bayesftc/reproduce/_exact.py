@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from bayesftc import controllers
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 
 Bools = np.ndarray[Any, np.dtype[np.bool_]]
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.reproduce._ensemble import Ensemble
 from bayesftc.reproduce._exact import Kind, Regressed, Shifted, Silent, Stuck, World, on_a_grid, probabilities
 from bayesftc.reproduce.settings import Probabilities

@@ -18,8 +18,8 @@ import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.alarms import Alarms, judge_alarms
-from bayesftc.cosim.block import Floats
 from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError, did_you_mean
 from bayesftc.cosim.metrics import NAN, rmse, without_nan
 from bayesftc.cosim.random import check_seed

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.reproduce._car import model as model_of_car
 from bayesftc.reproduce.family_cases import PLANTS, Case, Plant
 from bayesftc.reproduce.settings import Car

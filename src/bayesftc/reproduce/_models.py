@@ -18,8 +18,8 @@ import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.alarms import Alarms, alarm_threshold, judge_alarms
-from bayesftc.cosim.block import Floats
 from bayesftc.cosim.signals import ALARM
 from bayesftc.cosim.statistics import ratio
 from bayesftc.reproduce._ensemble import Ensemble, Progress, chunks

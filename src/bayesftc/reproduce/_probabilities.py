@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.cosim.metrics import NAN, without_nan
 from bayesftc.cosim.statistics import calibration
 from bayesftc.reproduce import _exact_cases

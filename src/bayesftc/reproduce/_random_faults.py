@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc import cosim
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.reproduce.settings import Probabilities
 
 

@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 
 from bayesftc import controllers, cosim
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.reproduce._car import model
 from bayesftc.reproduce._streams import Stream
 from bayesftc.reproduce.settings import Car, Detection

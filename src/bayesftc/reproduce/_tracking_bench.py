@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim._repeat import repeat
-from bayesftc.cosim.block import Floats
+from bayesftc.cosim._types import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce._car import closed_loop
 from bayesftc.reproduce._ensemble import Ensemble

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers._checks import as_matrix
-from bayesftc.cosim.block import Block, Floats
+from bayesftc.cosim._types import Floats
+from bayesftc.cosim.block import Block
 from bayesftc.cosim.state_space import LinearSystem, StateSpace
 from bayesftc.cosim.timebase import rational_step
 from bayesftc.scenario._place import Place

@@ -1,0 +1,31 @@
+"""Calls, by address, of step functions and of functions of an FMU, for compiled code."""
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+
+@intrinsic
+def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
+    """int32 (*)(double *, double *, double *, double *, double, int64_t), given as integers."""
+    signature = types.int32(types.int64, types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
+
+    def codegen(context, builder, sig, args):
+        i64 = ir.IntType(64)
+        function = ir.FunctionType(ir.IntType(32), [i64, i64, i64, i64, ir.DoubleType(), i64])
+        return builder.call(builder.inttoptr(args[0], function.as_pointer()), args[1:])
+
+    return signature, codegen
+
+
+@intrinsic
+def put_back(typingctx, function, instance, state):
+    """int32 (*)(void *, void *), given as integers: FMI's function that takes an instance back to a saved state."""
+    signature = types.int32(types.int64, types.int64, types.int64)
+
+    def codegen(context, builder, sig, args):
+        i64 = ir.IntType(64)
+        kind = ir.FunctionType(ir.IntType(32), [i64, i64])
+        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
+
+    return signature, codegen

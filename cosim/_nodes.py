@@ -1,0 +1,120 @@
+"""Blocks that stand in a diagram, and references to their ports, which connections are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from bayesftc.cosim.block import Block
+from bayesftc.cosim.errors import ConnectionError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port, labels
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A ``block`` that stands in a diagram under a ``name``; ``node["y"]`` refers to its port.
+
+    Of a vector or matrix port, ``node["y[1]"]`` (that is ``node["y"][1]``) and ``node["K[0,1]"]`` refer to one element. It runs
+    at every ``every``-th base step.
+    """
+
+    name: str
+    block: Block
+    every: int
+
+    @cached_property
+    def inputs(self) -> tuple[Port, ...]:
+        """The inputs of the block, which makes them anew for each who asks."""
+        return tuple(self.block.inputs)
+
+    @cached_property
+    def outputs(self) -> tuple[Port, ...]:
+        """The outputs of the block."""
+        return tuple(self.block.outputs)
+
+    def port(self, name: str) -> Port:
+        """Return the port of that name, as `Block.port` does."""
+        found = next((port for port in (*self.outputs, *self.inputs) if port.name == name), None)
+        return self.block.port(name) if found is None else found  # which says what there is
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"name": self.name, "block": self.block, "every": self.every}
+
+    def __getitem__(self, port: str) -> PortRef:
+        directions: list[tuple[Literal["input", "output"], tuple[Port, ...]]] = [
+            ("output", self.outputs),
+            ("input", self.inputs),
+        ]
+        for direction, ports in directions:
+            for candidate in ports:
+                if candidate.name == port:
+                    return PortRef(self, candidate, direction, tuple(range(candidate.size)))
+        for direction, ports in directions:
+            for candidate in ports:
+                if candidate.shape and port in (elements := labels(candidate.name, candidate.shape)):
+                    return PortRef(self, candidate, direction, (elements.index(port),))
+        names = [p.name for _, ports in directions for p in ports]
+        raise UnknownNameError(f"Block {self.name!r} has no port {port!r}; {did_you_mean(port, names)}")
+
+    def __repr__(self) -> str:
+        return f"<{self.name}: {type(self.block).__name__}>"
+
+
+@dataclass(frozen=True)
+class PortRef:
+    """A port of a block that stands in a diagram, or some of its elements: ``node["y"]``, ``node["y"][0]``.
+
+    Attributes
+    ----------
+    node : Node
+        The block in its diagram.
+    port : Port
+        The port.
+    direction : {"input", "output"}
+        Which side of the block it is on.
+    elements : tuple of int
+        The elements that are meant, in order.
+    """
+
+    node: Node
+    port: Port
+    direction: Literal["input", "output"]
+    elements: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """``block.port``, with an index where only some elements are meant."""
+        whole = f"{self.node.name}.{self.port.name}"
+        if len(self.elements) == self.port.size:
+            return whole
+        return whole + "[" + ", ".join(map(str, self.elements)) + "]"
+
+    def __getitem__(self, index: int | slice) -> PortRef:
+        try:
+            chosen = self.elements[index] if isinstance(index, slice) else (self.elements[index],)
+        except (IndexError, TypeError):
+            chosen = ()
+        if not chosen:
+            raise ConnectionError(
+                f"{self.name} has {len(self.elements)} elements, numbered from 0 (a matrix row by row); there is no element "
+                f"{index!r}."
+            )
+        return PortRef(self.node, self.port, self.direction, chosen)
+
+    def __repr__(self) -> str:
+        return f"<{self.direction} {self.name}{f' in {self.port.unit}' if self.port.unit else ''}>"
+
+    def __len__(self) -> int:
+        return len(self.elements)
+
+    def __iter__(self) -> Iterator[PortRef]:
+        return (self[i] for i in range(len(self)))
+
+
+def label(reference: PortRef) -> str:
+    """Return the name that results have for a port, or for the one element of it that is meant: ``plant.K[0,1]``."""
+    if len(reference.elements) != 1 or not reference.port.shape:
+        return reference.name
+    return labels(f"{reference.node.name}.{reference.port.name}", reference.port.shape)[reference.elements[0]]

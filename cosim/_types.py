@@ -1,0 +1,29 @@
+"""What everything here is made of: arrays of float64, and step functions, which know by name what they work on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import FunctionType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesftc.cosim.errors import KernelError
+
+Floats = NDArray[np.float64]
+Kernel = Callable[..., None]
+
+
+def argument_names(kernel: Kernel) -> tuple[str, ...]:
+    """Return the argument names of a step function."""
+    if not isinstance(kernel, FunctionType):
+        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
+    code = kernel.__code__
+    if code.co_kwonlyargcount or code.co_flags & 0x0C or kernel.__defaults__:
+        raise KernelError(
+            f"Step function {kernel.__name__!r} must have plain arguments: no defaults, no *args, no keywords."
+        )
+    return code.co_varnames[: code.co_argcount]
+
+
+__all__ = ["Floats", "Kernel", "argument_names"]
