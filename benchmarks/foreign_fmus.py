@@ -62,7 +62,7 @@ def by_hand(path, step, outputs, moved):
     import fmpy
     from fmpy.fmi2 import FMU2Slave
 
-    from bayesftc.cosim.timebase import rational_step
+    from bayesftc.cosim.base.timebase import rational_step
 
     exact = rational_step(step)
     model = fmpy.read_model_description(str(path), validate=False)
@@ -198,7 +198,7 @@ def difference(mine, theirs):
 def one(path, kind):
     """Run one FMU both ways; return what was seen."""
     from bayesftc import cosim
-    from bayesftc.cosim.fmu import describe
+    from bayesftc.cosim.fmi.fmu import describe
 
     warnings.simplefilter("ignore")
     description = describe(path)
@@ -240,7 +240,7 @@ def one(path, kind):
 def watched(path):
     """Run each kind of an FMU in a process of its own; return a row for each."""
     from bayesftc import cosim
-    from bayesftc.cosim.fmu import describe
+    from bayesftc.cosim.fmi.fmu import describe
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

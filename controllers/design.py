@@ -8,18 +8,25 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_covariance, as_vector
-from bayesftc.controllers._plant_check import compare_with_plant
-from bayesftc.controllers._stabilisability import refuse_undetectable, refuse_unstabilisable
-from bayesftc.controllers.identification import Identification
-from bayesftc.controllers.linearization import INPUT_NOISE, Names, elements_of, linearize, names_of, refuse_unmoved
-from bayesftc.controllers.lqg import LQGController
-from bayesftc.controllers.model import LinearModel
-from bayesftc.controllers.precision import PrecisionLearner
-from bayesftc.controllers.switching import SwitchingPrecision
-from bayesftc.cosim._types import Floats
+from bayesftc.controllers.bayesian.lqg import LQGController
+from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
+from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
+from bayesftc.controllers.identification.identify import Identification
+from bayesftc.controllers.models.checks import Matrix, as_covariance, as_vector
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.linearization import (
+    INPUT_NOISE,
+    Names,
+    elements_of,
+    linearize,
+    names_of,
+    refuse_unmoved,
+)
+from bayesftc.controllers.precision.base import PrecisionLearner
+from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.types import Floats
 
 
 def design(

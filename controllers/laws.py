@@ -10,14 +10,14 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from bayesftc.controllers._checks import Matrix, as_matrix, as_numbers, as_vector
-from bayesftc.controllers._ports import port
-from bayesftc.cosim._numbers import real
-from bayesftc.cosim._types import Floats
+from bayesftc.controllers.models.checks import Matrix, as_matrix, as_numbers, as_vector
+from bayesftc.controllers.signals import port
+from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import both, either, maximum, minimum, select
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Floats
 
 
 def _error(x_hat, goal, j):

@@ -1,19 +1,19 @@
 """The lists of all controllers, laws, precision learners and baselines: tests run over them, scenario files choose from them."""
 
-from bayesftc.controllers.active_inference import UnbiasedActiveInference
-from bayesftc.controllers.baselines import EFFDI, SERFDI
-from bayesftc.controllers.bayesian import BayesianController
-from bayesftc.controllers.explicit import ExplicitDetection
-from bayesftc.controllers.gamma import GammaPrecision
+from bayesftc.controllers.active_inference.controller import UnbiasedActiveInference
+from bayesftc.controllers.bayesian.linear import BayesianController
+from bayesftc.controllers.bayesian.lqg import LQGController
+from bayesftc.controllers.bayesian.nonlinear import NonlinearBayesianController
 from bayesftc.controllers.laws import PID, Proportional, ProportionalDerivative
-from bayesftc.controllers.lqg import LQGController
-from bayesftc.controllers.nonlinear import NonlinearBayesianController
-from bayesftc.controllers.point_mass import PointMassPrecision
-from bayesftc.controllers.precision import FixedPrecision, PrecisionLearner
-from bayesftc.controllers.robust import StudentTUpdate, WeightedLikelihood
-from bayesftc.controllers.switching import SwitchingPrecision
-from bayesftc.controllers.variational import VariationalBayesKF
-from bayesftc.controllers.wishart import WishartPrecision
+from bayesftc.controllers.precision.base import FixedPrecision, PrecisionLearner
+from bayesftc.controllers.precision.baselines import EFFDI, SERFDI
+from bayesftc.controllers.precision.explicit import ExplicitDetection
+from bayesftc.controllers.precision.gamma import GammaPrecision
+from bayesftc.controllers.precision.point_mass import PointMassPrecision
+from bayesftc.controllers.precision.robust import StudentTUpdate, WeightedLikelihood
+from bayesftc.controllers.precision.variational import VariationalBayesKF
+from bayesftc.controllers.precision.wishart import WishartPrecision
+from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.block import Block
 
 CONTROLLERS: tuple[type[Block], ...] = (
@@ -40,4 +40,4 @@ LEARNERS: tuple[type[PrecisionLearner], ...] = (
     SwitchingPrecision,
     ExplicitDetection,
 )
-"""To add a learner, write it by the rules of `bayesftc.controllers.precision` and name it here."""
+"""To add a learner, write it by the rules of `bayesftc.controllers.precision.base` and name it here."""

@@ -1,11 +1,56 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
 from . import errors as errors, ops as ops, random as random, statistics as statistics
-from ._campaign.dask import DaskCluster as DaskCluster
-from ._campaign.design import Design as Design, Grid as Grid, Points as Points
-from ._campaign.executors import Threads as Threads
-from ._campaign.factors import varied as varied
-from ._campaign.metrics import (
+from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
+from .blocks.camera import (
+    arm_with_camera as arm_with_camera,
+    planar_arm as planar_arm,
+    radial_distortion as radial_distortion,
+)
+from .blocks.faults.kinds import (
+    FAULTS as FAULTS,
+    Bias as Bias,
+    Clipping as Clipping,
+    Delay as Delay,
+    Drift as Drift,
+    Dropout as Dropout,
+    Fault as Fault,
+    Freeze as Freeze,
+    GainFault as GainFault,
+    Injection as Injection,
+    Lag as Lag,
+    NoiseGrowth as NoiseGrowth,
+    NoiseIncrease as NoiseIncrease,
+    RandomFaults as RandomFaults,
+    Rounding as Rounding,
+    Spikes as Spikes,
+    Stuck as Stuck,
+)
+from .blocks.mathblocks import Gain as Gain, Saturation as Saturation, Sum as Sum, UnitDelay as UnitDelay
+from .blocks.sensors import Sensors as Sensors
+from .blocks.sources import (
+    Constant as Constant,
+    Gaussian as Gaussian,
+    Ramp as Ramp,
+    Sine as Sine,
+    Source as Source,
+    Step as Step,
+    Table as Table,
+)
+from .blocks.state_space import StateSpace as StateSpace
+from .campaign.campaign import Campaign as Campaign
+from .campaign.designs.design import Design as Design, Grid as Grid, Points as Points
+from .campaign.designs.factors import varied as varied
+from .campaign.designs.samples import (
+    LatinHypercube as LatinHypercube,
+    SaltelliDesign as SaltelliDesign,
+    SobolSequence as SobolSequence,
+)
+from .campaign.executors.base import Threads as Threads
+from .campaign.executors.dask import DaskCluster as DaskCluster
+from .campaign.executors.processes import Processes as Processes
+from .campaign.outcomes import CampaignResult as CampaignResult
+from .campaign.runs.metrics import (
     METRICS as METRICS,
     RMSE as RMSE,
     Final as Final,
@@ -16,23 +61,11 @@ from ._campaign.metrics import (
     Metric as Metric,
     OfResult as OfResult,
 )
-from ._campaign.outcomes import CampaignResult as CampaignResult
-from ._campaign.processes import Processes as Processes
-from ._campaign.samples import (
-    LatinHypercube as LatinHypercube,
-    SaltelliDesign as SaltelliDesign,
-    SobolSequence as SobolSequence,
-)
-from ._exchange.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
-from ._nodes import Node as Node, PortRef as PortRef
-from .alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
-from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
-from .camera import arm_with_camera as arm_with_camera, planar_arm as planar_arm, radial_distortion as radial_distortion
-from .campaign import Campaign as Campaign
-from .control_system import initial_state as initial_state
-from .coupling import Coupling as Coupling
-from .diagram import Diagram as Diagram
-from .differentiation import jacobian as jacobian
+from .control.control_system import initial_state as initial_state
+from .diagram.closed_loop import closed_loop as closed_loop
+from .diagram.coupling import Coupling as Coupling
+from .diagram.diagram import Diagram as Diagram
+from .diagram.nodes import Node as Node, PortRef as PortRef
 from .errors import (
     AlgebraicLoopError as AlgebraicLoopError,
     BayesFTCError as BayesFTCError,
@@ -53,44 +86,15 @@ from .errors import (
     UnconnectedInputError as UnconnectedInputError,
     UnknownNameError as UnknownNameError,
 )
-from .export import export_c as export_c, export_fmu as export_fmu
-from .faults import (
-    FAULTS as FAULTS,
-    Bias as Bias,
-    Clipping as Clipping,
-    Delay as Delay,
-    Drift as Drift,
-    Dropout as Dropout,
-    Fault as Fault,
-    Freeze as Freeze,
-    GainFault as GainFault,
-    Injection as Injection,
-    Lag as Lag,
-    NoiseGrowth as NoiseGrowth,
-    NoiseIncrease as NoiseIncrease,
-    RandomFaults as RandomFaults,
-    Rounding as Rounding,
-    Spikes as Spikes,
-    Stuck as Stuck,
-)
-from .fmu import FMU as FMU
-from .loops import closed_loop as closed_loop
-from .mathblocks import Gain as Gain, Saturation as Saturation, Sum as Sum, UnitDelay as UnitDelay
-from .online import Online as Online
+from .export.exporting import export_c as export_c, export_fmu as export_fmu
+from .export.verification import Deviation as Deviation, Verification as Verification, verify_fmu as verify_fmu
+from .fmi.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
+from .fmi.fmu import FMU as FMU
+from .judging.alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms
+from .judging.probabilities import Reliability as Reliability, reliability as reliability
 from .ports import Port as Port
-from .probabilities import Reliability as Reliability, reliability as reliability
-from .result import Result as Result
-from .sensors import Sensors as Sensors
-from .session import RunState as RunState, Session as Session
-from .sources import (
-    Constant as Constant,
-    Gaussian as Gaussian,
-    Ramp as Ramp,
-    Sine as Sine,
-    Source as Source,
-    Step as Step,
-    Table as Table,
-)
-from .ssp import open_ssp as open_ssp, save_ssp as save_ssp
-from .state_space import StateSpace as StateSpace
-from .verification import Deviation as Deviation, Verification as Verification, verify_fmu as verify_fmu
+from .run.online import Online as Online
+from .run.result import Result as Result
+from .run.session import RunState as RunState, Session as Session
+from .ssp.system import open_ssp as open_ssp, save_ssp as save_ssp
+from .stepping.differentiation import jacobian as jacobian

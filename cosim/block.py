@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesftc.cosim._types import Floats, Kernel
 from bayesftc.cosim.errors import KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Floats, Kernel
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.control_system import ControlSystem
-    from bayesftc.cosim.online import Online
+    from bayesftc.cosim.control.control_system import ControlSystem
+    from bayesftc.cosim.run.online import Online
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class Block:
         compiled : bool
             False to step through the plain Python form in a debugger.
         """
-        from bayesftc.cosim.online import Online
+        from bayesftc.cosim.run.online import Online
 
         return Online(self, dt, compiled=compiled)
 
@@ -180,7 +180,7 @@ class Block:
         >>> control.input_output_response(delay, 0.1 * numpy.arange(3), [5.0, 6.0, 7.0]).outputs.tolist()
         [0.0, 5.0, 6.0]
         """
-        from bayesftc.cosim.control_system import block_to_control
+        from bayesftc.cosim.control.control_system import block_to_control
 
         return block_to_control(self, dt, inputs, outputs, seed, engine, name)
 

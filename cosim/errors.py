@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.result import Result
+    from bayesftc.cosim.run.result import Result
 
 
 class BayesFTCError(Exception):

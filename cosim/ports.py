@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.units import Unit
+    from bayesftc.cosim.base.units import Unit
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ def fill(seed, streams, first, buffer):
 @cache
 def compiled_fill() -> Any:
     """Return what draws many numbers at once; the first call takes the time to load it."""
-    from bayesftc.cosim._compiler import compile_function
+    from bayesftc.cosim.stepping.compiler import compile_function
 
     return compile_function(fill, "void(uint64, uint64[:, ::1], int64, float64[:, ::1])")
 

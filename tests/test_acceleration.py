@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.cosim._coupled import steps as _group_steps
+from bayesftc.cosim.run.coupled import steps as _group_steps
 
 
 def iterated(step, size, method, limit=40):

@@ -12,9 +12,9 @@ from scipy import linalg, stats
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import Modality, UnbiasedActiveInference
-from bayesftc.cosim import differentiation
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 from bayesftc.cosim.ops import cos, select, sin, sqrt, square
+from bayesftc.cosim.stepping import differentiation
 
 H = 0.01
 ARM = cosim.arm_with_camera((1.0, 0.8), (-0.05, 0.01, 0.001))

@@ -5,7 +5,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
-from bayesftc.cosim.coupling import Coupling
+from bayesftc.cosim.diagram.coupling import Coupling
 from bayesftc.fmus._compiler import why_no_compiler
 from bayesftc.fmus.build import build_fmu
 from bayesftc.fmus.spec import Model, Variable

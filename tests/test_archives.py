@@ -15,9 +15,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim import BayesFTCError, FMUError, _zip
-from bayesftc.cosim._fmi import archive as _fmi_archive
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim import BayesFTCError, FMUError
+from bayesftc.cosim.base import archives as _zip
+from bayesftc.cosim.fmi.fmu import FMU, describe
+from bayesftc.cosim.fmi.reading import archive as _fmi_archive
 
 SHIPPED = fmus.path("CruiseControl")
 DESCRIPTION = "modelDescription.xml"

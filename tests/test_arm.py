@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim.differentiation import jacobian
 from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError
+from bayesftc.cosim.stepping.differentiation import jacobian
 
 STATE = ("q1", "q2", "dq1", "dq2")
 MEASURED = list(STATE)

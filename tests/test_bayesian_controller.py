@@ -8,7 +8,8 @@ import pytest
 from scipy.optimize import minimize
 
 from bayesftc import controllers
-from bayesftc.controllers import BayesianController, FixedPrecision, LinearModel, _steady
+from bayesftc.controllers import BayesianController, FixedPrecision, LinearModel
+from bayesftc.controllers.bayesian import steady as _steady
 from bayesftc.cosim.errors import ModelError
 
 

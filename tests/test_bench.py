@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from bayesftc import bench
-from bayesftc.bench import _child, _machine, _run, plain_loop
+from bayesftc.bench import _child, _machine, _run
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
+from bayesftc.bench.measures import plain_loop
 
 BARS = {
     "export.c",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.calibration import judge
+from bayesftc.controllers.detection.calibration import judge
 from bayesftc.cosim.errors import ModelError
 
 MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)

@@ -17,7 +17,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import FaultClassifier, GammaPrecision, UntrainedClassifierError, residual_features
 from bayesftc.cosim.errors import BayesFTCError, ConnectionError, ModelError, UnknownNameError
-from bayesftc.cosim.metrics import auc
+from bayesftc.cosim.judging.metrics import auc
 
 MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)
 KINDS = (cosim.Freeze(), cosim.Injection(magnitude=4.0), cosim.Drift(slope=6.0), cosim.Dropout())

@@ -12,8 +12,8 @@ import bayesftc
 from bayesftc.bench import SECTIONS
 from bayesftc.cli import run as run_module
 from bayesftc.cosim import Result
-from bayesftc.cosim.metrics import figures
-from bayesftc.cosim.roles import loop_signals
+from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.scenario import Scenario, load_scenario, shipped_scenarios
 
 # The shipped scenario with the paper's learner, whose lines stand there as comments: it is interpreted five times as fast.

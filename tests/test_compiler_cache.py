@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim import Port, _compiler, ops
-from bayesftc.cosim._cache import cache_directory
-from bayesftc.cosim._fingerprint import fingerprint, service_fingerprint
+from bayesftc.cosim import Port, ops
+from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import both, exp, select, sqrt, square
+from bayesftc.cosim.stepping import compiler as _compiler
+from bayesftc.cosim.stepping.fingerprint import fingerprint, service_fingerprint
 
 # --- the contract ---------------------------------------------------------------------------------------------------------------
 
@@ -356,7 +357,7 @@ for source, target in (
     loop.connect(source, target)
 with warnings.catch_warnings(record=True) as caught:
     result = loop.simulate(10.0, seed=1, engine="compiled")
-from bayesftc.cosim import _numba_ops
+from bayesftc.cosim.stepping import numba_ops as _numba_ops
 
 told = [(str(warning.message), warning.filename) for warning in caught if "compiles step functions" in str(warning.message)]
 print(json.dumps(["pipeline_class" in _numba_ops.OPTIONS, told, {name: result[name].tobytes().hex() for name in result}]))
@@ -480,7 +481,7 @@ TWO_FILES = """
 import json, sys
 sys.path.insert(0, sys.argv[1])
 from bayesftc import cosim
-from bayesftc.cosim import Port, _compiler
+from bayesftc.cosim import Port; from bayesftc.cosim.stepping import compiler as _compiler
 from other import helper
 SHIFT = 1.0
 class B(cosim.Block):
@@ -530,7 +531,7 @@ def test_across_processes(python, tmp_path):
 SMALL = textwrap.dedent("""
     import json, sys
     from bayesftc import cosim
-    from bayesftc.cosim import _compiler
+    from bayesftc.cosim.stepping import compiler as _compiler
     space = {}
     exec("def kernel(t, y):\\n    y[0] = 2.0 * t + 1.0", space)
     class B(cosim.Block):
@@ -671,7 +672,7 @@ def test_a_cache_folder_of_someone_else_is_refused(tmp_path, monkeypatch, kind):
 
 THEIRS = """
 import os
-from bayesftc.cosim import _compiler
+from bayesftc.cosim.stepping import compiler as _compiler
 is_own = _compiler.is_own
 _compiler.is_own = lambda path: path.suffix != SUFFIX and is_own(path)
 """
@@ -688,7 +689,7 @@ def test_files_that_others_have_left_are_made_anew(python, tmp_path, suffix):
 
 @posix
 def test_an_fmu_that_others_have_unpacked_is_unpacked_anew(tmp_path, monkeypatch):
-    from bayesftc.cosim._fmi import archive
+    from bayesftc.cosim.fmi.reading import archive
 
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path))
     opened = archive.open_archive(Path(fmus.path("CruiseControl")))

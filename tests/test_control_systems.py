@@ -442,7 +442,7 @@ def test_saved_states_are_asked_in_any_order(foreign):
 
 
 def test_only_the_latest_saved_states_are_kept(foreign, monkeypatch):
-    monkeypatch.setattr("bayesftc.cosim._control.externals.SNAPSHOTS", 5)
+    monkeypatch.setattr("bayesftc.cosim.control.externals.SNAPSHOTS", 5)
     system = foreign().to_control(DT)
     got = response(system, np.zeros((2, len(T))))
     (external,) = system._machine._externals
@@ -497,7 +497,7 @@ def test_failures_are_sentences_and_leave_the_system_as_it_was(foreign):
 
 
 def test_instances_are_freed_with_their_system():
-    from bayesftc.cosim._fmi.loading import load_library
+    from bayesftc.cosim.fmi.binaries.loading import load_library
 
     block = car()
     library, systems = load_library(*block._read()), []

@@ -11,10 +11,10 @@ from scipy.linalg import expm
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
-from bayesftc.cosim._coupled import engines as _group_engines
-from bayesftc.cosim._fmi.instance import Instance
-from bayesftc.cosim._repeat import repeat
-from bayesftc.cosim.coupling import Coupling
+from bayesftc.cosim.diagram.coupling import Coupling
+from bayesftc.cosim.fmi.running.instance import Instance
+from bayesftc.cosim.run.coupled import engines as _group_engines
+from bayesftc.cosim.run.repeat import repeat
 from bayesftc.examples.coupled_masses import study
 from bayesftc.examples.coupled_masses.masses import Masses, sprung_mass
 from bayesftc.fmus._compiler import why_no_compiler

@@ -7,12 +7,12 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
-from bayesftc.cosim._coupled import steps
-from bayesftc.cosim._exchange.scipy_instance import INTERRUPTED
-from bayesftc.cosim._fmi.codes import EVENTS, GET, SET, STEP
-from bayesftc.cosim._isolation import protocol
-from bayesftc.cosim._isolation.instance import Isolated
+from bayesftc.cosim.fmi.binaries.codes import EVENTS, GET, SET, STEP
+from bayesftc.cosim.fmi.exchange.integrators.scipy_instance import INTERRUPTED
+from bayesftc.cosim.isolation import protocol
+from bayesftc.cosim.isolation.instance import Isolated
 from bayesftc.cosim.ops import isnan, select
+from bayesftc.cosim.run.coupled import steps
 from bayesftc.examples.coupled_masses.masses import Masses, sprung_mass
 from bayesftc.fmus._compiler import why_no_compiler
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import linalg
 
-from bayesftc.controllers import _curvature, _descent
+from bayesftc.controllers.active_inference import curvature as _curvature, descent as _descent
 
 
 def random_covariance(rng, n, scale):

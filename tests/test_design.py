@@ -7,10 +7,10 @@ from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
-from bayesftc.controllers._differences import derivative
-from bayesftc.controllers.linearization import linearize
-from bayesftc.cosim._fmi.instance import Instance
+from bayesftc.controllers.models.differences import derivative
+from bayesftc.controllers.models.linearization import linearize
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
+from bayesftc.cosim.fmi.running.instance import Instance
 
 
 def pendulum_at(angle, m=0.2, M=0.5, length=0.3, inertia=0.006, c=0.1, b=1e-3, g=9.81):

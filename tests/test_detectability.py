@@ -7,15 +7,21 @@ import pytest
 
 from bayesftc import controllers, cosim
 from bayesftc.controllers import GammaPrecision, LinearModel, detectability
-from bayesftc.controllers._beta_law import beta_law
-from bayesftc.controllers._estimator_runs import EstimatorRuns
-from bayesftc.controllers._innovation import response, steady_covariance
-from bayesftc.controllers._passage import Passage
-from bayesftc.controllers._weighted_chi_square import Weights, equal_weights, geometric_weights, quantile, tails
+from bayesftc.controllers.detection.beta_law import beta_law
+from bayesftc.controllers.detection.estimator_runs import EstimatorRuns
+from bayesftc.controllers.detection.passage import Passage
+from bayesftc.controllers.detection.weighted_chi_square import (
+    Weights,
+    equal_weights,
+    geometric_weights,
+    quantile,
+    tails,
+)
+from bayesftc.controllers.estimation.innovation import response, steady_covariance
 from bayesftc.cosim import ops
-from bayesftc.cosim._batch_ops import OPERATIONS
-from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.run.repeat import repeat
+from bayesftc.cosim.stepping.batch_ops import OPERATIONS
 
 CAR = LinearModel([[0.999]], [[2e-4]], [[1], [1]], process_covariance=1e-3, sensor_covariance=1.0, dt=0.02)
 CART = LinearModel(
@@ -154,7 +160,7 @@ def test_operations_on_many_runs_are_the_plain_ones_for_each():
 
 def test_runs_of_the_estimator_are_those_of_the_block(monkeypatch):
     """Its step functions on arrays of runs, the plant at rest, against one run of the block with a plant that moves."""
-    monkeypatch.setattr("bayesftc.controllers._estimator_runs.WARM", 1.0)
+    monkeypatch.setattr("bayesftc.controllers.detection.estimator_runs.WARM", 1.0)
     A, C, root = CART.matrix("A"), CART.matrix("C"), np.linalg.cholesky(CART.matrix("sensor_covariance"))
     for precision in (
         GammaPrecision(window=5, belief_uncertainty=True),

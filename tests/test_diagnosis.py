@@ -8,11 +8,11 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers._consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
-from bayesftc.controllers._explanations import delayed, faster
-from bayesftc.controllers._observers import observers
+from bayesftc.controllers.diagnosis.explanations import delayed, faster
+from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
+from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
-from bayesftc.reproduce.wrong_models import LEARNERS, Case, cases, loop, parts, run
+from bayesftc.reproduce.experiments.models.wrong import LEARNERS, Case, cases, loop, parts, run
 
 WORDS = {
     "sign": "sign of B",
@@ -261,7 +261,7 @@ def test_a_step_response_that_agrees_is_not():
 
 
 def test_a_late_plant_is_said_to_be_late():
-    from bayesftc.reproduce._models_car import TrueCar
+    from bayesftc.reproduce.experiments.models.car import TrueCar
 
     with pytest.warns(controllers.ModelMismatchWarning, match="0.2 s later"):
         (found,) = controllers.compare_with_plant(

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bayesftc.cosim import jacobian, ops
-from bayesftc.cosim._compiler import compile_kernel
-from bayesftc.cosim._fingerprint import fingerprint
-from bayesftc.cosim._written import function_from_text
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import cos, maximum, select, sin
+from bayesftc.cosim.stepping.compiler import compile_kernel
+from bayesftc.cosim.stepping.fingerprint import fingerprint
+from bayesftc.cosim.stepping.written import function_from_text
 
 SCALE = 0.1
 
@@ -47,8 +47,8 @@ def evaluated(kernel, x, u, *widths):
 def by_casadi(x, u):
     import casadi as ca
 
-    from bayesftc.cosim._casadi_ops import OPERATIONS
-    from bayesftc.cosim._tracing import rebound
+    from bayesftc.cosim.stepping.casadi_ops import OPERATIONS
+    from bayesftc.cosim.stepping.tracing import rebound
 
     xs, us = ca.SX.sym("x", 2), ca.SX.sym("u", 1)
     z = np.empty(5, dtype=object)

@@ -114,7 +114,7 @@ def test_examples_folder_ships_with_the_package():
 
 def test_whatever_is_listed_is_public():
     """A fault, learner, source, law, controller or model that is forgotten in the stub cannot be reached by name."""
-    from bayesftc.cosim import sources
+    from bayesftc.cosim.blocks import sources
 
     listed = [(cosim, cls) for cls in cosim.FAULTS] + [(cosim, getattr(sources, name)) for name in sources.__all__]
     for classes in (controllers.LEARNERS, controllers.LAWS, controllers.CONTROLLERS):

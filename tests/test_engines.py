@@ -9,10 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim
-from bayesftc.cosim import Port, _running
+from bayesftc.cosim import Port
 from bayesftc.cosim.ops import isnan, select, sqrt
 from bayesftc.cosim.random import numbers
-from bayesftc.cosim.result import labels
+from bayesftc.cosim.run import running as _running
+from bayesftc.cosim.run.result import labels
 
 STEP = Fraction(1, 30)
 

@@ -19,8 +19,8 @@ from bayesftc.controllers import (
     StateEstimator,
     SwitchingPrecision,
 )
+from bayesftc.cosim.blocks.state_space import LinearSystem
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.state_space import LinearSystem
 
 DT = 0.02
 CAR = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], DT)

@@ -10,12 +10,20 @@ import pytest
 from scipy import integrate, special, stats
 
 from bayesftc import controllers
-from bayesftc.reproduce import _exact_cases
-from bayesftc.reproduce._car import model
-from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._exact import Regressed, Shifted, Silent, Stuck, World, on_a_grid, probabilities
-from bayesftc.reproduce._exact_cases import APART, DEFAULT, JOINT, OFTEN, ROWS
+from bayesftc.reproduce.experiments.probabilities import exact_cases as _exact_cases
+from bayesftc.reproduce.experiments.probabilities.exact import (
+    Regressed,
+    Shifted,
+    Silent,
+    Stuck,
+    World,
+    on_a_grid,
+    probabilities,
+)
+from bayesftc.reproduce.experiments.probabilities.exact_cases import APART, DEFAULT, JOINT, OFTEN, ROWS
 from bayesftc.reproduce.settings import Car, Probabilities, Tracking
+from bayesftc.reproduce.shared.car import model
+from bayesftc.reproduce.shared.ensemble import Ensemble
 
 TWO = World(0.9, 0.3, 20.0, 0.5, np.array([1.0, 4.0]), begins=0.2, ends=0.3, loss=0.1)
 ONE = replace(TWO, noise=np.array([1.0]))

@@ -15,8 +15,8 @@ from bayesftc.controllers import (
     StateEstimator,
     diagnose,
 )
-from bayesftc.controllers._consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
-from bayesftc.controllers._observers import observers
+from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
+from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.ops import cos, sin
 
 STEP, LENGTH, STD = 0.02, 0.5, (0.01, 0.01, 0.005)

@@ -11,8 +11,8 @@ from scipy import stats
 
 from bayesftc import cosim
 from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.faults import FAULTS
 from bayesftc.cosim.random import numbers
 
 STEPS, CHANNELS, SENSOR, SEED = 400, 3, 1, 6

@@ -12,7 +12,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.controllers import LinearModel
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, SimulationError
-from bayesftc.cosim.fmu import describe
+from bayesftc.cosim.fmi.fmu import describe
 
 HERE = Path(__file__).parent
 CAPABILITIES = 'canHandleVariableCommunicationStepSize="true"'

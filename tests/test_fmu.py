@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim._fmi import instance as _fmi_instance, messages as _fmi_messages
 from bayesftc.cosim.errors import AlgebraicLoopError, ConnectionError, SimulationError
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmi.fmu import FMU, describe
+from bayesftc.cosim.fmi.reading import messages as _fmi_messages
+from bayesftc.cosim.fmi.running import instance as _fmi_instance
 from bayesftc.cosim.ports import Port, listed
 
 FMI = ("2.0", "3.0")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmi.fmu import FMU, describe
 
 FMI = ("2.0", "3.0")
 COUPLINGS = ("gauss-seidel", "jacobi")

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim import _zip
-from bayesftc.cosim._fmi import archive as _fmi_archive, library as _fmi_library
+from bayesftc.cosim.base import archives as _zip
 from bayesftc.cosim.errors import FMUError, ModelError, StepSizeError, UnknownNameError
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmi.binaries import library as _fmi_library
+from bayesftc.cosim.fmi.fmu import FMU, describe
+from bayesftc.cosim.fmi.reading import archive as _fmi_archive
 
 STEP = Fraction(1, 50)
 SHIPPED = {fmi: fmus.path("CruiseControl", fmi=fmi) for fmi in ("2.0", "3.0")}
@@ -426,7 +427,7 @@ def test_unpacking_happens_once_and_mends_itself(tmp_path, monkeypatch):
 
 def test_many_processes_unpack_one_fmu(tmp_path):
     code = (
-        "from bayesftc.cosim._fmi import archive as a; import sys; from pathlib import Path; "
+        "from bayesftc.cosim.fmi.reading import archive as a; import sys; from pathlib import Path; "
         "f = a.open_archive(Path(sys.argv[1])); print(a.extract(f, 'modelDescription.xml'))"
     )
     environment = {**os.environ, "BAYESFTC_CACHE": str(tmp_path)}

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cli._works import verdicts
-from bayesftc.cosim._fmi.clocked import ClockedInstance
+from bayesftc.cli.inspection.verdicts import verdicts
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmi.fmu import FMU, describe
+from bayesftc.cosim.fmi.running.clocked import ClockedInstance
 
 SOURCE = Path(__file__).parent / "events" / "clocked.c"
 ENGINES = ("compiled", "interpreted")

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim._fmi import messages as _fmi_messages, surroundings
 from bayesftc.cosim.errors import FMUError, SimulationError
-from bayesftc.cosim.fmu import describe
+from bayesftc.cosim.fmi.binaries import surroundings
+from bayesftc.cosim.fmi.fmu import describe
+from bayesftc.cosim.fmi.reading import messages as _fmi_messages
 
 FMI = ("2.0", "3.0")
 WHERE = pytest.mark.parametrize("isolate", [False, True], ids=["in process", "isolated"])
@@ -359,7 +360,7 @@ def test_what_an_isolated_fmu_prints_is_logged(lying, fmi, capfd, caplog, engine
 
 def test_time_without_a_processor_does_not_count(monkeypatch):
     """A process that others keep from running is waited for as much longer, and no more."""
-    from bayesftc.cosim._isolation import process
+    from bayesftc.cosim.isolation import process
 
     class Busy:
         """Is ready at 0.3 s; was kept from running for half of the time up to then."""

@@ -6,9 +6,9 @@ import zipfile
 
 import pytest
 
-from bayesftc.cosim import _zip
+from bayesftc.cosim.base import archives as _zip
 from bayesftc.cosim.errors import FMUError
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmi.fmu import FMU, describe
 
 N = '<UInt64 name="n" valueReference="1" causality="structuralParameter" variability="fixed" start="{}"/>'
 

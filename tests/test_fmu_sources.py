@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim._fmi.archive import open_archive
-from bayesftc.cosim._fmi.loading import _loaded
-from bayesftc.cosim._fmi.sources import read_sources
 from bayesftc.cosim.errors import FMUError
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmi.binaries.loading import _loaded
+from bayesftc.cosim.fmi.fmu import FMU, describe
+from bayesftc.cosim.fmi.reading.archive import open_archive
+from bayesftc.cosim.fmi.reading.sources import read_sources
 
 pytestmark = pytest.mark.usefixtures("c_compiler")
 

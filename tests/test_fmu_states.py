@@ -10,7 +10,7 @@ import pytest
 
 from bayesftc import fmus
 from bayesftc.cosim.errors import FMUError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 STEP = Fraction(1, 50)
 FMI = ("2.0", "3.0")

@@ -5,12 +5,8 @@ import ctypes
 import numpy as np
 import pytest
 
-from bayesftc.cosim._fmi import (
-    groups as _fmi_groups,
-    kernels as _fmi_kernels,
-    steps as _fmi_steps,
-    typed_kernels as _fmi_typed_kernels,
-)
+from bayesftc.cosim.fmi.binaries import groups as _fmi_groups
+from bayesftc.cosim.fmi.running import kernels as _fmi_kernels, steps as _fmi_steps, typed_kernels as _fmi_typed_kernels
 
 
 def fake(returns, writes=()):

@@ -16,7 +16,7 @@ import pytest
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.errors import FMUCrashed
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cosim.fmi.fmu import FMU, describe
 from bayesftc.fmus._compiler import CompilerError, compiler_command
 from bayesftc.fmus._platforms import host
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.linearization import linearize
+from bayesftc.controllers.models.linearization import linearize
 from bayesftc.cosim import ModelError
 from bayesftc.examples.foreign_fmus import closed_loops
 from bayesftc.examples.foreign_fmus.makers import MAKERS, MissingTool
@@ -217,7 +217,7 @@ def test_a_control_without_effect_where_the_plant_rests():
     """As a spring's stiffness where the spring is not stretched."""
     linear = linearize(fmus.path("PositionServo"), measured="angle", actuated="voltage")
     still = replace(linear, B=np.full_like(linear.B, 1e-18))
-    from bayesftc.controllers.linearization import refuse_unmoved
+    from bayesftc.controllers.models.linearization import refuse_unmoved
 
     refuse_unmoved(linear, ["voltage"])
     with pytest.raises(

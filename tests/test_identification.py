@@ -11,10 +11,10 @@ from scipy.stats import chi2
 
 from bayesftc import cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
-from bayesftc.controllers._excitation import order_of_excitation
-from bayesftc.controllers._gaps import identify_with_gaps
-from bayesftc.controllers._gaps_kernels import smooth
-from bayesftc.controllers._independent_noise import independent_noise
+from bayesftc.controllers.identification.excitation import order_of_excitation
+from bayesftc.controllers.identification.gaps import identify_with_gaps
+from bayesftc.controllers.identification.gaps_kernels import smooth
+from bayesftc.controllers.identification.independent_noise import independent_noise
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
 
 A = np.array([[0.9, 0.2], [-0.2, 0.8]])

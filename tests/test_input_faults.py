@@ -7,13 +7,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.validation import check_kalman
+from bayesftc.controllers.bayesian.validation import check_kalman
+from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnconnectedInputError, UnknownNameError
-from bayesftc.cosim.faults import FAULTS
-from bayesftc.cosim.metrics import figures
-from bayesftc.cosim.plotting import plot_run
+from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.plotting import plot_run
+from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.random import numbers
-from bayesftc.cosim.roles import loop_signals
 
 DT, A, B = 0.02, 0.999, 2e-4
 MODEL = controllers.LinearModel([[A]], [[B]], [[1], [1]], process_covariance=0.001, sensor_covariance=1.0, dt=DT)

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cli._works import verdicts
-from bayesftc.cosim.fmu import FMU, describe
+from bayesftc.cli.inspection.verdicts import verdicts
+from bayesftc.cosim.fmi.fmu import FMU, describe
 
 SHIPPED = {(name, fmi): fmus.path(name, fmi=fmi) for name in ("CruiseControl", "TwoLinkArm") for fmi in ("2.0", "3.0")}
 

@@ -35,7 +35,7 @@ from bayesftc.__main__ import main
 main()
 """
 PACED = """
-import bayesftc.cosim._pacing as pacing
+import bayesftc.cosim.run.pacing as pacing
 wait = pacing.Pacer.wait
 def said(self, k):
     if k == 1:

@@ -7,7 +7,7 @@ from scipy import stats
 
 from bayesftc import controllers
 from bayesftc.controllers import Drifting, DroppedOut, Frozen, LinearModel, Noisier, Offset, Ramping, SwitchingPrecision
-from bayesftc.controllers._bank_kernels import blend, correct, expect, move
+from bayesftc.controllers.switching.bank.hypothesis import blend, correct, expect, move
 from bayesftc.cosim.errors import ModelError
 
 STEP, A, Q = 0.02, 0.999, 0.001

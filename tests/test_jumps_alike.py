@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bayesftc.controllers import LinearModel, SwitchingPrecision
-from bayesftc.controllers._bank_kernels import STATE
-from bayesftc.controllers._bank_samples import make_conclude
-from bayesftc.controllers.estimator import StateEstimator
+from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.controllers.switching.bank.hypothesis import STATE
+from bayesftc.controllers.switching.bank.samples import make_conclude
 from bayesftc.cosim.errors import ModelError
-from bayesftc.reproduce._family import chosen_cases
-from bayesftc.reproduce._family_loop import family_loop
+from bayesftc.reproduce.experiments.family.loop import family_loop
+from bayesftc.reproduce.experiments.family.run import chosen_cases
 
 
 def jumped(sensors, jump, precision, samples=100, seed=0, others=0):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.validation import compare, ser_reference
+from bayesftc.controllers.bayesian.validation import compare, ser_reference
 from bayesftc.cosim.errors import KernelError, ModelError
 
 STEPS = 250

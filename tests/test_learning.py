@@ -21,7 +21,7 @@ from bayesftc.controllers import (
     find_resolution,
     learn_modes,
 )
-from bayesftc.controllers._learning_kernels import measure_offsets, measure_scatter, smooth
+from bayesftc.controllers.learning.kernels import measure_offsets, measure_scatter, smooth
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02

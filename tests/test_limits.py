@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.diagnosis import diagnose_recording
+from bayesftc.controllers.diagnosis.diagnose import diagnose_recording
+from bayesftc.cosim.blocks.linear_system import LinearSystem
+from bayesftc.cosim.diagram.closed_loop import MOST_FAULTS
 from bayesftc.cosim.errors import BayesFTCError, ModelError, RecordingError, ScenarioError
-from bayesftc.cosim.linear_system import LinearSystem
-from bayesftc.cosim.loops import MOST_FAULTS
 from bayesftc.monitoring import load_monitor
-from bayesftc.monitoring._csv import MOST_COLUMNS, Tables
+from bayesftc.monitoring.csv import MOST_COLUMNS, Tables
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario.campaigns import load_campaign
 

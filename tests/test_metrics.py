@@ -9,10 +9,10 @@ from sklearn.metrics import roc_auc_score
 
 from bayesftc import cosim
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.metrics import auc, detection, errors_by_phase, figures, periods, rmse
+from bayesftc.cosim.judging.metrics import auc, detection, errors_by_phase, figures, periods, rmse
+from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.judging.signals import SensorSignals
 from bayesftc.cosim.ops import sin
-from bayesftc.cosim.roles import loop_signals
-from bayesftc.cosim.signals import SensorSignals
 from bayesftc.examples.cruise_control.block_diagram import by_hand
 from bayesftc.examples.cruise_control.cruise_control import LEARNERS, cruise_control
 

@@ -15,7 +15,6 @@ from bayesftc.monitoring import (
     Place,
     RandomWalk,
     Signal,
-    _fit_settings,
     align,
     as_model_file,
     fit_model,
@@ -24,10 +23,11 @@ from bayesftc.monitoring import (
     redundant_signals,
     stretch_of,
 )
-from bayesftc.monitoring._fit_bias import wander
-from bayesftc.monitoring._fit_columns import sample_time
-from bayesftc.monitoring._fit_noise import decompose, groups, share_out
-from bayesftc.monitoring._moments import median
+from bayesftc.monitoring.fit import settings as _fit_settings
+from bayesftc.monitoring.fit.bias import wander
+from bayesftc.monitoring.fit.columns import sample_time
+from bayesftc.monitoring.fit.moments import median
+from bayesftc.monitoring.fit.noise import decompose, groups, share_out
 
 NEEDS_RECORDING = "the recorded drive is not here: BAYESFTC_DATA names no folder with comma2k19 in it"
 FAULTS = ("none", "freeze", "injection", "drift", "noise")

@@ -20,14 +20,14 @@ from bayesftc.monitoring import (
     RandomWalk,
     Recording,
     Signal,
-    _monitor,
     align,
     load_monitor,
     log_likelihood,
+    monitor as _monitor,
     monitor_recording,
 )
-from bayesftc.monitoring._alarms import alarms, sensor_events
-from bayesftc.monitoring._rest import at_rest, held
+from bayesftc.monitoring.alarms import alarms, sensor_events
+from bayesftc.monitoring.rest import at_rest, held
 
 DT = 0.05
 

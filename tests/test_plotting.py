@@ -9,8 +9,8 @@ from matplotlib.image import imread
 from bayesftc import cosim
 from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision
 from bayesftc.cosim.errors import UnknownNameError
-from bayesftc.cosim.plotting import plot_run, plot_signals
-from bayesftc.cosim.roles import loop_signals
+from bayesftc.cosim.judging.plotting import plot_run, plot_signals
+from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 from bayesftc.scenario import load_scenario
 
@@ -65,8 +65,8 @@ def test_no_legend_covers_anything(signals):
 
 def test_no_state_of_pyplot_is_touched(python):
     code = (
-        "import json, sys\nfrom bayesftc.scenario import load_scenario\nfrom bayesftc.cosim.roles import loop_signals\n"
-        "from bayesftc.cosim.plotting import plot_run\nloop = load_scenario('cruise_control').loop()\n"
+        "import json, sys\nfrom bayesftc.scenario import load_scenario\nfrom bayesftc.cosim.judging.roles import loop_signals\n"
+        "from bayesftc.cosim.judging.plotting import plot_run\nloop = load_scenario('cruise_control').loop()\n"
         "plot_run(loop_signals(loop, loop.simulate(0.2, engine='interpreted'))).savefig('/dev/null', format='png')\n"
         "print(json.dumps('matplotlib.pyplot' in sys.modules))"
     )

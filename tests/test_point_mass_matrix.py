@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from bayesftc import controllers
 from bayesftc.controllers import PointMassPrecision
-from bayesftc.controllers._eigen import diagonalise
+from bayesftc.controllers.linalg.eigen import diagonalise
 from bayesftc.cosim.errors import ModelError
 
 LOOSE = {"full": True, "lower_bound": 1e-5, "variance_bound": 1e-5}

@@ -26,7 +26,7 @@ from bayesftc.controllers import (
     WeightedLikelihood,
     WishartPrecision,
 )
-from bayesftc.controllers.validation import compare, ser_reference
+from bayesftc.controllers.bayesian.validation import compare, ser_reference
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 from bayesftc.cosim.ops import either, select
 

@@ -13,7 +13,7 @@ from bayesftc.controllers import (
     StateEstimator,
     SwitchingPrecision,
 )
-from bayesftc.controllers._filter_share import filter_share
+from bayesftc.controllers.switching.filter_share import filter_share
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02

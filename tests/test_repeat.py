@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim._repeat import repeat
+from bayesftc.cosim.run.repeat import repeat
 
 
 def loop(gain=0.5):

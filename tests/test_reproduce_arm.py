@@ -10,9 +10,15 @@ from scipy import stats
 from bayesftc import controllers, reproduce
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.random import numbers
-from bayesftc.reproduce import _arm, _arm_figures, _arm_loop, _arm_tables, paper
-from bayesftc.reproduce._ensemble import Ensemble
+from bayesftc.reproduce import paper
+from bayesftc.reproduce.experiments.arm import (
+    figures as _arm_figures,
+    loop as _arm_loop,
+    run as _arm,
+    tables as _arm_tables,
+)
 from bayesftc.reproduce.settings import Arm
+from bayesftc.reproduce.shared.ensemble import Ensemble
 
 
 @pytest.fixture(scope="module")

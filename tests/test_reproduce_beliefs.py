@@ -11,15 +11,20 @@ from rich.console import Console
 from sklearn.metrics import brier_score_loss, roc_auc_score
 
 from bayesftc import controllers, reproduce
-from bayesftc.cosim._campaign.seeds import hashed_seeds
+from bayesftc.cosim.campaign.designs.seeds import hashed_seeds
 from bayesftc.cosim.errors import ModelError
-from bayesftc.reproduce import _beliefs, _beliefs_streams, _beliefs_tables, _tracking_bench
-from bayesftc.reproduce._car import model
-from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._residuals import SWITCHING
-from bayesftc.reproduce._streams import Faults, Streams
-from bayesftc.reproduce._tracking_bench import Bench, Scenario
+from bayesftc.reproduce.experiments.beliefs import (
+    run as _beliefs,
+    streams as _beliefs_streams,
+    tables as _beliefs_tables,
+)
+from bayesftc.reproduce.experiments.tracking import bench as _tracking_bench
+from bayesftc.reproduce.experiments.tracking.bench import Bench, Scenario
 from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
+from bayesftc.reproduce.shared.car import model
+from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.residuals import SWITCHING
+from bayesftc.reproduce.shared.streams import Faults, Streams
 
 FORM = f"{SWITCHING}, per sensor"
 SMALL = Beliefs(

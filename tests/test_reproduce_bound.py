@@ -9,11 +9,16 @@ import pytest
 from scipy import stats
 
 from bayesftc import controllers, cosim, reproduce
-from bayesftc.cosim.metrics import auc
-from bayesftc.reproduce import _bound_figures, _bound_kernels, _bound_tables, _residuals
-from bayesftc.reproduce._bound_filter import PosteriorFilter
-from bayesftc.reproduce._streams import Faults, Streams
+from bayesftc.cosim.judging.metrics import auc
+from bayesftc.reproduce.experiments.bound import (
+    figures as _bound_figures,
+    kernels as _bound_kernels,
+    tables as _bound_tables,
+)
+from bayesftc.reproduce.experiments.bound.filter import PosteriorFilter
 from bayesftc.reproduce.settings import Bound, Car, Detection
+from bayesftc.reproduce.shared import residuals as _residuals
+from bayesftc.reproduce.shared.streams import Faults, Streams
 
 OFTEN = Detection(mean_time_to_fault=0.1, mean_time_to_recovery=0.07)
 """A fault every five steps, for as many: so that all that can happen does in a few steps."""
@@ -132,7 +137,7 @@ def test_resampling_is_unbiased_keeps_the_large_and_makes_no_more_than_its_limit
 def test_compiled_and_interpreted_are_the_same(monkeypatch):
     y, u = short_stream()
     wanted = PosteriorFilter(OFTEN, Car(), LARGE, 30).log_odds(y, u, seed=3)
-    monkeypatch.setattr("bayesftc.reproduce._bound_filter._compiled", lambda: _bound_kernels.track)
+    monkeypatch.setattr("bayesftc.reproduce.experiments.bound.filter._compiled", lambda: _bound_kernels.track)
     np.testing.assert_allclose(PosteriorFilter(OFTEN, Car(), LARGE, 30).log_odds(y, u, seed=3), wanted, rtol=1e-12)
 
 

@@ -8,7 +8,7 @@ import pytest
 from bayesftc import reproduce
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce import settings
-from bayesftc.reproduce.experiments import EXPERIMENTS
+from bayesftc.reproduce.registry import EXPERIMENTS
 
 FEW = ("--runs", "2", "--paper-only", "--jobs", "2")
 

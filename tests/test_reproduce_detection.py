@@ -8,12 +8,17 @@ import pytest
 from sklearn.metrics import roc_auc_score
 
 from bayesftc import controllers, cosim, reproduce
-from bayesftc.cosim._campaign.seeds import hashed_seeds
+from bayesftc.cosim.campaign.designs.seeds import hashed_seeds
 from bayesftc.cosim.statistics import interval
-from bayesftc.reproduce import _detection, _detection_figures, _detection_tables, _residuals
-from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._streams import Streams
+from bayesftc.reproduce.experiments.detection import (
+    figures as _detection_figures,
+    run as _detection,
+    tables as _detection_tables,
+)
 from bayesftc.reproduce.settings import Car, Detection
+from bayesftc.reproduce.shared import residuals as _residuals
+from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.streams import Streams
 
 SMALL = Detection(
     steps=12_000,

@@ -11,15 +11,20 @@ import pytest
 from rich.console import Console
 
 from bayesftc import controllers, cosim, reproduce
-from bayesftc.controllers.precision import keep_nominal
+from bayesftc.controllers.precision.base import keep_nominal
 from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError
-from bayesftc.reproduce import _family, _family_figures, _family_tables, family_page
-from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._family_groups import by_group
-from bayesftc.reproduce._family_loop import family_loop, faulty_samples, goal_error, signals_of_goals
-from bayesftc.reproduce.family_cases import CASES, GROUPS, PLANTS, Case
+from bayesftc.reproduce.experiments.family import (
+    figures as _family_figures,
+    page as family_page,
+    run as _family,
+    tables as _family_tables,
+)
+from bayesftc.reproduce.experiments.family.cases import CASES, GROUPS, PLANTS, Case
+from bayesftc.reproduce.experiments.family.groups import by_group
+from bayesftc.reproduce.experiments.family.loop import family_loop, faulty_samples, goal_error, signals_of_goals
+from bayesftc.reproduce.experiments.family.unseen import KINDS, unseen_cases
 from bayesftc.reproduce.settings import Family, Tracking
-from bayesftc.reproduce.unseen_cases import KINDS, unseen_cases
+from bayesftc.reproduce.shared.ensemble import Ensemble
 
 BY_NAME = {case.name: case for case in CASES}
 TWO = {"explicit": controllers.ExplicitDetection(), "gamma": controllers.GammaPrecision()}

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus, reproduce
-from bayesftc.cosim._campaign.seeds import hashed_seeds
-from bayesftc.cosim.alarms import judge_alarms
+from bayesftc.cosim.campaign.designs.seeds import hashed_seeds
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.alarms import judge_alarms
 from bayesftc.cosim.random import numbers
-from bayesftc.reproduce import _models, _models_figures, _models_tables
-from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._models_car import RIGHT, UNKNOWN_LIMIT, TrueCar, believed, conditions
-from bayesftc.reproduce._tracking import techniques
+from bayesftc.reproduce.experiments.models import figures as _models_figures, run as _models, tables as _models_tables
+from bayesftc.reproduce.experiments.models.car import RIGHT, UNKNOWN_LIMIT, TrueCar, believed, conditions
+from bayesftc.reproduce.experiments.tracking.run import techniques
 from bayesftc.reproduce.settings import Car, Models, Tracking
+from bayesftc.reproduce.shared.ensemble import Ensemble
 
 SMALL = Models(runs=2, healthy_factor=2, threshold_runs=4, alarms_per_hour=60.0, unmodelled_times=(8.0,))
 TWO = {"No FT": controllers.FixedPrecision(), "PL": controllers.GammaPrecision(forgetting=0.95, prior_shape=2.0)}

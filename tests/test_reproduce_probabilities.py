@@ -11,10 +11,15 @@ from rich.console import Console
 from bayesftc import controllers, cosim, reproduce
 from bayesftc.controllers import Calibration
 from bayesftc.cosim.errors import ModelError
-from bayesftc.reproduce import _exact_cases, _probabilities, _probabilities_figures, _probabilities_tables
-from bayesftc.reproduce._ensemble import Ensemble
-from bayesftc.reproduce._random_faults import KINDS, random_fault
+from bayesftc.reproduce.experiments.probabilities import (
+    exact_cases as _exact_cases,
+    figures as _probabilities_figures,
+    run as _probabilities,
+    tables as _probabilities_tables,
+)
+from bayesftc.reproduce.experiments.probabilities.random_faults import KINDS, random_fault
 from bayesftc.reproduce.settings import Car, Probabilities, Tracking
+from bayesftc.reproduce.shared.ensemble import Ensemble
 
 FEW = {
     "shifts": controllers.SwitchingPrecision((controllers.Offset(),), joint=False),

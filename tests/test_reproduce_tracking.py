@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, reproduce
-from bayesftc.cosim._campaign.seeds import hashed_seeds
+from bayesftc.cosim.campaign.designs.seeds import hashed_seeds
 from bayesftc.cosim.random import numbers
-from bayesftc.reproduce import _oracle_tables, _tracking_bench, _tracking_figures, _tracking_tables, paper
-from bayesftc.reproduce._ensemble import Ensemble, chunks, in_parallel
-from bayesftc.reproduce._oracle import over_oracle
+from bayesftc.reproduce import paper
+from bayesftc.reproduce.experiments.tracking import (
+    bench as _tracking_bench,
+    figures as _tracking_figures,
+    oracle_tables as _oracle_tables,
+    tables as _tracking_tables,
+)
+from bayesftc.reproduce.experiments.tracking.oracle import over_oracle
 from bayesftc.reproduce.settings import Car, Tracking
+from bayesftc.reproduce.shared.ensemble import Ensemble, chunks, in_parallel
 
 FOUR = ("EF-FDI", "No FT", "PL", "SER FT")
 

@@ -9,6 +9,7 @@ import pytest
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import ACTUATOR_MODES, LAWS, LEARNERS
+from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import (
     ConnectionError,
     FMUError,
@@ -18,7 +19,6 @@ from bayesftc.cosim.errors import (
     StepSizeError,
     UnknownNameError,
 )
-from bayesftc.cosim.faults import FAULTS
 from bayesftc.scenario import find_scenario, load_scenario, shipped_scenarios
 
 CAR = shipped_scenarios()["cruise_control"].read_text()

@@ -353,7 +353,7 @@ def test_a_live_session_does_not_pickle():
 
 
 def test_a_dropped_session_frees_its_fmus():
-    from bayesftc.cosim._fmi.loading import _loaded
+    from bayesftc.cosim.fmi.binaries.loading import _loaded
 
     diagram = arm()
     session = diagram.start()

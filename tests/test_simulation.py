@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim import Port, _running
+from bayesftc.cosim import Port
 from bayesftc.cosim.block import External
+from bayesftc.cosim.run import running as _running
 
 
 @pytest.fixture

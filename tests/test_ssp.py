@@ -15,8 +15,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim import SSPError, _zip
-from bayesftc.cosim._ssp.read import SSP_FILE
+from bayesftc.cosim import SSPError
+from bayesftc.cosim.base import archives as _zip
+from bayesftc.cosim.ssp.read import SSP_FILE
 
 CAR = {fmi: fmus.path("CruiseControl", fmi=fmi) for fmi in ("2.0", "3.0")}
 H, M, B = 0.02, 100.0, 5.0

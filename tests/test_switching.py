@@ -14,22 +14,14 @@ from filterpy.kalman import KalmanFilter
 from scipy import integrate, special, stats
 
 from bayesftc import controllers, scenario
-from bayesftc.controllers import (
-    DroppedOut,
-    Frozen,
-    LinearModel,
-    Noisier,
-    Offset,
-    SwitchingPrecision,
-    Unmodelled,
-    fault_modes,
-)
-from bayesftc.controllers._default_time import time_at
-from bayesftc.controllers._mode_kernels import drops, scatters, shifts
-from bayesftc.controllers._special import squared_gamma_half_step
-from bayesftc.controllers.fault_modes import ENTERED, FACTOR, OWN, SIZE
-from bayesftc.cosim._types import argument_names
+from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision, Unmodelled
+from bayesftc.controllers.linalg.special import squared_gamma_half_step
+from bayesftc.controllers.switching import fault_modes
+from bayesftc.controllers.switching.default_time import time_at
+from bayesftc.controllers.switching.fault_modes import ENTERED, FACTOR, OWN, SIZE
+from bayesftc.controllers.switching.mode_kernels import drops, scatters, shifts
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import argument_names
 
 STEP = 0.02
 MODEL = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], STEP)

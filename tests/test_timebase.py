@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from bayesftc import cosim
-from bayesftc.cosim.timebase import rational_step, show, whole_number, whole_steps
+from bayesftc.cosim.base.timebase import rational_step, show, whole_number, whole_steps
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pint
 import pytest
 
-from bayesftc.cosim import units
+from bayesftc.cosim.base import units
 
 REGISTRY = pint.UnitRegistry()
 

@@ -21,10 +21,10 @@ from bayesftc.controllers import (
     UnbiasedActiveInference,
     Unmodelled,
 )
-from bayesftc.controllers._bank_kernels import ended
-from bayesftc.controllers._course import misfit
-from bayesftc.controllers._mode_kernels import goes_its_way, wider
-from bayesftc.controllers.fault_modes import ENTERED, OWN, SIZE, TRUST
+from bayesftc.controllers.switching.bank.hypothesis import ended
+from bayesftc.controllers.switching.course import misfit
+from bayesftc.controllers.switching.fault_modes import ENTERED, OWN, SIZE, TRUST
+from bayesftc.controllers.switching.mode_kernels import goes_its_way, wider
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02

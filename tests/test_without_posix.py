@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim._isolation import child
+from bayesftc.cosim.base import processes as child
 
 README = Path(__file__).parents[1] / "README.md"
 HIDDEN = """

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim._types import Floats
-from bayesftc.cosim.alarms import HOUR, Alarms
-from bayesftc.cosim.metrics import periods
+from bayesftc.cosim.judging.alarms import HOUR, Alarms
+from bayesftc.cosim.judging.metrics import periods
+from bayesftc.cosim.types import Floats
 
 
 @dataclass(frozen=True, eq=False)

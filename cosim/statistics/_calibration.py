@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim._types import Floats
-from bayesftc.cosim.metrics import NAN, without_nan
-from bayesftc.cosim.probabilities import Reliability, bins_of, of_bins
+from bayesftc.cosim.judging.metrics import NAN, without_nan
+from bayesftc.cosim.judging.probabilities import Reliability, bins_of, of_bins
 from bayesftc.cosim.statistics._intervals import check_level, interval, ratio
 from bayesftc.cosim.statistics._runs import by_run, pooled
+from bayesftc.cosim.types import Floats
 
 
 @dataclass(frozen=True, eq=False)

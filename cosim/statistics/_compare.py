@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.statistics._differences import (
     CORRECTIONS,
@@ -20,6 +19,7 @@ from bayesftc.cosim.statistics._differences import (
 )
 from bayesftc.cosim.statistics._intervals import check_level
 from bayesftc.cosim.statistics._table import Names, cells, check_columns, names_of, numbers, where
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -1,6 +1,6 @@
 """What a detector finds, misses and gets wrong as its threshold rises: detection delay against false alarms, over many runs.
 
-Alarms, faults and delays are those of `bayesftc.cosim.alarms`. Intervals count runs: the faults and alarms of one run may depend
+Alarms, faults and delays are those of `bayesftc.cosim.judging.alarms`. Intervals count runs: the faults and alarms of one run may depend
 on each other in whichever way, its sensors too.
 """
 
@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim._types import Floats
-from bayesftc.cosim.alarms import Alarms
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.metrics import NAN
-from bayesftc.cosim.signals import Flags
+from bayesftc.cosim.judging.alarms import Alarms
+from bayesftc.cosim.judging.metrics import NAN
+from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.statistics._alarm_counts import AlarmCounts, count_alarms
 from bayesftc.cosim.statistics._intervals import check_level, ratio
 from bayesftc.cosim.statistics._runs import by_run, pooled
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,8 +11,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import Floats
 
 ROUNDING = 16 * float(np.finfo(np.float64).eps)
 """Relative difference of two means that rounding alone may make."""

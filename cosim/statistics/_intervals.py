@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import Floats
 
 Method = Literal["BCa", "percentile", "basic"]
 METHODS = ("BCa", "percentile", "basic")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.statistics._compare import compare
 from bayesftc.cosim.statistics._differences import Correction, decided, outcomes
 from bayesftc.cosim.statistics._table import Names, cells, names_of, where
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

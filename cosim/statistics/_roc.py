@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.metrics import NAN, auc, without_nan
-from bayesftc.cosim.signals import Flags
+from bayesftc.cosim.judging.metrics import NAN, auc, without_nan
+from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.statistics._intervals import check_level, interval
 from bayesftc.cosim.statistics._runs import by_run, pooled
+from bayesftc.cosim.types import Floats
 
 POINTS = 201
 """At how many false positive rates a curve is given."""

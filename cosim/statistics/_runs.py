@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim._types import Floats
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.signals import Flags
+from bayesftc.cosim.judging.signals import Flags
+from bayesftc.cosim.types import Floats
 
 
 def by_run(

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim._campaign.extras import extra
-from bayesftc.cosim._campaign.samples import SaltelliDesign
-from bayesftc.cosim._types import Floats
+from bayesftc.cosim.base.extras import extra
+from bayesftc.cosim.campaign.designs.samples import SaltelliDesign
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.statistics._intervals import check_level
 from bayesftc.cosim.statistics._table import Names, cells, check_columns, names_of, numbers, where
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

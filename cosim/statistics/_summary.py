@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim._types import Floats
 from bayesftc.cosim.statistics._intervals import Method, bootstrap_interval, check_level, interval
 from bayesftc.cosim.statistics._table import Names, cells, check_columns, names_of, numbers
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd

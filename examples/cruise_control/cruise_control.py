@@ -8,8 +8,8 @@ import sys
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import EFFDI, SERFDI, FixedPrecision, GammaPrecision, SwitchingPrecision
-from bayesftc.cosim.metrics import figures
-from bayesftc.cosim.roles import loop_signals
+from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.roles import loop_signals
 
 LEARNERS = (FixedPrecision(), EFFDI(), SERFDI(), GammaPrecision(forgetting=0.95), SwitchingPrecision())
 """The last one is the default."""

@@ -16,8 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim._types import Floats
-from bayesftc.cosim.plotting import BLACK, BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.plotting import BLACK, BLUE, SENSOR_COLOURS
+from bayesftc.cosim.types import Floats
 
 Traces = dict[tuple[str, str], tuple[Floats, Floats, Floats]]
 """Time, output and goal by case and controller."""

@@ -195,7 +195,7 @@ class CommandLine:
 
 def is_half(path: Path) -> bool:
     """Return whether a path is that of something that is being written."""
-    from bayesftc.cosim._campaign.durable import TEMPORARY
+    from bayesftc.cosim.campaign.store.durable import TEMPORARY
 
     return path.name.startswith(".writing-") or path.name.endswith(TEMPORARY)
 

@@ -8,7 +8,7 @@ import pytest
 from documents import LOOP
 from mutations import damaged
 
-from bayesftc.cosim.campaign import Campaign
+from bayesftc.cosim.campaign.campaign import Campaign
 from bayesftc.cosim.errors import StoreError
 
 pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
@@ -16,7 +16,7 @@ pytest.importorskip("jinja2", reason="reports need the extra 'campaign'")
 
 from harness import Case
 
-from bayesftc.cosim._campaign.store import CampaignStore
+from bayesftc.cosim.campaign.store.folder import CampaignStore
 
 FILE = """
 scenario = "loop.toml"

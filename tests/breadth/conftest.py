@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 HERE = Path(__file__).parent
 

@@ -5,7 +5,7 @@ import pytest
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim.errors import ModelError, UnknownNameError
-from bayesftc.cosim.roles import loop_signals
+from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.scenario import load_scenario
 
 

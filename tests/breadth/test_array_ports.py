@@ -12,7 +12,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim.errors import FMUError, SimulationError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 REALS3 = {"inputs": ["u"], "outputs": ["y", "total"]}
 

@@ -8,7 +8,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, StepSizeError, UnknownNameError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 ENGINES = ("compiled", "interpreted")
 EVENTS = 'hasEventMode="true" mightReturnEarlyFromDoStep="true"'

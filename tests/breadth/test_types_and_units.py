@@ -8,7 +8,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import FMUError, SimulationError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 ENGINES = ("compiled", "interpreted")
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim._campaign.many import StoppedFromOutside
-from bayesftc.cosim._campaign.plan import Plan
+from bayesftc.cosim.campaign.designs.plan import Plan
+from bayesftc.cosim.run.many import StoppedFromOutside
 
 MODEL = controllers.LinearModel(
     [[0.99]], [[0.0002]], [[1.0], [1.0]], process_covariance=1e-3, sensor_covariance=np.eye(2), dt=0.02
@@ -93,8 +93,8 @@ def test_metrics_are_what_numpy_says(same_bits):
         }
         for name, value in expected.items():
             assert table[name][run] == pytest.approx(value, rel=1e-12), name
-        from bayesftc.cosim.metrics import figures
-        from bayesftc.cosim.roles import loop_signals
+        from bayesftc.cosim.judging.metrics import figures
+        from bayesftc.cosim.judging.roles import loop_signals
 
         alone = figures(loop_signals(campaign.job.diagram(0), r))
         assert table["tracking.v.overall"][run] == alone.tracking["v"].overall
@@ -102,8 +102,8 @@ def test_metrics_are_what_numpy_says(same_bits):
 
 
 def test_the_figures_of_a_loop_are_all_that_a_run_has():
-    from bayesftc.cosim.metrics import figures, without_nan
-    from bayesftc.cosim.roles import loop_signals
+    from bayesftc.cosim.judging.metrics import figures, without_nan
+    from bayesftc.cosim.judging.roles import loop_signals
 
     def flat(value, path=()):
         if isinstance(value, dict | list):
@@ -238,7 +238,7 @@ def test_noise_is_independent_only_where_it_is_asked_for():
 
 
 def test_seeds_of_independent_points_never_meet():
-    from bayesftc.cosim._campaign.seeds import seeds_of_points
+    from bayesftc.cosim.campaign.designs.seeds import seeds_of_points
 
     texts = [{"a": "x/y", "b": "z"}, {"a": "x", "b": "y/z"}, {"a": "1", "b": "z"}, {"a": 1, "b": "z"}]
     crc32s = [{"a": "plumless", "b": ""}, {"a": "buckeroo", "b": ""}]  # of which CRC-32 is the same
@@ -396,7 +396,7 @@ TIMES = st.sampled_from([None, *(k / 10 for k in range(-2, 14)), *(0.1 * k for k
 def test_metrics_are_of_the_times_that_they_say(start, stop, shift):
     from fractions import Fraction
 
-    from bayesftc.cosim._campaign.metrics import Runs
+    from bayesftc.cosim.campaign.runs.metrics import Runs
 
     values, other = np.random.default_rng(1).normal(size=(2, 3, 11))
     runs = Runs(None, np.arange(11) / 10, {"y": values, "r": other}, list, 3)
@@ -413,7 +413,7 @@ def test_metrics_are_of_the_times_that_they_say(start, stop, shift):
 
 
 def test_what_does_not_fit_into_memory_is_told_before_anything_runs(monkeypatch):
-    monkeypatch.setattr("bayesftc.cosim._campaign.outcomes.memory", lambda: 1e6)
+    monkeypatch.setattr("bayesftc.cosim.campaign.outcomes.memory", lambda: 1e6)
     campaign = cosim.Campaign(loop(), duration=10.0, seeds=1000, record=["plant.v"])
     with pytest.raises(
         cosim.errors.ModelError, match=r"1000 runs take 0.00401 GB, more .* give run\(\) the folder of a store"
@@ -427,7 +427,7 @@ def test_few_runs_are_for_all_cores_as_well():
 
 
 def test_an_fmu_is_made_once_for_all_pieces_of_a_point(monkeypatch, same_bits):
-    from bayesftc.cosim._campaign import many
+    from bayesftc.cosim.run import many
 
     made = []
     usual = many.open_run

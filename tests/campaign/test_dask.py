@@ -16,7 +16,7 @@ import pytest
 
 from bayesftc import cosim, fmus
 from bayesftc.cosim import DaskCluster, Threads
-from bayesftc.cosim._campaign.store import CampaignStore
+from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 pytest.importorskip("distributed", reason="needs the package distributed")
@@ -70,7 +70,7 @@ def folder(tmp_path_factory):
 
 
 def cosim_cache(kind):
-    from bayesftc.cosim._cache import cache_directory
+    from bayesftc.cosim.base.cache import cache_directory
 
     return cache_directory(kind)
 
@@ -168,7 +168,7 @@ def test_a_run_that_takes_its_workers_down_has_failed(cluster, car):
 
 
 def test_the_connection_to_the_scheduler(cluster, car, monkeypatch):
-    monkeypatch.setattr("bayesftc.cosim._campaign.dask.CONNECTING", 2)
+    monkeypatch.setattr("bayesftc.cosim.campaign.executors.dask.CONNECTING", 2)
     campaign = cosim.Campaign(car(), duration=20.0, seeds=2000, record=["plant.v"], piece=4)
     with pytest.raises(BayesFTCError, match=r"connection to the Dask scheduler was lost .* resume the campaign"):
         campaign.run(executor=DaskCluster(cluster.address), progress=lambda done, *_: done and cluster.scheduler.kill())

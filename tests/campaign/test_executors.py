@@ -14,8 +14,8 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import DaskCluster, Processes, Threads
-from bayesftc.cosim._campaign import pickling
-from bayesftc.cosim._campaign.choice import choose_executor
+from bayesftc.cosim.campaign.executors.choice import choose_executor
+from bayesftc.cosim.campaign.runs import pickling
 from bayesftc.cosim.errors import ModelError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
@@ -327,7 +327,7 @@ def test_what_a_block_raises_fails_its_run(executor, make_block):
 
 
 def test_the_default_is_threads_where_they_use_all_cores(monkeypatch, car, make_block):
-    monkeypatch.setattr("bayesftc.cosim._campaign.choice.cores", lambda: 4)
+    monkeypatch.setattr("bayesftc.cosim.campaign.executors.choice.cores", lambda: 4)
 
     def chosen(diagram, **options):
         return choose_executor(cosim.Campaign(diagram, duration=0.1, **options).job)
@@ -339,7 +339,7 @@ def test_the_default_is_threads_where_they_use_all_cores(monkeypatch, car, make_
     executor, why = chosen(once)
     assert executor == Processes()
     assert why == "Processes: the FMU 'plant' can be there only once in a process."
-    monkeypatch.setattr("bayesftc.cosim._campaign.choice.cores", lambda: 1)
+    monkeypatch.setattr("bayesftc.cosim.campaign.executors.choice.cores", lambda: 1)
     assert chosen(once)[0] == Threads()
     assert cosim.Campaign(car(), duration=0.1).run().metadata["executor"].startswith("Threads: ")
     assert (
@@ -351,7 +351,7 @@ def test_the_default_is_threads_where_they_use_all_cores(monkeypatch, car, make_
 
 
 def test_what_python_computes_goes_to_processes(monkeypatch, make_block):
-    monkeypatch.setattr("bayesftc.cosim._campaign.choice.cores", lambda: 4)
+    monkeypatch.setattr("bayesftc.cosim.campaign.executors.choice.cores", lambda: 4)
 
     def output(y, t):
         y[0] = float(str(t[0])) if hasattr(t, "__len__") else float(str(t))

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bayesftc.cosim import DaskCluster, Processes
-from bayesftc.cosim._temporary import temporary_folder
+from bayesftc.cosim.base.temporary import temporary_folder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
 DISTRIBUTED = pytest.mark.skipif(
@@ -101,7 +101,7 @@ def test_twenty_killed_clients_leave_nothing(executor, marked):
 HOLDER = """
 import sys, time
 from pathlib import Path
-from bayesftc.cosim._temporary import temporary_folder
+from bayesftc.cosim.base.temporary import temporary_folder
 with temporary_folder("bayesftc-drill-", Path(sys.argv[1])) as folder:
     (folder / "in it").mkdir()
     print(folder, flush=True)
@@ -133,9 +133,9 @@ def test_only_folders_of_dead_processes_are_swept(tmp_path):
 
 FORKING = """
 import os, socket, time
-from bayesftc.cosim._isolation.child import start
+from bayesftc.cosim.base.processes import start
 ours, theirs = socket.socketpair()
-process, _ = start("bayesftc.cosim._campaign.child:main", [theirs.fileno()])
+process, _ = start("bayesftc.cosim.campaign.executors.child:main", [theirs.fileno()])
 theirs.close()
 if os.fork():
     print(process.pid, flush=True)

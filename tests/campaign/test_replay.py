@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim.result import Result
+from bayesftc.cosim.run.result import Result
 
 pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
 
@@ -68,8 +68,8 @@ def test_each_run_has_the_bits_of_the_store(said, bayesftc_, tmp_path):
 
 
 def test_a_run_that_differs_is_told(said, tmp_path):
-    from bayesftc.cosim._campaign.plan import Piece
-    from bayesftc.cosim._campaign.store import CampaignStore
+    from bayesftc.cosim.campaign.designs.plan import Piece
+    from bayesftc.cosim.campaign.store.folder import CampaignStore
 
     campaign = wave(tmp_path / "wave")
     outcome = campaign.job.run(Piece(0, 2, 3))
@@ -130,7 +130,7 @@ def test_a_run_that_stops_stops_again_and_its_steps_are_there(said, bayesftc_, t
 
 
 def test_a_run_that_is_not_done_yet(said, tmp_path):
-    from bayesftc.cosim._campaign.parts import WHOLE
+    from bayesftc.cosim.campaign.store.parts import WHOLE
 
     wave(tmp_path / "wave", piece=2)
     (tmp_path / "wave" / WHOLE).unlink()  # as before anything was done

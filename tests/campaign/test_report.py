@@ -10,8 +10,8 @@ pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
 pytest.importorskip("jinja2", reason="reports need the extra 'campaign'")
 
 from bayesftc import cosim
-from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Plan
-from bayesftc.cosim._campaign.store import CampaignStore
+from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Plan
+from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import StoreError
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents

@@ -68,7 +68,7 @@ window.addEventListener("load", () => {
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """Return the file of a report, and of the same one with a probe in it."""
-    from bayesftc.cosim._campaign.store import CampaignStore
+    from bayesftc.cosim.campaign.store.folder import CampaignStore
     from bayesftc.report.page import report
 
     folder = tmp_path_factory.mktemp("report")

@@ -10,7 +10,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import Threads
-from bayesftc.cosim._campaign.store import CampaignStore
+from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import ModelError, StoreError
 
 pytest.importorskip("zarr", reason="needs the package zarr")

@@ -3,7 +3,7 @@
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 INPUTS = {"heater": ("Ta", 10.0), "relay": ("u", 1.0), "gate": ("u", 1.0), "edge": ("u", 1.0)}
 

@@ -9,7 +9,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim.errors import FMUError, SimulationError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 FMI = ("1.0", "2.0", "3.0")
 SOLVERS = ("cvode", "rk45", "scipy:RK45")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim._exchange.equations import ModelEquations
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.equations import ModelEquations
+from bayesftc.cosim.fmi.fmu import FMU
 
 FMI = ("2.0", "3.0")
 # From one number that the type holds to another, at its ends where a double has them.

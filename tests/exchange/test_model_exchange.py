@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.controllers.linearization import linearize
-from bayesftc.cosim._exchange.equations import ModelEquations
+from bayesftc.controllers.models.linearization import linearize
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.equations import ModelEquations
+from bayesftc.cosim.fmi.fmu import FMU
 
 FMI = ("1.0", "2.0", "3.0")
 
@@ -323,7 +323,7 @@ def test_a_status_that_fmi_does_not_know_is_called_so(solver, fmi, built):
 
 
 def test_a_solver_that_gives_up_says_so(built, monkeypatch):
-    from bayesftc.cosim._exchange import (
+    from bayesftc.cosim.fmi.exchange.integrators import (
         compiled_instance,
         cvode as _model_exchange_cvode,
         scipy_methods as _model_exchange_scipy,
@@ -339,7 +339,7 @@ def test_a_solver_that_gives_up_says_so(built, monkeypatch):
 
 
 def test_ctrl_c_and_errors_of_python_come_through_compiled_code(pendulum, monkeypatch):
-    from bayesftc.cosim._exchange.scipy_methods import ScipySolver
+    from bayesftc.cosim.fmi.exchange.integrators.scipy_methods import ScipySolver
 
     for error in (KeyboardInterrupt, ZeroDivisionError):
         monkeypatch.setattr(ScipySolver, "_derivatives", lambda *_, error=error: (_ for _ in ()).throw(error))
@@ -348,7 +348,7 @@ def test_ctrl_c_and_errors_of_python_come_through_compiled_code(pendulum, monkey
 
 
 def test_thousands_of_instances_leave_nothing(built):
-    from bayesftc.bench.memory import resident
+    from bayesftc.bench.measures.memory import resident
 
     block = FMU(built("heater"))
 
@@ -368,7 +368,7 @@ def test_thousands_of_instances_leave_nothing(built):
 def test_without_cvode_it_says_so_and_another_solver_works(built, monkeypatch):
     import sys
 
-    from bayesftc.cosim._exchange import cvode as _model_exchange_cvode
+    from bayesftc.cosim.fmi.exchange.integrators import cvode as _model_exchange_cvode
 
     _model_exchange_cvode._sundials.cache_clear()
     monkeypatch.setitem(sys.modules, "fmpy.sundials", None)

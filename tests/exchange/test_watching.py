@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.linearization import linearize
+from bayesftc.controllers.models.linearization import linearize
 from bayesftc.cosim.errors import UnknownNameError
-from bayesftc.cosim.fmu import FMU
+from bayesftc.cosim.fmi.fmu import FMU
 
 ENGINES = ["compiled", "interpreted"]
 

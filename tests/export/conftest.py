@@ -12,8 +12,8 @@ from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 
 from bayesftc import controllers, cosim
-from bayesftc.cosim._export.c_file import write_c
-from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim.export.c_file import write_c
+from bayesftc.cosim.export.program import program_of
 from bayesftc.cosim.ops import sin
 
 DT = "1/10"

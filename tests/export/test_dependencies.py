@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given, settings, strategies as st
 
 from bayesftc import cosim
-from bayesftc.cosim._export.dependencies import feeding, feeding_elements
-from bayesftc.cosim._export.program import program_of
-from bayesftc.cosim._export.sets import MOST
+from bayesftc.cosim.export.dependencies import feeding, feeding_elements
+from bayesftc.cosim.export.program import program_of
+from bayesftc.cosim.export.translate.sets import MOST
 from bayesftc.cosim.ports import labels
 
 

@@ -11,9 +11,9 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from bayesftc import cosim
-from bayesftc.cosim._export.c_file import write_c
-from bayesftc.cosim._export.fmu import model_of
-from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim.export.c_file import write_c
+from bayesftc.cosim.export.fmu import model_of
+from bayesftc.cosim.export.program import program_of
 from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
 
 

@@ -13,7 +13,7 @@ from fmpy.validation import validate_fmu
 from sklearn.ensemble import RandomForestClassifier
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim._export.deviations import deviation
+from bayesftc.cosim.export.deviations import deviation
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
 PLANTS = ("system", "sine", "delay")

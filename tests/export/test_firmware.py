@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.cosim._export.c_file import write_c
-from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim.export.c_file import write_c
+from bayesftc.cosim.export.program import program_of
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
 WARNINGS = [

@@ -9,8 +9,8 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import ops
-from bayesftc.cosim._export.c_file import write_c
-from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim.export.c_file import write_c
+from bayesftc.cosim.export.program import program_of
 from bayesftc.cosim.ops import both, either, exp, floor, isnan, log, maximum, minimum, negate, select, sqrt, square
 
 

@@ -12,11 +12,11 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from bayesftc import controllers, cosim
-from bayesftc.cosim._export.dependencies import feeding_elements
-from bayesftc.cosim._export.names import legal, program_name, unique
-from bayesftc.cosim._export.program import program_of
-from bayesftc.cosim._export.units import unit_of_setting
-from bayesftc.cosim.units import parse
+from bayesftc.cosim.base.units import parse
+from bayesftc.cosim.export.dependencies import feeding_elements
+from bayesftc.cosim.export.names import legal, program_name, unique
+from bayesftc.cosim.export.program import program_of
+from bayesftc.cosim.export.units import unit_of_setting
 
 
 @pytest.mark.parametrize(

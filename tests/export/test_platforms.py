@@ -17,8 +17,8 @@ from fmpy.validation import validate_fmu
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim import ops
-from bayesftc.cosim._export.platforms import platforms_of
-from bayesftc.cosim.export import export_fmu
+from bayesftc.cosim.export.exporting import export_fmu
+from bayesftc.cosim.export.platforms import platforms_of
 from bayesftc.fmus import _binaries, _compiler
 from bayesftc.fmus._platforms import PLATFORMS, host
 

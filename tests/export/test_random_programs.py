@@ -8,7 +8,7 @@ import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
 from bayesftc import cosim
-from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim.export.program import program_of
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 1e308, -1e308, 5e-324, -1e-310, np.inf, -np.inf, np.nan]
 BEGIN = '''\

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.cosim._export.program import program_of
+from bayesftc.cosim.export.program import program_of
 
 
 def with_setting(holder, path, values):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim._isolation import kernels as _isolated_kernels, protocol as _isolated_protocol
 from bayesftc.cosim.errors import FMUError, ModelError
+from bayesftc.cosim.isolation import kernels as _isolated_kernels, protocol as _isolated_protocol
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
 

@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
-from bayesftc.cosim._isolation.turns import one_processor
-from bayesftc.cosim._repeat import repeat
 from bayesftc.cosim.errors import FMUCrashed
+from bayesftc.cosim.isolation.turns import one_processor
+from bayesftc.cosim.run.repeat import repeat
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
 
@@ -278,7 +278,7 @@ def test_no_orphan_is_left_and_ctrl_c_is_heard_in_an_endless_step(with_signal, e
 def test_starting_loads_nothing_heavy(python):
     loaded = python(
         "import json, sys\n"
-        "import bayesftc.cosim._isolation.worker, bayesftc.cosim.fmu, fmpy.fmi2, fmpy.fmi3\n"
+        "import bayesftc.cosim.isolation.worker, bayesftc.cosim.fmi.fmu, fmpy.fmi2, fmpy.fmi3\n"
         "print(json.dumps(sorted(sys.modules)))"
     )
     assert not {"scipy", "control", "matplotlib", "numba", "pandas", "sklearn", "casadi", "filterpy"} & set(loaded)
@@ -288,7 +288,7 @@ def test_a_scenario_file_isolates_and_keeps_what_was_before_the_crash(lying, tmp
     from typer.testing import CliRunner
 
     from bayesftc.cli.commands import app
-    from bayesftc.cosim.result import Result
+    from bayesftc.cosim.run.result import Result
 
     path, ways = lying("2.0")
     text = Path(cosim.__file__).parents[1].joinpath("examples/cruise_control/cruise_control.toml").read_text()

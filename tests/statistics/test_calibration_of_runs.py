@@ -6,7 +6,7 @@ from scipy.stats import binomtest
 from sklearn.metrics import brier_score_loss
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.probabilities import reliability
+from bayesftc.cosim.judging.probabilities import reliability
 from bayesftc.cosim.statistics import calibration, interval, mean_reliability
 
 

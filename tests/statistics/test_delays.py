@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from bayesftc.cosim.alarms import judge_alarms
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.alarms import judge_alarms
 from bayesftc.cosim.statistics import delay_curve, ratio
 from bayesftc.cosim.statistics._alarm_counts import count_alarms
 

@@ -8,7 +8,7 @@ from scipy.stats import norm
 from sklearn.metrics import roc_auc_score
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.metrics import auc
+from bayesftc.cosim.judging.metrics import auc
 from bayesftc.cosim.statistics import interval, roc, roc_curve, roc_rates
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.bench._slave import Unpacked
-from bayesftc.cosim._types import Floats
+from bayesftc.cosim.types import Floats
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.controllers import BayesianController, Hazards, calibrate
-from bayesftc.controllers._rate import RateLearner
-from bayesftc.controllers.calibration import judge_own_probability
+from bayesftc.controllers.detection.calibration import judge_own_probability
+from bayesftc.controllers.precision.rate import RateLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._place import Place

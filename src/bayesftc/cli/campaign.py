@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.table import Table
 
-    from bayesftc.cosim._campaign.executors import Executor
-    from bayesftc.cosim._campaign.working import Progress
+    from bayesftc.cosim.campaign.executors.base import Executor
+    from bayesftc.cosim.campaign.working import Progress
 
 POINTS = 40
 """Rows of the printed table; the store has all."""
@@ -97,7 +97,7 @@ def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Exec
 
 def _numbers(table: pd.DataFrame, factors: list[str], metrics: list[str]) -> dict[str, Any]:
     """Return what is printed: for each point its factors, and of each metric the mean with its confidence interval."""
-    from bayesftc.cosim._campaign.columns import OWN
+    from bayesftc.cosim.campaign.runs.columns import OWN
     from bayesftc.cosim.statistics import summary
 
     # A factor that is called like a column of every table, as seed, has another name there.

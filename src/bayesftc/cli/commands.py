@@ -125,7 +125,7 @@ def inspect(
 ) -> None:
     """Show what an FMU says of itself (variables, units, kinds, platforms, capabilities), and what works with it."""
     with guarded(debug):
-        from bayesftc.cli.inspect import inspect_fmu
+        from bayesftc.cli.inspection.inspect import inspect_fmu
 
         inspect_fmu(fmu, validate=validate, json=json, everything=everything)
 

@@ -11,7 +11,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.fmu import FMU
+    from bayesftc.cosim.fmi.fmu import FMU
 
 SHOWN = 14
 """Ports of a side that are printed one by one."""
@@ -45,7 +45,7 @@ def export_scenario(
     quiet : bool
         Print nothing.
     """
-    from bayesftc.cosim.export import export_c, export_fmu
+    from bayesftc.cosim.export.exporting import export_c, export_fmu
 
     loop = load_scenario(name).loop()
     chosen = list(dict.fromkeys(loop[block].name for block in blocks))
@@ -77,7 +77,7 @@ def _stem(name: str, blocks: Sequence[str]) -> str:
 
 def _report(path: Path) -> None:
     """Print what an FMU is, read from the file."""
-    from bayesftc.cosim.fmu import FMU
+    from bayesftc.cosim.fmi.fmu import FMU
 
     fmu = FMU(path)
     description = fmu.description

@@ -15,7 +15,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
 from bayesftc.controllers import ModelMismatchWarning
-from bayesftc.cosim.metrics import without_nan
+from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.monitoring import ActuatorEvent, FaultEvent, Monitored, load_monitor
 
 if TYPE_CHECKING:

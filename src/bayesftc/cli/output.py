@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.errors import ResultFileError
-from bayesftc.cosim.metrics import without_nan
+from bayesftc.cosim.judging.metrics import without_nan
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from bayesftc.cosim.result import Result
-    from bayesftc.cosim.signals import LoopSignals
+    from bayesftc.cosim.judging.signals import LoopSignals
+    from bayesftc.cosim.run.result import Result
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"
@@ -99,7 +99,7 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
     ResultFileError
         If one of them cannot be written.
     """
-    from bayesftc.cosim.plotting import plot_run
+    from bayesftc.cosim.judging.plotting import plot_run
 
     text = as_json(numbers) + "\n"
     title = f"{Path(numbers['scenario']).stem}, seed {numbers['seed']}" + (" (stopped early)" if result.stopped else "")
@@ -114,7 +114,7 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
     """Give an empty folder inside `folder`; what is in it at the end moves into `folder`, and a failure leaves nothing."""
-    from bayesftc.cosim._temporary import BESIDE, temporary_folder
+    from bayesftc.cosim.base.temporary import BESIDE, temporary_folder
 
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     stage: Path | None = None

@@ -12,11 +12,11 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cosim._campaign.plan import FAILED
+from bayesftc.cosim.campaign.designs.plan import FAILED
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.result import Result
+    from bayesftc.cosim.run.result import Result
 
 
 def replay_run(store: Path, run: int, out: Path | None, *, json: bool, quiet: bool) -> None:
@@ -36,10 +36,10 @@ def replay_run(store: Path, run: int, out: Path | None, *, json: bool, quiet: bo
         How the figures are printed: as JSON, or not at all.
     """
     from bayesftc import __version__
-    from bayesftc.cosim._campaign.repeating import kept_job
-    from bayesftc.cosim._campaign.store import CampaignStore
-    from bayesftc.cosim.metrics import figures
-    from bayesftc.cosim.roles import loop_signals
+    from bayesftc.cosim.campaign.store.folder import CampaignStore
+    from bayesftc.cosim.campaign.store.repeating import kept_job
+    from bayesftc.cosim.judging.metrics import figures
+    from bayesftc.cosim.judging.roles import loop_signals
 
     kept = CampaignStore.open(store)
     job = kept_job(kept)

@@ -25,7 +25,7 @@ def write_report(
     quiet : bool
         Say nothing.
     """
-    from bayesftc.cosim._campaign.store import CampaignStore
+    from bayesftc.cosim.campaign.store.folder import CampaignStore
     from bayesftc.report.page import report
 
     target = store / "report.html" if out is None else out

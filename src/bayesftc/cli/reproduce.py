@@ -16,11 +16,11 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.random import check_seed
-from bayesftc.reproduce._ensemble import Progress, check_jobs
-from bayesftc.reproduce.experiments import EXPERIMENTS
+from bayesftc.reproduce.registry import EXPERIMENTS
+from bayesftc.reproduce.shared.ensemble import Progress, check_jobs
 
 if TYPE_CHECKING:
-    from bayesftc.reproduce.experiments import Experiment, Report
+    from bayesftc.reproduce.registry import Experiment, Report
 
 ALL = "all"
 BREATH = 0.1

@@ -15,18 +15,18 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.metrics import figures, without_nan
-from bayesftc.cosim.roles import loop_signals
-from bayesftc.cosim.signals import LoopSignals
+from bayesftc.cosim.judging.metrics import figures, without_nan
+from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
 from bayesftc.scenario._unused import unused
 
 if TYPE_CHECKING:
     from bayesftc.controllers import BayesianController
-    from bayesftc.cosim._running import Progress
-    from bayesftc.cosim._types import Floats
-    from bayesftc.cosim.diagram import Diagram
-    from bayesftc.cosim.result import Result
+    from bayesftc.cosim.diagram.diagram import Diagram
+    from bayesftc.cosim.run.result import Result
+    from bayesftc.cosim.run.running import Progress
+    from bayesftc.cosim.types import Floats
 
 AGREEMENT = 1e-9
 """Largest relative difference from filterpy that is rounding."""
@@ -144,7 +144,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
 def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any] | None:
     """Return how the controller's model is wrong, as far as the run was recorded; None if nothing speaks against it."""
     from bayesftc.controllers import NonlinearModel, diagnose
-    from bayesftc.controllers.diagnosis import checked_model
+    from bayesftc.controllers.diagnosis.diagnose import checked_model
 
     model, samples = checked_model(scenario.controller), _source_of_samples(loop)
     needed = ("controller.model_suspect",) if isinstance(model, NonlinearModel) else (samples, "controller.u")
@@ -270,7 +270,7 @@ def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
 def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None = None) -> dict[str, Any]:
     """Return the differences from filterpy's filter over the first samples, whether that is agreement, and a verdict."""
     from bayesftc.controllers import BayesianController
-    from bayesftc.controllers.validation import check_kalman, sensor_by_sensor
+    from bayesftc.controllers.bayesian.validation import check_kalman, sensor_by_sensor
 
     controller = scenario.controller
     assert isinstance(controller, BayesianController)

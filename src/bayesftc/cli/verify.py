@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from bayesftc.cosim._paths import expanded
+from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.verification import Deviation, Verification
+    from bayesftc.cosim.export.verification import Deviation, Verification
 
 DIFFERS = 19
 """Exit code where the FMU does not do what the blocks do."""
@@ -55,7 +55,7 @@ def verify_scenario(
     json, quiet : bool
         How it is printed: as JSON, or not at all.
     """
-    from bayesftc.cosim.verification import verify_fmu
+    from bayesftc.cosim.export.verification import verify_fmu
 
     if not (isfinite(tolerance) and tolerance >= 0.0):
         raise ModelError(f"--tolerance is {tolerance!r}; it must be a number that is not negative.")

@@ -1,18 +1,18 @@
 """The public names of `bayesftc.monitoring`, and where they stand; loaded on first use."""
 
-from ._alarms import ActuatorEvent as ActuatorEvent, Alarm as Alarm, FaultEvent as FaultEvent
-from ._columns import Column as Column, Input as Input, Sensor as Sensor, SensorErrors as SensorErrors
-from ._fit import FittedModel as FittedModel, FittedSensor as FittedSensor, fit_model as fit_model
-from ._fit_columns import (
+from .alarms import ActuatorEvent as ActuatorEvent, Alarm as Alarm, FaultEvent as FaultEvent
+from .columns import Column as Column, Input as Input, Sensor as Sensor, SensorErrors as SensorErrors
+from .fit.columns import (
     Place as Place,
     recorded as recorded,
     redundant_signals as redundant_signals,
     stretch_of as stretch_of,
 )
-from ._fit_text import as_model_file as as_model_file
-from ._likelihood import log_likelihood as log_likelihood
-from ._model_file import load_monitor as load_monitor
-from ._models import (
+from .fit.fit import FittedModel as FittedModel, FittedSensor as FittedSensor, fit_model as fit_model
+from .fit.likelihood import log_likelihood as log_likelihood
+from .fit.text import as_model_file as as_model_file
+from .model_file import load_monitor as load_monitor
+from .models import (
     PLANT_MODELS as PLANT_MODELS,
     ConstantRate as ConstantRate,
     Integrator as Integrator,
@@ -20,7 +20,7 @@ from ._models import (
     PlantModel as PlantModel,
     RandomWalk as RandomWalk,
 )
-from ._monitor import Monitor as Monitor
-from ._precision import default_precision as default_precision
-from ._recording import Recording as Recording, Signal as Signal, align as align
-from ._run import Monitored as Monitored, monitor_recording as monitor_recording
+from .monitor import Monitor as Monitor
+from .precision import default_precision as default_precision
+from .recording import Recording as Recording, Signal as Signal, align as align
+from .run import Monitored as Monitored, monitor_recording as monitor_recording

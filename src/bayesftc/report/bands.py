@@ -11,7 +11,7 @@ from bayesftc.report.svg import figure, legend, words
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bayesftc.cosim._types import Floats
+    from bayesftc.cosim.types import Floats
     from bayesftc.report.contents import Contents
 
 POINTS = 250

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim._campaign.columns import factor_columns
-from bayesftc.cosim._campaign.plan import OK
-from bayesftc.cosim._campaign.reading import StoredCampaign
+from bayesftc.cosim.campaign.designs.plan import OK
+from bayesftc.cosim.campaign.runs.columns import factor_columns
+from bayesftc.cosim.campaign.store.reading import StoredCampaign
 from bayesftc.cosim.errors import StoreError, UnknownNameError, did_you_mean
 from bayesftc.report.svg import Style, styles
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim._campaign.plan import OK
+from bayesftc.cosim.campaign.designs.plan import OK
 from bayesftc.report.svg import INK, figure, legend, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bayesftc.cosim._types import Floats
+    from bayesftc.cosim.types import Floats
     from bayesftc.report.contents import Contents
 
 RUNS = 200

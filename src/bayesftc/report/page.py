@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from bayesftc.cosim._campaign.extras import extra
-from bayesftc.cosim._campaign.reading import StoredCampaign
+from bayesftc.cosim.base.extras import extra
+from bayesftc.cosim.campaign.store.reading import StoredCampaign
 from bayesftc.report import comparisons, tables
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents

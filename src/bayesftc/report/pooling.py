@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bayesftc.cosim._types import Floats
+from bayesftc.cosim.types import Floats
 
 NAN = float("nan")
 

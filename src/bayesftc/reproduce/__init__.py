@@ -11,21 +11,21 @@ numbers in `bayesftc.reproduce.paper`.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bayesftc.reproduce._arm import run as arm
-    from bayesftc.reproduce._beliefs import run as beliefs
-    from bayesftc.reproduce._bound import run as bound
-    from bayesftc.reproduce._detection import run as detection
-    from bayesftc.reproduce._family import run as family
-    from bayesftc.reproduce._models import run as models
-    from bayesftc.reproduce._probabilities import run as probabilities
-    from bayesftc.reproduce._tracking import run as tracking
+    from bayesftc.reproduce.experiments.arm.run import run as arm
+    from bayesftc.reproduce.experiments.beliefs.run import run as beliefs
+    from bayesftc.reproduce.experiments.bound.run import run as bound
+    from bayesftc.reproduce.experiments.detection.run import run as detection
+    from bayesftc.reproduce.experiments.family.run import run as family
+    from bayesftc.reproduce.experiments.models.run import run as models
+    from bayesftc.reproduce.experiments.probabilities.run import run as probabilities
+    from bayesftc.reproduce.experiments.tracking.run import run as tracking
 
 __all__ = ["arm", "beliefs", "bound", "detection", "family", "models", "probabilities", "tracking"]
 
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        from bayesftc.reproduce.experiments import EXPERIMENTS
+        from bayesftc.reproduce.registry import EXPERIMENTS
 
         return EXPERIMENTS[name].run
     raise AttributeError(f"module 'bayesftc.reproduce' has no attribute {name!r}")

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass, fields, replace
 from math import pi
 from typing import Any, ClassVar, Literal, Self
 
-from bayesftc.controllers._checks import as_number, check_number
-from bayesftc.controllers.baselines import EFFDI_QUANTILE_999
-from bayesftc.controllers.fault_modes import FAULT_MODES
-from bayesftc.cosim._chosen import chosen
+from bayesftc.controllers.models.checks import as_number, check_number
+from bayesftc.controllers.precision.baselines import EFFDI_QUANTILE_999
+from bayesftc.controllers.switching.fault_modes import FAULT_MODES
+from bayesftc.cosim.base.chosen import chosen
 from bayesftc.cosim.errors import ModelError
 from bayesftc.reproduce import paper
 
@@ -510,7 +510,7 @@ class Beliefs(Repeated):
 
 @dataclass(frozen=True)
 class Family(Repeated):
-    """Beyond the paper: every learner in every case of `bayesftc.reproduce.family_cases`."""
+    """Beyond the paper: every learner in every case of `bayesftc.reproduce.experiments.family.cases`."""
 
     runs: int = chosen(
         100,

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesftc.controllers import design
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.sensors import Sensors
+from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import build
 

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from bayesftc.cosim._paths import expanded, is_file, is_folder
+from bayesftc.cosim.base.paths import expanded, is_file, is_folder
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers._checks import as_matrix
-from bayesftc.cosim._types import Floats
+from bayesftc.controllers.models.checks import as_matrix
+from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.state_space import LinearSystem, StateSpace
-from bayesftc.cosim.timebase import rational_step
+from bayesftc.cosim.blocks.state_space import LinearSystem, StateSpace
+from bayesftc.cosim.types import Floats
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import build
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.faults import Fault
-from bayesftc.cosim.loops import closed_loop, with_invalid
-from bayesftc.cosim.sensors import Sensors
+from bayesftc.cosim.blocks.faults.kinds import Fault
+from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.diagram.closed_loop import closed_loop, with_invalid
 from bayesftc.scenario import _sections as sections
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
@@ -20,8 +20,8 @@ from bayesftc.scenario._schema import build
 from bayesftc.scenario._sections import Simulation, Wiring
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.diagram import Diagram
-    from bayesftc.cosim.result import Result
+    from bayesftc.cosim.diagram.diagram import Diagram
+    from bayesftc.cosim.run.result import Result
 
 SECTIONS = ("simulation", "plant", "noise", "sensors", "faults", "input_faults", "reference", "model", "controller")
 REQUIRED = ("simulation", "plant", "reference", "controller")

@@ -145,12 +145,12 @@ def _dataclasses(hint: Any) -> list[type[Any]]:
 
 def registered(base: type[Any]) -> tuple[type[Any], ...]:
     """Return the classes that may stand where `base` is asked for, or none if it has no list of its own."""
-    from bayesftc.controllers.actuator_modes import ACTUATOR_MODES, ActuatorMode
-    from bayesftc.controllers.fault_modes import FAULT_MODES, FaultMode
     from bayesftc.controllers.laws import ControlLaw
-    from bayesftc.controllers.precision import PrecisionLearner
+    from bayesftc.controllers.precision.base import PrecisionLearner
     from bayesftc.controllers.registry import LAWS, LEARNERS
-    from bayesftc.cosim.faults import FAULTS, Fault, RandomFaults
+    from bayesftc.controllers.switching.actuator_modes import ACTUATOR_MODES, ActuatorMode
+    from bayesftc.controllers.switching.fault_modes import FAULT_MODES, FaultMode
+    from bayesftc.cosim.blocks.faults.kinds import FAULTS, Fault, RandomFaults
 
     single = tuple(fault for fault in FAULTS if fault is not RandomFaults)  # a mixture cannot be a part of a mixture
     lists: dict[type[Any], tuple[type[Any], ...]] = {

@@ -7,15 +7,16 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.registry import CONTROLLERS
-from bayesftc.cosim import faults, sources
-from bayesftc.cosim._numbers import real
+from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
+from bayesftc.cosim.blocks import sources
+from bayesftc.cosim.blocks.faults import kinds as faults
+from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.diagram.closed_loop import check_count
 from bayesftc.cosim.errors import FMUError
-from bayesftc.cosim.loops import check_count
-from bayesftc.cosim.sensors import Sensors
-from bayesftc.cosim.timebase import rational_step
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
 
@@ -24,7 +25,7 @@ SOURCES: tuple[type[Block], ...] = tuple(getattr(sources, name) for name in sour
 
 @dataclass(frozen=True)
 class Simulation:
-    """How a scenario is run, unless a run says otherwise; see `bayesftc.cosim.simulation.simulate`.
+    """How a scenario is run, unless a run says otherwise; see `bayesftc.cosim.run.simulation.simulate`.
 
     Attributes
     ----------
@@ -82,7 +83,7 @@ def plant(table: object, place: Place, folder: Path) -> tuple[Block, Wiring]:
 
 def _fmu(table: dict[str, Any], place: Place, folder: Path) -> Block:
     from bayesftc import fmus
-    from bayesftc.cosim.fmu import FMU
+    from bayesftc.cosim.fmi.fmu import FMU
 
     chosen: Shipped = build(Shipped, _taken(table, Shipped), place)
     is_file = chosen.fmu.lower().endswith(".fmu") or Path(chosen.fmu).name != chosen.fmu

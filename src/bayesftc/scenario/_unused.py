@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.controllers.model import LinearModel
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import StepSizeError
-from bayesftc.cosim.timebase import rational_step, show
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import Scenario, scenario_of
 from bayesftc.scenario._sections import Simulation
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.campaign import Campaign
+    from bayesftc.cosim.campaign.campaign import Campaign
     from bayesftc.scenario.campaigns import ScenarioLoop
 
 OF_CAMPAIGNS = [f"simulation.{f.name}" for f in fields(Simulation) if f.name != "dt"]

@@ -12,10 +12,10 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim._campaign.design import Design, Grid, Points
-from bayesftc.cosim._campaign.metrics import METRICS, Metric
-from bayesftc.cosim._campaign.samples import LatinHypercube, SaltelliDesign, SobolSequence
-from bayesftc.cosim._paths import expanded, is_file
+from bayesftc.cosim.base.paths import expanded, is_file
+from bayesftc.cosim.campaign.designs.design import Design, Grid, Points
+from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesign, SobolSequence
+from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
@@ -23,8 +23,8 @@ from bayesftc.scenario._scenario import scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.campaign import Campaign
-    from bayesftc.cosim.diagram import Diagram
+    from bayesftc.cosim.campaign.campaign import Campaign
+    from bayesftc.cosim.diagram.diagram import Diagram
 
 SAMPLES = (LatinHypercube, SobolSequence, SaltelliDesign)
 """Designs that ``[[samples]]`` may be."""
@@ -101,7 +101,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     BayesFTCError
         What the loop has against its settings at the first point.
     """
-    from bayesftc.cosim.campaign import Campaign
+    from bayesftc.cosim.campaign.campaign import Campaign
 
     file = expanded(path)
     content, root = dict(read_toml(file)), Place(str(file))

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesftc.cosim._campaign.plan import FAILED, OK, Outcome, Piece, Plan
-from bayesftc.cosim._campaign.store import CampaignStore
+from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Piece, Plan
+from bayesftc.cosim.campaign.store.folder import CampaignStore
 
 TIME = np.arange(5) * 0.1
 SIGNALS = {"plant.v": ((), "m/s"), "filter.x/y": ((2,), None), "filter.P": ((2, 3), None)}

@@ -18,9 +18,9 @@ from hypothesis import given, settings, strategies as st
 from stored import PLAN, POINTS, SIGNALS, TIME, assert_piece, assert_whole, create, outcome, resume
 
 from bayesftc.cosim import BayesFTCError, ModelError, StoreError, UnknownNameError
-from bayesftc.cosim._campaign import chunks
-from bayesftc.cosim._campaign.plan import FAILED, OK, Piece, Plan
-from bayesftc.cosim._campaign.store import PENDING, CampaignStore
+from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Piece, Plan
+from bayesftc.cosim.campaign.store import chunks
+from bayesftc.cosim.campaign.store.folder import PENDING, CampaignStore
 
 
 def test_what_is_written_is_read_again(tmp_path):

@@ -22,9 +22,9 @@ import xarray as xr
 from stored import DRILL, PLAN, SIGNALS, TIME, assert_piece, assert_whole, create, drilled, outcome, resume
 
 from bayesftc.cosim import StoreError
-from bayesftc.cosim._campaign import durable
-from bayesftc.cosim._campaign.plan import OK, Outcome, Piece, Plan
-from bayesftc.cosim._campaign.store import CampaignStore
+from bayesftc.cosim.campaign.designs.plan import OK, Outcome, Piece, Plan
+from bayesftc.cosim.campaign.store import durable
+from bayesftc.cosim.campaign.store.folder import CampaignStore
 
 # Damage
 

@@ -1,0 +1,1 @@
+"""The unbiased active inference controller."""

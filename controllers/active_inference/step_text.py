@@ -1,0 +1,118 @@
+"""The text of active inference's step function, which is written for each controller's modalities, law and options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from textwrap import indent
+from typing import Any
+
+from bayesftc.controllers.active_inference import curvature as _curvature, descent as _descent
+from bayesftc.controllers.estimation import absurd as _absurd, consistency as _consistency
+from bayesftc.controllers.precision.base import NAN
+from bayesftc.cosim.ops import select
+
+# What stands in braces are the calls of the modalities' functions and of the law, and what the form of control makes of them.
+_STEP = """
+{measure}
+screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts)
+count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening)
+listen(y, patience, heard, doubts)
+read(heard, expected, limit, e, present)
+for i in range(e.shape[0]):
+    innovation[i] = select(present[i] > 0.5, y[i] - expected[i], NAN)
+learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+blame(doubts, certain, fault_probability)
+report(memory, settings, nominal, first, outputs)
+alarm(doubts, outputs)
+log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_determinant[0]
+for s in range(inner_steps):
+    if s > 0:
+        {measure_again}
+        read(heard, expected, limit, e, present)
+    {differentiate}
+    prior_error(mean, predicted, eps_x)
+    energy = quadratic(e, weights, weighted) + quadratic(eps_x, Px, pull_x)
+    belief_gradient(weighted, G, pull_x, slope)
+    curvature_of_belief(G, weights, prior_curvature, PG, H)
+    {descent}
+    free_energy[0] = free_energy_of(energy, log_determinant, used, means)
+{decide}
+act(control, applied, u)
+{law_update}
+predict_state(mean, applied, A, B, predicted)
+place(mean, 0, x_hat)
+{watch}
+"""
+
+_WATCH = """
+check_consistency(
+    heard, x_hat, G, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+    model_suspect)
+follow(applied, A, B, seer_row, seer_mean)
+"""
+
+_DESCENT_BY_GRADIENT = """
+{law_output}
+{law_derivative}
+prior_error(control, wanted, eps_u)
+energy = energy + quadratic(eps_u, Pu, pull_u)
+add_control_gradient(pull_u, D, slope)
+curvature_of_control(D, Pu, PD, H)
+fraction = shortening(H, root_rate, largest, squarings, scaled, squared)
+descend(fraction, rate, slope, mean)
+descend(fraction, rate_u, pull_u, control)
+"""
+
+_DESCENT_OF_THE_BELIEF = """
+fraction = shortening(H, root_rate, largest, squarings, scaled, squared)
+descend(fraction, rate, slope, mean)
+"""
+
+_DECISION_BY_LAW = """
+{law_output}
+place(wanted, 0, control)
+for i in range(eps_u.shape[0]):
+    eps_u[i] = 0.0 * control[i]
+"""
+
+FUNCTIONS: dict[str, Any] = {
+    "NAN": NAN,
+    "select": select,
+    **{
+        name: getattr(_descent, name)
+        for name in (
+            "act", "add_control_gradient", "belief_gradient", "descend", "free_energy_of", "place", "place_rows",
+            "predict_state", "prior_error", "quadratic", "read", "weigh",
+        )
+    },
+    **{name: getattr(_absurd, name) for name in ("blame", "count_doubts", "listen", "screen")},
+    **{name: getattr(_consistency, name) for name in ("check_consistency", "follow")},
+    **{name: getattr(_curvature, name) for name in ("curvature_of_belief", "curvature_of_control", "shortening")},
+}  # fmt: skip
+"""What the text calls, besides the functions of modalities, law and learner."""
+
+
+def step_lines(calls: Mapping[str, str], *, descends: bool, watches: bool) -> list[str]:
+    """Return the lines of the step function's body.
+
+    Parameters
+    ----------
+    calls : mapping of str to str
+        The statements ``measure`` and ``differentiate`` of the modalities; ``law_output`` and, where there are, ``law_update``
+        and ``law_derivative``.
+    descends : bool
+        Whether the control descends the free energy; else it is put to the law.
+    watches : bool
+        Whether the model is checked.
+    """
+    descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
+    text = _STEP.format(
+        measure=calls["measure"],
+        measure_again=indent(calls["measure"], " " * 8).lstrip(),
+        differentiate=indent(calls["differentiate"], " " * 4).lstrip(),
+        descent=indent(descent, " " * 4).lstrip(),
+        decide="" if descends else _DECISION_BY_LAW.format_map(calls).strip("\n"),
+        law_update=calls.get("law_update", ""),
+        watch=_WATCH.strip("\n") if watches else "",
+    )
+    return text.strip("\n").split("\n")

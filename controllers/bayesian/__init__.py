@@ -1,0 +1,1 @@
+"""The Bayesian controllers and the estimator, their steady states, and their checks against filterpy."""

@@ -1,0 +1,228 @@
+"""What the Bayesian controllers for linear and for nonlinear models share: settings, their checks, and ports."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.free_energy import log_normaliser
+from bayesftc.controllers.models.checks import (
+    Matrix,
+    as_covariance,
+    as_matrix,
+    as_numbers,
+    as_vector,
+    check_choice,
+    check_flags,
+    frozen,
+)
+from bayesftc.controllers.precision.base import Learner, PrecisionLearner
+from bayesftc.controllers.signals import port
+from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.invalid import Invalid, invalid_values
+from bayesftc.cosim.block import Block
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Floats
+
+VARIANCE_CAP = 1e20
+"""Largest predicted variance, in units of the largest variance among initial belief, process noise and sensors."""
+
+
+def extended_mean(model: Any, values: Floats, mean: object) -> object:
+    """Return a mean for the plant's states with disturbances of zero, and a constant of one; any other `mean` as it is."""
+    plant = model.states - model.disturbances
+    if model.disturbances and values.shape in {(plant,), (1,)}:
+        others = np.zeros(model.disturbances)
+        others[-1] = getattr(model, "constant", False)
+        return np.concatenate([np.broadcast_to(values, plant), others])
+    return mean
+
+
+def known_constant(model: Any, covariance: Floats) -> Floats:
+    """Return a covariance in which the model's constant, if it has one, is known."""
+    if not getattr(model, "constant", False):
+        return covariance
+    known = np.array(covariance)
+    known[-1], known[:, -1] = 0.0, 0.0
+    return frozen(known)
+
+
+@dataclass(frozen=True, eq=False)
+class BayesianBlock(Block, ABC):
+    """A controller with a model, a precision learner, a goal prior and a control prior.
+
+    The settings ``model, precision, goal_on, goal_covariance, control_covariance, control_mean, belief, u_min, u_max, u_rate,
+    initial_mean, initial_covariance, invalid, posterior_outputs`` are described by the controllers.
+    """
+
+    model: Any
+    precision: PrecisionLearner = field(default_factory=SwitchingPrecision)
+    goal_on: Literal["states", "outputs"] | Matrix = "states"
+    goal_covariance: Matrix = 1.0
+    control_covariance: Matrix | None = None
+    control_mean: float | tuple[float, ...] = field(default=0.0, metadata={"unit": "{u}"})
+    belief: Literal["filtered", "joint"] = "filtered"
+    u_min: float | tuple[float, ...] = field(default=float("-inf"), metadata={"unit": "{u}"})
+    u_max: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}"})
+    u_rate: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}/s"})
+    initial_mean: float | tuple[float, ...] = 0.0
+    initial_covariance: Matrix = 1.0
+    invalid: Invalid = field(default=(), kw_only=True)
+    posterior_outputs: bool = field(default=False, kw_only=True)
+
+    def _check_settings(self) -> None:
+        """Check all settings but the model, and turn numbers into arrays of their sizes."""
+        if not isinstance(self.precision, PrecisionLearner):
+            raise ModelError(
+                f"precision must be a precision learner such as SwitchingPrecision(), not {self.precision!r}."
+            )
+        check_choice(self, "belief", "filtered", "joint")
+        check_flags(self, "posterior_outputs")
+        n, p = self.model.states, self.model.controls
+        values = {
+            "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, self.goals),
+            "control_mean": as_vector("The control_mean", self.control_mean, p),
+            "u_min": as_vector("u_min", self.u_min, p, finite=False),
+            "u_max": as_vector("u_max", self.u_max, p, finite=False),
+            "u_rate": as_vector("u_rate", self.u_rate, p, finite=False),
+            "initial_mean": as_vector("The initial_mean", self._extended(self.initial_mean), n),
+            "initial_covariance": known_constant(
+                self.model, as_covariance("The initial_covariance", self.initial_covariance, n, singular=True)
+            ),
+        }
+        invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # wrong ones fail here
+        if self.control_covariance is not None:
+            values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        if (values["u_min"] > values["u_max"]).any():
+            raise ModelError(
+                f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them."
+            )
+        if (values["u_rate"] <= 0).any():
+            raise ModelError(
+                f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."
+            )
+
+    def _check_reach(self, effect: Floats) -> None:
+        """Refuse a flat control prior under which the goal does not determine each control; ``effect`` is d x_t+1 / d u_t."""
+        p = self.model.controls
+        if self.control_covariance is None and (rank := np.linalg.matrix_rank(self.goal_matrix @ effect)) < p:
+            raise ModelError(
+                f"With a flat control prior the goal must determine each of the {p} controls, but the goal reaches only "
+                f"{rank} of them in one step; give a control_covariance."
+            )
+
+    def _extended(self, mean: object) -> object:
+        # A mean for the plant's states alone is meant with disturbances of zero.
+        values = np.atleast_1d(as_numbers("The initial_mean", mean, "it must be a number or a list of numbers"))
+        return extended_mean(self.model, values, mean)
+
+    @property
+    def goal_matrix(self) -> Floats:
+        """What each element of the goal is of the state (g x n)."""
+        n = self.model.states
+        if isinstance(self.goal_on, str):
+            if self.goal_on == "states":
+                return frozen(np.eye(n)[: n - self.model.disturbances])
+            if self.goal_on == "outputs":
+                return frozen(self._distinct_outputs())
+            raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
+        rows = as_numbers("The matrix goal_on", self.goal_on, "give a row of states for each element of the goal")
+        return as_matrix("The matrix goal_on", np.atleast_2d(rows), columns=n)
+
+    def _distinct_outputs(self) -> Floats:
+        """Return what the sensors measure of the plant, each distinct quantity once."""
+        rows = self.model.quantities
+        return np.asarray(rows[sorted(np.unique(rows, axis=0, return_index=True)[1])])
+
+    @property
+    def goals(self) -> int:
+        """Number of values that the goal has."""
+        return len(self.goal_matrix)
+
+    @property
+    def default_name(self) -> str:
+        """See `Block.default_name`."""
+        return "controller"
+
+    @property
+    def sample_time(self) -> Fraction:
+        """The model's sample time in seconds, at which the controller must run."""
+        step: Fraction = self.model.step
+        return step
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Inputs ``y`` and ``goal``."""
+        return port("y", (self.model.sensors,)), port("goal", (self.goals,))
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect`` and further ones."""
+        return *self._own_outputs, *self._learner().ports
+
+    @property
+    def _own_outputs(self) -> tuple[Port, ...]:
+        n, p, m = self.model.states, self.model.controls, self.model.sensors
+        shapes: dict[str, tuple[int, ...]] = {
+            "u": (p,),
+            "x_hat": (n,),
+            "P": (n, n),
+            "R": (m, m),
+            "innovation": (m,),
+            "precision": (m,),
+            "beta": (m,),
+        }
+        return (
+            *(port(name, shape) for name, shape in shapes.items()),
+            port("fault_probability", (m,)),
+            port("model_suspect"),
+            *self._posterior_ports,
+        )
+
+    @property
+    def _posterior_ports(self) -> tuple[Port, ...]:
+        n, p = self.model.states, self.model.controls
+        if not self.posterior_outputs:
+            return ()
+        return port("u_covariance", (p, p)), port("u_state_covariance", (p, n)), port("free_energy")
+
+    @abstractmethod
+    def _learner(self) -> Learner:
+        """Return the precision learner for the model."""
+
+    def _prior_precision(self) -> Floats:
+        p = self.model.controls
+        return (
+            np.zeros((p, p)) if self.control_covariance is None else np.linalg.inv(np.asarray(self.control_covariance))
+        )
+
+    def _priors(self) -> tuple[Floats, Floats, Floats]:
+        """Return what the goal prior is about (of the state), its covariance, and the control prior's precision."""
+        return self.goal_matrix, np.asarray(self.goal_covariance, float), self._prior_precision()
+
+    def _densities(self) -> dict[str, Any]:
+        """Return the parameters of the free energy, if it is an output."""
+        if not self.posterior_outputs:
+            return {"goal_noise": np.zeros((1, 1)), "constant": 0.0}
+        constant = log_normaliser(self.model.matrix("process_covariance"))
+        if self.control_covariance is not None:
+            constant += log_normaliser(np.asarray(self.control_covariance))
+        return {"goal_noise": np.array(self.goal_covariance), "constant": constant}
+
+    def _shared_parameters(self, step: Fraction) -> dict[str, Any]:
+        """Return the parameters that the step functions of both controllers have."""
+        Q, nominal = self.model.matrix("process_covariance"), self.model.matrix("sensor_covariance")
+        initial, (G, goal_covariance, _) = np.asarray(self.initial_covariance), self._priors()
+        return {
+            "Q": Q, "nominal": nominal, "G": G, "GQ": G @ Q @ G.T + goal_covariance,
+            "settings": self._learner().settings,
+            "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
+            "largest": VARIANCE_CAP * max(M.diagonal().max() for M in (initial, Q, nominal)),
+        }  # fmt: skip

@@ -1,0 +1,158 @@
+"""What a Bayesian controller knows of its control, and the free energy: outputs beside the control itself (paper, section 2.3).
+
+Given the filtered belief N(x_hat, P), the goal measures u_t with the covariance S = G (A P A' + Q) G' + Sigma_goal, once x_t is
+integrated out. With W = S^-1 G B and Lambda = Pi_u + (G B)' W the joint posterior of u_t and x_t has ::
+
+    Cov(u_t) = Lambda^-1,    Cov(u_t, x_t) = -Lambda^-1 W' G A P.
+
+The free energy is -L of eq. 8 as a density, F = -ln p(x_t, u_t, x_t+1, y_t, goal), where it is least: one half for each square,
+and the logarithms of the covariances with a positive sign (the paper's equation prints neither). Least over the states its
+squares are those of the innovation and of the goal's error, each in its own covariance.
+"""
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.minimise import factorise
+from bayesftc.controllers.estimation.filter import keep_only
+from bayesftc.controllers.linalg.dense import cholesky, cholesky_semidefinite, solve_vector
+from bayesftc.controllers.linalg.least_squares import divide
+from bayesftc.controllers.linalg.special import LOG_2_PI
+from bayesftc.controllers.precision.base import NAN
+from bayesftc.cosim.ops import log, select
+from bayesftc.cosim.types import Floats
+
+
+def tell_nothing(
+    first, outputs, e, used, R, spread, covariance, wanted, pull, u, GBw, GAP, SG, W, Lambda, prior_precision, u_0, goal_noise,
+    constant, chol, whitened, J, sought, effective,
+):  # fmt: skip
+    """Write no further outputs."""
+
+
+def tell_posterior(
+    first, outputs, e, used, R, spread, covariance, wanted, pull, u, GBw, GAP, SG, W, Lambda, prior_precision, u_0, goal_noise,
+    constant, chol, whitened, J, sought, effective,
+):  # fmt: skip
+    """Write Cov(u_t), Cov(u_t, x_t) and the free energy into ``outputs`` from the place `first` on.
+
+    It comes after `decide`, whose ``GAP = G A P``, ``W``, factors ``SG`` of S and ``Lambda``, and error ``pull`` of the goal it
+    takes; ``SG`` and the last five are overwritten. NaN where neither goal nor control prior determines the control.
+    """
+    m, n, g, p = R.shape[0], GAP.shape[1], GBw.shape[0], GBw.shape[1]
+    for c in range(p):
+        for i in range(p):
+            effective[i] = 1.0 if i == c else 0.0
+        solve_vector(Lambda, effective)
+        for i in range(p):
+            outputs[first + i * p + c] = effective[i]
+    for c in range(n):
+        for i in range(p):
+            total = 0.0 * u[i]
+            for s in range(g):
+                total = total - W[s, i] * GAP[s, c]
+            effective[i] = total
+        solve_vector(Lambda, effective)
+        for i in range(p):
+            outputs[first + p * p + i * n + c] = effective[i]
+
+    doubled = constant[0]
+    for i in range(m):
+        whitened[i] = select(used[i] > 0.5, e[i], 0.0)
+        for j in range(m):
+            chol[i, j] = spread[i, j] + R[i, j]
+    keep_only(used, chol)
+    cholesky(chol, chol)
+    doubled = doubled + squared_distance(chol, whitened)
+    for i in range(m):
+        for j in range(m):
+            chol[i, j] = R[i, j]
+    keep_only(used, chol)
+    cholesky(chol, chol)
+    doubled = doubled + log_determinant(chol, used)
+    cholesky_semidefinite(covariance, J)
+    doubled = doubled + log_pseudo_determinant(J)
+
+    for i in range(g):
+        error = pull[i]
+        for j in range(p):
+            error = error - GBw[i, j] * u[j]
+        sought[i] = select(wanted[i] > 0.5, error, 0.0)
+    doubled = doubled + squared_distance(SG, sought)
+    for i in range(p):
+        for j in range(p):
+            doubled = doubled + (u[i] - u_0[i]) * prior_precision[i, j] * (u[j] - u_0[j])
+    for i in range(g):
+        for j in range(g):
+            SG[i, j] = goal_noise[i, j]
+    keep_only(wanted, SG)
+    cholesky(SG, SG)
+    outputs[first + p * p + p * n] = 0.5 * (doubled + log_determinant(SG, wanted))
+
+
+def squared_distance(lower, error):
+    """Return ``error' (lower lower')^-1 error``; the error is overwritten."""
+    total = 0.0 * error[0]
+    for i in range(error.shape[0]):
+        for k in range(i):
+            error[i] = error[i] - lower[i, k] * error[k]
+        error[i] = error[i] / lower[i, i]
+        total = total + error[i] * error[i]
+    return total
+
+
+def log_determinant(lower, kept):
+    """Return ``ln |2 pi lower lower'|`` of those that are kept."""
+    total = 0.0 * kept[0]
+    for i in range(lower.shape[0]):
+        total = total + select(kept[i] > 0.5, LOG_2_PI + 2.0 * log(lower[i, i]), 0.0)
+    return total
+
+
+def log_pseudo_determinant(lower):
+    """Return ``ln |2 pi lower lower'|`` of those that have a density of their own: the pivots that are not zero."""
+    total = 0.0 * lower[0, 0]
+    for i in range(lower.shape[0]):
+        known = lower[i, i] == 0.0
+        total = total + select(known, 0.0, LOG_2_PI + 2.0 * log(select(known, 1.0, lower[i, i])))
+    return total
+
+
+def tell_linearised(found, first, outputs, T, root, X, cost, R, goal_noise, kept, constant, noise, E):
+    """Write the same for a nonlinear model, linearised at the minimum of its joint likelihood (Laplace's approximation).
+
+    ``T`` is the triangle of the equations there, of u_t and of x_t in units of ``root``, ``X`` what `marginal` left, ``cost`` the
+    sum of all squares. ``noise`` and ``E`` (controls x unknowns) are overwritten. NaN where no minimum was found.
+    """
+    n, p = root.shape[0], E.shape[0]
+    for i in range(p):
+        for j in range(p + n):
+            E[i, j] = 1.0 if i == j else 0.0
+    divide(E, T, 0, E)
+    for i in range(p):
+        for j in range(p):
+            total = 0.0
+            for k in range(p + n):
+                total = total + E[i, k] * E[j, k]
+            outputs[first + i * p + j] = select(found, total, NAN)
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total = total + E[i, p + k] * X[j, k]
+            outputs[first + p * p + i * n + j] = select(found, total, NAN)
+    factorise(R, goal_noise, kept, noise)
+    doubled = cost[0] + constant[0] + log_determinant(noise, kept) + log_pseudo_determinant(root)
+    outputs[first + p * p + p * n] = select(found, 0.5 * doubled, NAN)
+
+
+def tell_no_minimum(found, first, outputs, T, root, X, cost, R, goal_noise, kept, constant, noise, E):
+    """Write no further outputs."""
+
+
+def log_normaliser(covariance: Floats) -> float:
+    """Return ``ln |2 pi covariance|`` of the states that have a density of their own.
+
+    States that are known, or functions of those before them, have none and are left out.
+    """
+    lower = np.zeros_like(covariance)
+    cholesky_semidefinite(covariance, lower)
+    return float(log_pseudo_determinant(lower))

@@ -1,0 +1,318 @@
+"""The Bayesian controller for linear models: filtering and control as one inference (paper, section 2.3)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesftc.controllers.bayesian.block import BayesianBlock
+from bayesftc.controllers.bayesian.free_energy import tell_nothing, tell_posterior
+from bayesftc.controllers.bayesian.steady import steady_gains
+from bayesftc.controllers.estimation import filter as _filter
+from bayesftc.controllers.estimation.absurd import alarm_of, blame, screening
+from bayesftc.controllers.estimation.belief import arrive, belief_state, make_ways, plan
+from bayesftc.controllers.estimation.consistency import check_consistency, consistency, follow
+from bayesftc.controllers.estimation.filter import decide, innovate, limit, predict, restore
+from bayesftc.controllers.linalg.dense import apply
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.precision.base import Learner, PrecisionLearner
+from bayesftc.cosim.block import Definition
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import Floats
+
+
+class UnstableLoopWarning(UserWarning):
+    """Plant and belief together do not settle: by the goal and control priors, or by a mode that no sensor sees."""
+
+
+@cache
+def _make_step(
+    learn: Callable[..., None],
+    update: Callable[..., None],
+    report: Callable[..., None],
+    alarm: Callable[..., None],
+    fold: Callable[..., None],
+    seek: Callable[..., None],
+    tell: Callable[..., None],
+    posterior: int,
+    first: int,
+) -> Callable[..., None]:
+    """Return the controller's step function for ways of learning, updating, reporting, carrying, seeking the goal and telling.
+
+    Among all outputs those of the posterior begin at the place `posterior`, the learner's own at the place `first`. The same
+    functions give the same one, so that it is looked through and compiled once for however many controllers.
+    """
+
+    def bayesian_controller(
+        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
+        mean, covariance, applied, memory,
+        A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
+        expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
+        N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
+        heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
+        u_0, goal_noise, constant,
+        seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+    ):  # fmt: skip
+        apply(C, mean, expected)
+        innovate(
+            y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
+            heard, e, present, CP, spread, innovation,
+        )  # fmt: skip
+        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+        restore(heard, expected, present, e)
+        update(
+            heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
+            R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
+        )  # fmt: skip
+        blame(doubts, certain, fault_probability)
+        report(memory, settings, nominal, first, outputs)
+        alarm(doubts, outputs)
+        check_consistency(
+            heard, x_hat, C, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
+            model_suspect,
+        )  # fmt: skip
+        seek(
+            goal,
+            x_hat,
+            works,
+            load,
+            x_target,
+            u_target,
+            prior_precision,
+            GB,
+            held,
+            u_prior,
+            prior_pull,
+            goal_shift,
+            sought,
+        )
+        plan(works, load, GB, sought, GBw)
+        decide(sought, x_hat, P, A, G, GQ, GBw, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
+        tell(
+            posterior, outputs, e, used, R, spread, covariance, wanted, pull, u, GBw, GAP, SG, W, Lambda, prior_precision, u_0,
+            goal_noise, constant, chol, whitened, J, sought, effective,
+        )  # fmt: skip
+        limit(u, applied, u_min, u_max, u_change)
+        for i in range(pull.shape[0]):
+            pull[i] = pull[i] - goal_shift[i]
+        fold(pull, wanted, GA, GQ, GBw, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
+        arrive(applied, works, load, effective)
+        follow(effective, A, B, J, seer_mean)
+        predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
+
+    return bayesian_controller
+
+
+def seek_goal(
+    goal, x_hat, works, load, x_target, u_target, prior_precision, GB, held, u_prior, prior_pull, goal_shift, sought
+):
+    """Seek the goal as it is given; the control prior stays what it is."""
+    for i in range(sought.shape[0]):
+        sought[i] = goal[i]
+
+
+@dataclass(frozen=True, eq=False)
+class BayesianController(BayesianBlock):
+    """Infers the state and the control that brings the next state to the goal, from redundant and possibly faulty sensors.
+
+    At every sample the joint posterior of the state x_t, the control u_t and the next state x_t+1 is computed in closed form:
+    the prediction prior and the sensors give the belief p(x_t | y_1..t); the goal prior on x_t+1 and, if wanted, a control
+    prior give the control. How far each sensor is trusted is the precision learner's part.
+
+    Inputs ``y`` (m samples; NaN is a missing one) and ``goal`` (of x_t+1; NaN is no goal, under which a flat control prior holds
+    the last control). Outputs ``u`` (p), ``x_hat`` (n), ``P`` (n x n),
+    ``R`` (m x m, the sensor covariance in use; infinite on the diagonal for a sensor that is left out), ``innovation`` (m;
+    ``y - C x_t|t-1``, the state estimation residual; NaN for a missing sample), ``precision`` (m), ``beta`` (m),
+    ``fault_probability`` (m; NaN while a sensor delivers no sample: that is known, not inferred), and those of the precision
+    learner (moments of the precision).
+
+    With ``posterior_outputs`` there are three more, of the joint posterior p(x_t, u_t | y_1..t, goal), before limits:
+    ``u_covariance`` (p x p), ``u_state_covariance`` (p x n, NaN like the former where nothing determines the control), and
+    ``free_energy``: -L of eq. 8 where it is least over x_t, u_t and x_t+1, with the sensor covariance ``R``, as a density:
+    ``F = -ln p(x_t, u_t, x_t+1, y_t, goal)`` (nats). Samples, goals and flat priors that are none have no part in it, nor
+    have states without uncertainty.
+
+    Parameters
+    ----------
+    model : LinearModel
+        What the controller believes about plant and sensors.
+    precision : PrecisionLearner
+        How far each sensor is trusted; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
+    goal_on : {"states", "outputs"} or matrix
+        What the goal is given for: all states (disturbances excluded), one value for each distinct output (row of C), or
+        ``G x`` for a matrix G with a column for each state.
+    goal_covariance : number, vector or matrix
+        Covariance of the goal prior. The smaller, the more aggressive, where a control prior stands against it.
+    control_covariance : number, vector, matrix or None
+        Covariance of the control prior; None is a flat one, which makes the control deadbeat.
+    control_mean : number or vector
+        Mean of the control prior.
+    belief : {"filtered", "joint"}
+        Carry p(x_t | y_1..t), which is a Kalman filter's whatever the priors; or the marginal of the full joint, into which
+        the goal leaks (and `SwitchingPrecision` then judges sensor by sensor).
+    u_min, u_max : number or vector
+        Limits of the control; the prediction uses the control that was applied.
+    u_rate : number or vector
+        Largest change of the control per second; the first step is measured from 0.
+    initial_mean, initial_covariance : optional
+        Belief before the first sample; by default 0 and the identity.
+    invalid : sequence of number, or of one for each sensor
+        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
+    posterior_outputs : bool
+        Whether the covariance of the control and the free energy are outputs as well. They cost some time at each sample.
+
+    Raises
+    ------
+    ModelError
+        If dimensions do not fit, a covariance is not positive definite, or a flat control prior leaves a control undetermined.
+
+    Warns
+    -----
+    UnstableLoopWarning
+        If plant and belief together (fixed precision, no limits) have a pole on or outside the unit circle, constants that no
+        control moves (a sensor's bias as a state) left out.
+    """
+
+    model: LinearModel
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.model, LinearModel):
+            raise ModelError(
+                f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control."
+            )
+        self._check_settings()
+        self._check_reach(self.model.matrix("B"))
+        self._learner()  # settings that do not fit the model fail here, not in the loop
+        self._warn_if_unstable()
+
+    @property
+    def actuator_kinds(self) -> tuple[str, ...]:
+        """Names of the ways in which actuators can fail that the precision learner tells."""
+        return tuple(type(mode).__name__ for mode in self._precision.actuator_modes)
+
+    @property
+    def _precision(self) -> PrecisionLearner:
+        # With belief="joint" what the goal says counts as known of the state, by which no actuator can be judged.
+        who = "A BayesianController with belief='joint'"
+        return self.precision.apart(who) if self.belief == "joint" else self.precision
+
+    def _learner(self) -> Learner:
+        return self._precision.learner(self.model)
+
+    @property
+    def measurement_matrix(self) -> Floats:
+        """What each sensor measures of ``x_hat``, its own errors left out (m x n)."""
+        return self.model.quantities
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        model, learner, (G, _, prior) = self.model, self._learner(), self._priors()
+        n, p, g = model.states, model.controls, len(G)
+        B = model.matrix("B")
+        screens, screen_parameters = screening(self, model)
+        parameters = self._shared_parameters(step) | screen_parameters | {
+            "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "prior_precision": prior,
+        }  # fmt: skip
+        scratch = {
+            "wanted": (g,), "GA": (g, n), "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
+            "sought": (g,), "GBw": (g, p),
+        }  # fmt: skip
+        joint = self.belief == "joint"
+        folding = {
+            "N": (g, g),
+            "V": (g, g),
+            "Wt": (p, g),
+            "L": (n, n),
+            "GL": (g, n),
+            "VGL": (g, n),
+            "M": (n, n),
+            "X": (n, n),
+            "h": (n,),
+        }
+        scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
+        state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
+        state |= {name: np.zeros(shape) for name, shape in scratch.items()}
+        watching, constants = consistency(model, self.initial_mean)
+        state, parameters = state | watching, parameters | constants
+        seek, constants, seeking = self._seeking(G @ B, prior)
+        parameters |= constants
+        state |= seeking
+        fold = _filter.fold_goal if joint else _filter.keep_belief
+        parameters |= self._densities() | {"u_0": np.array(self.control_mean)}
+        tell = tell_posterior if self.posterior_outputs else tell_nothing
+        first = sum(port.size for port in self._own_outputs)
+        posterior = first - sum(port.size for port in self._posterior_ports)
+        ways = make_ways(learner.step, None if joint else learner.infer)
+        kernel = _make_step(*ways, learner.report, alarm_of(learner, first), fold, seek, tell, posterior, first)
+        return Definition(kernel, state=state, parameters=parameters, compiled=learner.compiled)
+
+    def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
+        """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""
+        mean = np.asarray(self.control_mean)
+        constants = {"goal_shift": GB @ mean, "prior_pull": prior @ mean}
+        unused = {
+            "x_target": np.zeros((1, 1)),
+            "u_target": np.zeros((1, 1)),
+            "held": np.zeros(1),
+            "u_prior": np.zeros(1),
+        }
+        return seek_goal, constants | unused, {}
+
+    def closed_loop_poles(self) -> NDArray[np.complex128]:
+        """Return the poles of plant and belief together in steady state, at fixed precision and without limits.
+
+        With ``belief="filtered"`` estimation and control separate: these are the eigenvalues of A - B L, with L the control's
+        gain on the belief, and those of the filter. States of an estimated disturbance move on their own; of them only the
+        estimates are counted.
+        """
+        model = self.model.moving
+        A, B, C = (model.matrix(name) for name in "ABC")
+        n, plant = model.states, model.states - model.disturbances
+        G = self._priors()[0][:, :n]
+        K, L, T = self._steady_gains(A, B, C, G)
+        seen = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
+        move = A @ T - B @ L  # mean at the next step = move @ x_hat
+        top = np.hstack([A[:plant, :plant] - (B @ L @ K @ C)[:plant, :plant], -(B @ L @ seen)[:plant]])
+        bottom = np.hstack([(move @ K @ C)[:, :plant], move @ seen])
+        return np.linalg.eigvals(np.vstack([top, bottom])).astype(np.complex128)
+
+    def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the filter's gain, the control's gain, and what the goal leaves of the belief's mean, in steady state."""
+        Q, R = self.model.moving.matrix("process_covariance"), self.model.matrix("sensor_covariance")
+        _, goal_covariance, prior = self._priors()
+        start = np.asarray(self.initial_covariance)[: len(A), : len(A)]
+        return steady_gains(A, B, C, G, Q, R, goal_covariance, prior, start, joint=self.belief == "joint")
+
+    def _warn_if_unstable(self) -> None:
+        poles = self._poles_to_judge()
+        size = float(np.abs(poles).max()) if len(poles) else 0.0
+        if size >= 1.0 - 1e-9:
+            poles = poles[np.argsort(-np.abs(poles))]
+            shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
+            state = "unstable" if size > 1.0 + 1e-9 else "on the edge of stability"
+            warnings.warn(
+                f"The closed loop is {state}: its poles are {shown}, the largest of magnitude {size:.3g}. Either the goal for "
+                "the next step alone is short-sighted: weaken it (goal_covariance), tighten the control prior "
+                "(control_covariance), or set goals only for what the control reaches in one step; or the control hardly acts: "
+                "loosen its prior; or no sensor sees an unstable mode of the model: add one.",
+                UnstableLoopWarning,
+                stacklevel=4,
+            )
+
+    def _poles_to_judge(self) -> NDArray[np.complex128]:
+        """Return the loop's poles without those that stand for a constant no control moves, such as a sensor's bias."""
+        plant = self.model.states - self.model.disturbances
+        A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
+        poles = self.closed_loop_poles()
+        for eigenvalue in np.linalg.eigvals(A):
+            reach = np.linalg.svd(np.hstack([eigenvalue * np.eye(plant) - A, B]), compute_uv=False)[-1]
+            if abs(abs(eigenvalue) - 1.0) <= 1e-9 and reach <= 1e-9 * np.abs(A).max():
+                poles = np.delete(poles, np.argmin(np.abs(poles - eigenvalue)))
+        return poles

@@ -1,0 +1,202 @@
+"""The Bayesian controller whose goal prior looks ahead without end: the linear quadratic Gaussian regulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesftc.controllers.bayesian.linear import BayesianController
+from bayesftc.controllers.bayesian.riccati import Regulator, regulate
+from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable, shown
+from bayesftc.controllers.models.checks import Matrix, frozen
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import maximum, select
+from bayesftc.cosim.types import Floats
+
+CERTAIN = 1e-13
+"""How much what the belief does not know weighs beside the goal prior: the law is the regulator's to this."""
+
+
+def seek_steady_state(
+    goal, x_hat, works, load, x_target, u_target, prior_precision, GB, held, u_prior, prior_pull, goal_shift, sought
+):  # fmt: skip
+    """Seek the steady state at which the outputs are the goal, by the control that holds it there.
+
+    A goal that is not finite is none: the last one is held. Of each control ``works`` arrives, and ``load`` is there without it.
+    """
+    r, n, p = goal.shape[0], x_hat.shape[0], u_prior.shape[0]
+    for i in range(r):
+        held[i] = select(goal[i] - goal[i] == 0.0, goal[i], held[i])
+    for j in range(p):
+        total = u_target[j, 0] * held[0]
+        for i in range(1, r):
+            total = total + u_target[j, i] * held[i]
+        for i in range(n):
+            total = total + u_target[j, r + i] * x_hat[i]
+        # An actuator that has lost nearly all of its effect is not asked for more than five times as much.
+        u_prior[j] = (total - load[1, j]) / maximum(works[1, j], 0.2)
+    for j in range(p):
+        prior_pull[j] = prior_precision[j, 0] * u_prior[0]
+        for i in range(1, p):
+            prior_pull[j] = prior_pull[j] + prior_precision[j, i] * u_prior[i]
+    for s in range(sought.shape[0]):
+        total = x_target[s, 0] * held[0]
+        for i in range(1, r):
+            total = total + x_target[s, i] * held[i]
+        for i in range(n):
+            total = total + x_target[s, r + i] * x_hat[i]
+        sought[s] = total
+        goal_shift[s] = GB[s, 0] * u_prior[0]
+        for j in range(1, p):
+            goal_shift[s] = goal_shift[s] + GB[s, j] * u_prior[j]
+
+
+@dataclass(frozen=True, eq=False)
+class LQGController(BayesianController):
+    """Infers the state, and the control that is best in the long run for holding the outputs at the goal.
+
+    `BayesianController` wants the *next* state at the goal, which is short-sighted. Here the goal is one of the outputs, from
+    which a steady state (x_ss, u_ss) is computed at every sample, and the goal prior on the next state has as its precision the
+    Riccati equation's cost-to-go P about x_ss, the control prior is N(u_ss, R^-1). So the one-step posterior is the law of the
+    linear quadratic regulator,
+
+        u = u_ss - (R + B' P B)^-1 B' P A (x_hat - x_ss),
+
+    for the costs ``(y - goal)' goal_covariance^-1 (y - goal) + (u - u_ss)' control_covariance^-1 (u - u_ss)`` of each sample. A
+    common factor of both precisions changes nothing; it is taken so small that what the belief does not know does not weigh.
+
+    Integrators that the goals do not see (the position, of a goal on the speed) are left to themselves: A, B and P are those of
+    what is left, and so is the steady state.
+
+    Fewer goals than controls leave freedom: then u_ss is the cheapest one. Estimated disturbances
+    (`LinearModel.with_disturbance`) and faults of actuators that the precision learner finds count in (x_ss, u_ss), so that they
+    leave no steady error.
+
+    Ports are those of `BayesianController`, with one element of ``goal`` for each goal; an element that is NaN keeps its last
+    value, at first what the output is at the initial mean.
+
+    Parameters
+    ----------
+    model : LinearModel
+        What the controller believes about plant and sensors.
+    precision : PrecisionLearner
+        How far each sensor is trusted; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
+    goal_on : "outputs" or matrix
+        What the goal is given for: each distinct output (row of C), or ``H x`` for a matrix H with a column for each state.
+    goal_covariance : number, vector or matrix
+        Inverse of the cost of the outputs' errors. By Bryson's rule: the squares of the errors that are still acceptable.
+    control_covariance : number, vector or matrix
+        Inverse of the cost of the controls: squares of acceptable deviations from what holds the goal.
+    control_mean : 0
+        Not used: the control prior's mean is u_ss.
+    belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid
+        See `BayesianController`.
+    posterior_outputs : False
+        Only the ratio of the two priors means something here, so there is no covariance of the control and no free energy.
+
+    Raises
+    ------
+    ModelError
+        If dimensions do not fit; if there are more goals than controls, or they cannot be held in steady state; if no control
+        moves or no sensor sees a mode that does not die out, which is named by its eigenvalue.
+
+    Examples
+    --------
+    >>> from bayesftc.controllers import LinearModel, LQGController
+    >>> servo = LinearModel([[1, 0.1], [0, 1]], [[0.005], [0.1]], [[1, 0]], [1e-6, 1e-6], 1e-4, dt=0.1)
+    >>> controller = LQGController(servo, goal_covariance=0.01, control_covariance=1.0)
+    >>> print(controller.describe().splitlines()[0])
+    Closed-loop poles of the control: 0.78+0.177764j, 0.78-0.177764j; the slowest of magnitude 0.800.
+    """
+
+    goal_on: Literal["states", "outputs"] | Matrix = "outputs"
+    control_covariance: Matrix | None = 1.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.goal_on, str) and self.goal_on == "states":
+            raise ModelError(
+                "LQGController has goal_on='states', but not every state can be held at any value; take 'outputs' or the matrix "
+                "of what the goals are of the state."
+            )
+        if self.control_covariance is None:
+            raise ModelError("LQGController needs a control_covariance, the inverse of what controls cost.")
+        if np.any(self.control_mean):
+            raise ModelError("LQGController computes the control prior's mean from the goal; leave control_mean out.")
+        if self.posterior_outputs:
+            raise ModelError(
+                "LQGController has posterior_outputs=True, but the scale of its goal and control priors is arbitrary: there is "
+                "neither a covariance of the control nor a free energy; take a BayesianController, or leave it out."
+            )
+        super().__post_init__()
+
+    def _check_reach(self, effect: Floats) -> None:
+        refuse_unstabilisable(self.model)
+        refuse_undetectable(self.model)
+        self.regulator  # noqa: B018 - goals that cannot be held fail here
+
+    @cached_property
+    def regulator(self) -> Regulator:
+        """The regulator: cost-to-go, gain, and the maps from the goal to the steady state."""
+        costs = (np.linalg.inv(np.asarray(c, float)) for c in (self.goal_covariance, self.control_covariance))
+        return regulate(self.model, self.goal_matrix, *costs)
+
+    def describe(self) -> str:
+        """Return in sentences what the loop will do: its poles, and the regulator's gain."""
+        plant = self.model.states - self.model.disturbances
+        A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
+        lines = [f"Closed-loop poles of the control: {_listed(self.regulator.poles(A, B))}."]
+        lines.append(f"All poles, the filter's included: {_listed(self._poles_to_judge())}.")
+        lines.append(f"Without control: {_listed(np.linalg.eigvals(A))}.")
+        if self.regulator.drifting:
+            lines.append(
+                f"The goals do not ask about {self.regulator.drifting} of the plant's integrators (as the position is one behind "
+                "a speed): they go where the rest takes them, and are not among the closed-loop poles."
+            )
+        return "\n".join(lines)
+
+    def _poles_to_judge(self) -> NDArray[np.complex128]:
+        poles = super()._poles_to_judge()
+        return poles[np.argsort(np.abs(poles - 1.0))[self.regulator.drifting :]] if self.regulator.drifting else poles
+
+    def _priors(self) -> tuple[Floats, Floats, Floats]:
+        root, factor = self._scaled
+        G = np.hstack([root, np.zeros((len(root), self.model.disturbances))])
+        return G, np.eye(len(root)) / factor, factor * self._prior_precision()
+
+    @cached_property
+    def _scaled(self) -> tuple[Floats, float]:
+        """The goal prior's matrix, and the factor by which both precisions are taken down."""
+        root = self.regulator.root
+        plant = root.shape[1]
+        A, Q = self.model.matrix("A")[:plant], self.model.matrix("process_covariance")[:plant, :plant]
+        unknown = A @ np.asarray(self.initial_covariance) @ A.T + Q
+        spread = float(np.trace(root @ unknown @ root.T))
+        return root, CERTAIN / max(spread, 1e-100)
+
+    def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
+        regulator, H = self.regulator, self.goal_matrix
+        root, plant = regulator.root, self.model.states - self.model.disturbances
+        p, mean = self.model.controls, np.asarray(self.initial_mean)
+        targets = {
+            "x_target": root @ np.hstack([regulator.x_of_goal, np.zeros((plant, plant)), regulator.x_of_others]),
+            "u_target": np.hstack([regulator.u_of_goal, np.zeros((p, plant)), regulator.u_of_others]),
+        }
+        state = {"held": H @ mean, "u_prior": np.zeros(p), "prior_pull": np.zeros(p), "goal_shift": np.zeros(len(root))}
+        return seek_steady_state, {name: frozen(value) for name, value in targets.items()}, state
+
+    def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> tuple[Floats, Floats, Floats]:
+        K, _, T = super()._steady_gains(A, B, C, G)
+        regulator, estimated = self.regulator, len(A) - self.regulator.gain.shape[1]
+        offset = regulator.u_of_others + regulator.gain @ regulator.x_of_others
+        return K, np.hstack([regulator.gain, -offset[:, :estimated]]), T
+
+
+def _listed(poles: Any) -> str:
+    ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
+    slowest = abs(ordered[0]) if ordered else 0.0
+    return ", ".join(shown(pole) for pole in ordered) + f"; the slowest of magnitude {slowest:.3f}"

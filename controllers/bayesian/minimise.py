@@ -1,0 +1,203 @@
+"""Step functions of the nonlinear Bayesian controller: the joint likelihood as equations, and its minimisation.
+
+The unknowns are ``z = [u, v]``: the control, and the state in units of the prediction's own spread, ``x = mean + root v`` with
+``root root'`` its covariance (which may therefore be singular). Sensors measure x_t. The goal measures x_t+1, in which it is
+linear; so x_t+1 is minimised out exactly when the process's covariance is added to the goal's, ``G Q G' + Sigma_goal``.
+"""
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers.estimation.filter import doubt, keep_only
+from bayesftc.controllers.linalg.dense import cholesky, multiply, whiten
+from bayesftc.controllers.linalg.least_squares import absorb, curve, damp, is_finite, solve_curved, squared_length
+from bayesftc.cosim.ops import both, maximum, negate, select
+
+ROUNDING = 1e-12
+"""Relative increase of the cost that counts as rounding: at the minimum a step is right although the cost cannot tell."""
+
+FIRST_DAMPING = 3e-2
+"""Damping after the first step that fails. Each failure multiplies it by 10, each success by 1/10."""
+
+LEAST_DAMPING = 1e-3
+"""A damping no larger than this is none after the next success."""
+
+INFINITE = float("inf")
+
+DISTANT = 1e100
+"""A sample this many nominal standard deviations away moves no belief: squared it would no more be a number."""
+
+
+SLOPES, SQUARES, VECTORS = 2, 5, 8
+"""How many arrays of scratch space the minimiser needs: equations x unknowns, unknowns x unknowns, unknowns."""
+
+
+def leave_out_distant(e, nominal, used):
+    """Leave out sensors whose sample is too far away for its square to be a number."""
+    for i in range(e.shape[0]):
+        distance = e[i] / DISTANT
+        used[i] = select(distance * distance < nominal[i, i], used[i], 0.0)
+
+
+def locate(z, mean, root, x):
+    """Write the state at z: ``x = mean + root v`` for a lower triangular root."""
+    p = z.shape[0] - mean.shape[0]
+    for i in range(mean.shape[0]):
+        total = mean[i]
+        for k in range(i + 1):
+            total = total + root[i, k] * z[p + k]
+        x[i] = total
+
+
+def keep(used, goal, seeing, kept, wanted):
+    """Say which equations there are: those of the sensors in use, and, where ``seeing``, of the goals that are given."""
+    m = used.shape[0]
+    for i in range(m):
+        kept[i] = used[i]
+    for i in range(goal.shape[0]):
+        wanted[i] = select(goal[i] - goal[i] == 0.0, 1.0, 0.0)
+        kept[m + i] = wanted[i] * seeing
+
+
+def factorise(R, goal_noise, kept, noise):
+    """Write the Cholesky factor of the covariance of sensors and goal together, of those that are kept."""
+    m, g = R.shape[0], goal_noise.shape[0]
+    for i in range(m + g):
+        for j in range(m + g):
+            noise[i, j] = 0.0
+    for i in range(m):
+        for j in range(m):
+            noise[i, j] = R[i, j]
+    for i in range(g):
+        for j in range(g):
+            noise[m + i, m + j] = goal_noise[i, j]
+    keep_only(kept, noise)
+    cholesky(noise, noise)
+
+
+def determined(T, cost, wanted, controls):
+    """Return whether goal and prior determine each control, and all is a number."""
+    good = is_finite(T, cost)
+    for j in range(controls):
+        good = both(good, T[j, j] * T[j, j] > doubt(wanted) * squared_length(T, j))
+    return good
+
+
+@cache
+def make_look_ahead(f: Callable[..., None], f_jacobian: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that writes the next state and its derivatives."""
+
+    def look_ahead(x, control, following, F, B):
+        f(x, control, following)
+        f_jacobian(x, control, F, B)
+
+    return look_ahead
+
+
+@cache
+def make_minimiser(
+    g: Callable[..., None], g_jacobian: Callable[..., None], look_ahead: Callable[..., None], iterations: int
+) -> Callable[..., None]:
+    """Return the step function that minimises the joint cost from ``z``, by Gauss-Newton steps with Marquardt's damping.
+
+    Where residuals stay large, Gauss-Newton converges slowly, for it leaves out their curvature: that is learned on the way.
+
+    It leaves in ``z`` the minimum, in ``squares[0]`` the triangle of the equations linearised there. The cost is twice the
+    negative log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead where
+    something is no number, is not taken, and the next one is damped more.
+    """
+
+    def equations(
+        z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+        x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
+    ):  # fmt: skip
+        m, n, p = y.shape[0], mean.shape[0], control.shape[0]
+        locate(z, mean, root, x)
+        for i in range(p):
+            control[i] = z[i]
+        g(x, reading)
+        g_jacobian(x, C)
+        look_ahead(x, control, following, F, B)
+        multiply(F, root, slope)
+        for i in range(m):
+            residual[i] = select(kept[i] > 0.5, y[i] - reading[i], 0.0)
+            for j in range(p + n):
+                J[i, j] = 0.0
+            for j in range(n):
+                total = 0.0
+                for k in range(j, n):
+                    total = total + C[i, k] * root[k, j]
+                J[i, p + j] = select(kept[i] > 0.5, total, 0.0)
+        for i in range(goal.shape[0]):
+            there = kept[m + i] > 0.5
+            error = goal[i]
+            for k in range(n):
+                error = error - G[i, k] * following[k]
+            residual[m + i] = select(there, error, 0.0)
+            for j in range(p + n):
+                total = 0.0
+                for k in range(n):
+                    total = total + G[i, k] * (B[k, j] if j < p else slope[k, j - p])
+                J[m + i, j] = select(there, total, 0.0)
+        whiten(noise, J, residual)
+        cost[0] = 0.0
+        for i in range(p + n):
+            for j in range(p + n):
+                T[i, j] = 1.0 if i == j else 0.0
+            b[i] = -z[i]
+        for i in range(p):
+            b[i] = 0.0
+            for j in range(p):
+                T[i, j] = prior_root[i, j]
+                b[i] = b[i] + prior_root[i, j] * (control_mean[j] - z[j])
+        for i in range(p + n):
+            cost[0] = cost[0] + b[i] * b[i]
+        for i in range(residual.shape[0]):
+            cost[0] = cost[0] + residual[i] * residual[i]
+            for j in range(p + n):
+                row[j] = J[i, j]
+            absorb(T, b, row, residual[i])
+
+    def minimise(
+        z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+        x, control, reading, following, C, F, B, slope, residual, slopes, squares, vectors, cost, cost2,
+    ):  # fmt: skip
+        # Few arguments: Python makes a list of more than thirty, which a step function must not.
+        J, J2 = slopes[0], slopes[1]
+        T, T2, D, S, M = squares[0], squares[1], squares[2], squares[3], squares[4]
+        b, b2, d, trial, row = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+        moved, turned, bent = vectors[5], vectors[6], vectors[7]
+        n = z.shape[0]
+        cost[0] = INFINITE  # the start is the first point that is tried
+        damping = 0.0
+        for i in range(n):
+            trial[i] = z[i]
+            for j in range(n):
+                T[i, j] = 0.0
+                S[i, j] = 0.0
+        for _ in range(iterations + 1):
+            equations(
+                trial, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
+                x, control, reading, following, C, F, B, slope, J2, residual, row, T2, b2, cost2,
+            )  # fmt: skip
+            better = both(is_finite(T2, cost2[0]), negate(cost2[0] > cost[0] * (1.0 + ROUNDING)))
+            started = cost[0] < INFINITE
+            curve(both(better, started), z, trial, T2, J, J2, residual, ROUNDING * ROUNDING * cost[0], S, M,
+                  moved, turned, bent)  # fmt: skip
+            for i in range(n):
+                z[i] = select(better, trial[i], z[i])
+                b[i] = select(better, b2[i], b[i])
+                for j in range(n):
+                    T[i, j] = select(better, T2[i, j], T[i, j])
+            for i in range(residual.shape[0]):
+                for j in range(n):
+                    J[i, j] = select(better, J2[i, j], J[i, j])
+            cost[0] = select(better, cost2[0], cost[0])
+            eased = select(damping > LEAST_DAMPING, 0.1 * damping, 0.0)
+            damping = select(better, eased, maximum(10.0 * damping, FIRST_DAMPING))
+            damp(T, b, damping, D, d, row)
+            solve_curved(D, d, S, M, trial)
+            for i in range(n):
+                trial[i] = z[i] + trial[i]
+
+    return minimise

@@ -1,0 +1,140 @@
+"""The linear quadratic regulator behind a goal on outputs: cost-to-go, feedback gain, steady states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.stabilisability import refuse_unseen_by_goal
+from bayesftc.controllers.models.integrators import Quotient, without_integrators
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Regulator:
+    """What an infinite horizon makes of a model and a stage cost.
+
+    With x the plant's states, z what else the model has as states (disturbances, the constant), and r the goal: the steady state
+    is ``x_ss = x_of_goal r + x_of_others z``, ``u_ss = u_of_goal r + u_of_others z``, and the law ``u = u_ss - gain (x - x_ss)``.
+    Integrators that the goals do not see (the position behind a speed) are in motion all the while: ``regulated`` is what is
+    left of the plant's states without them, in which all else is computed; neither cost nor law depend on them.
+    """
+
+    cost_to_go: Floats
+    gain: Floats
+    x_of_goal: Floats
+    x_of_others: Floats
+    u_of_goal: Floats
+    u_of_others: Floats
+    regulated: Quotient | None = None
+
+    @property
+    def drifting(self) -> int:
+        """Number of integrators that the goals do not see."""
+        return 0 if self.regulated is None else self.regulated.dropped.shape[1]
+
+    @property
+    def root(self) -> Floats:
+        """Return G with ``G' G = cost_to_go``, a row for each direction that costs anything."""
+        cost = self.cost_to_go
+        if self.regulated is not None:
+            cost = self.regulated.back.T @ cost @ self.regulated.back
+        units = _units(cost)
+        values, vectors = np.linalg.eigh(cost * np.outer(units, units))
+        costly = values > 1e-14 * values[-1]
+        root = np.asarray(np.sqrt(values[costly])[:, None] * vectors[:, costly].T / units)
+        return root if self.regulated is None else root @ self.regulated.rows
+
+    def poles(self, A: Floats, B: Floats) -> np.ndarray[tuple[int], np.dtype[np.complex128]]:
+        """Return the closed loop's poles without the filter's, and without integrators that the goals do not see."""
+        whole = A - B @ self.gain
+        return np.linalg.eigvals(whole if self.regulated is None else self.regulated.of(whole)).astype(np.complex128)
+
+
+def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cost: Floats) -> Regulator:
+    """Return the regulator of ``sum (y - r)' output_cost (y - r) + (u - u_ss)' input_cost (u - u_ss)`` with ``y = outputs x``.
+
+    Raises
+    ------
+    ModelError
+        If the goals cannot be held in steady state, or there is no such law.
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are
+
+    plant = model.states - model.disturbances
+    A, B, H = model.matrix("A")[:plant, :plant], model.matrix("B")[:plant], outputs[:, :plant]
+    others = np.vstack([model.matrix("A")[:plant, plant:], -outputs[:, plant:]])
+    if len(H) > B.shape[1]:
+        raise ModelError(
+            f"There are {len(H)} goals but {B.shape[1]} controls: no more outputs can be held at values of their own than there "
+            "are controls; set goals for fewer outputs, or actuate further inputs."
+        )
+    rest = without_integrators(A, H)
+    if rest is not None:
+        A, B, H, others = (
+            rest.of(A),
+            rest.rows @ B,
+            H @ rest.back,
+            np.vstack([rest.rows @ others[:plant], others[plant:]]),
+        )
+    refuse_unseen_by_goal(A, H)
+    try:
+        P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))
+    except (LinAlgError, ValueError) as error:
+        raise ModelError(
+            f"No feedback law could be computed for these weights ({str(error).rstrip('.')}): bring the states, the goals' and "
+            "the controls' weights nearer to each other in size."
+        ) from None
+    P = (P + P.T) / 2
+    to_goal, to_others = _steady(A, B, H, input_cost, others, _units(P))
+    gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
+    n = len(A)
+    if rest is None:
+        return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:])
+    return Regulator(
+        rest.rows.T @ P @ rest.rows,
+        gain @ rest.rows,
+        rest.back @ to_goal[:n],
+        rest.back @ to_others[:n],
+        to_goal[n:],
+        to_others[n:],
+        rest,
+    )
+
+
+def _units(P: Floats) -> Floats:
+    """Return of each state the deviation that costs 1: units in which rounding is the same whatever the user's are."""
+    costs = np.diag(P)
+    return np.asarray(1.0 / np.sqrt(np.where(costs > 0, costs, 1.0)))
+
+
+def _steady(
+    A: Floats, B: Floats, H: Floats, input_cost: Floats, others: Floats, units: Floats
+) -> tuple[Floats, Floats]:
+    """Return the maps from the goal and from the other states to the cheapest (x_ss, u_ss), one below the other.
+
+    ``x = A x + B u + ...`` and ``H x + ... = r`` leave as many directions free as there are controls beyond the goals; of all
+    solutions the one with the smallest ``u' input_cost u`` is taken, and among these that with the smallest x, in `units`.
+    """
+    n = len(A)
+    root = np.linalg.cholesky(input_cost)
+    change = (np.eye(n) - A) * np.outer(1 / units, units)
+    effect = np.linalg.solve(root, B.T).T / units[:, None]  # of controls whose cost is the sum of their squares
+    M = np.block([[change, -effect], [H * units, np.zeros((len(H), B.shape[1]))]])
+    scale = np.linalg.norm(M, axis=1)
+    left, sizes, right = np.linalg.svd(M / np.where(scale > 0, scale, 1.0)[:, None])
+    if sizes[-1] <= 1e-8 * sizes[0]:  # models by pulse responses are right to about 1e-9
+        raise ModelError(
+            "The goals cannot be held in steady state, each at a value of its own: with the controls held, an output stays where "
+            "it is whatever they are (the plant has a zero at 1), or goals depend on each other; set goals for other outputs."
+        )
+    rhs = np.block([[np.zeros((n, len(H))), others[:n] / units[:, None]], [np.eye(len(H)), others[n:]]])
+    whole = right[: len(sizes)].T @ ((left.T @ (rhs / scale[:, None])) / sizes[:, None])
+    free = right[len(sizes) :].T
+    if free.shape[1]:
+        whole = whole - free @ np.linalg.pinv(free[n:]) @ whole[n:]
+    whole = np.vstack([units[:, None] * whole[:n], np.linalg.solve(root.T, whole[n:])])
+    return whole[:, : len(H)], whole[:, len(H) :]

@@ -1,0 +1,87 @@
+"""The gains of filter and control in steady state, which say whether the loop is stable.
+
+They take a few hundred steps of the covariances, longer than all else of making a controller, and depend on the model and the
+priors only: a campaign over the settings of the precision learner, or over the plant, finds them once.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.block import VARIANCE_CAP
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import Floats
+
+Packed = tuple[tuple[int, ...], bytes]
+"""A matrix as a key: its shape, and its elements."""
+
+
+_NAMES = ("A", "B", "C", "what the goal is about", "the process covariance", "the sensors' covariance", "the goal's covariance",
+          "the control prior's precision", "the initial covariance")  # fmt: skip
+
+
+def steady_gains(
+    A: Floats, B: Floats, C: Floats, G: Floats, Q: Floats, R: Floats, goal_covariance: Floats, prior: Floats,
+    start: Floats, *, joint: bool,
+) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+    """Return the filter's gain, the control's gain, and what the goal leaves of the belief's mean, in steady state.
+
+    Parameters
+    ----------
+    A, B, C, Q, R : ndarray
+        The model: x' = A x + B u + noise of covariance Q, y = C x + noise of covariance R.
+    G, goal_covariance : ndarray
+        What the goal prior is about, G x, and its covariance.
+    prior : ndarray
+        The control prior's precision.
+    start : ndarray
+        Covariance of the initial belief.
+    joint : bool
+        Whether what the goal says counts as known of the state.
+
+    Raises
+    ------
+    ModelError
+        If rounding leaves nothing of one of the matrices beside the others.
+    """
+    matrices = (A, B, C, G, Q, R, goal_covariance, prior, start)
+    try:
+        K, L, T = _gains(joint, *((np.shape(M), np.asarray(M, float).tobytes()) for M in matrices))
+    except np.linalg.LinAlgError:
+        sizes = {name: f"{np.abs(M).max(initial=0.0):.3g}" for name, M in zip(_NAMES, matrices, strict=True)}
+        raise ModelError(
+            "The model's numbers are too far apart for filter and control to be computed in double precision: the largest are "
+            f"{', '.join(f'{size} in {name}' for name, size in sizes.items())}. Choose units in which they are closer, and "
+            "variances that are not negligible beside others (of two equal sensors at least 1e-12 of the state's)."
+        ) from None
+    return K.copy(), L.copy(), T.copy()
+
+
+@lru_cache(maxsize=512)
+def _gains(joint: bool, *packed: Packed) -> tuple[Floats, Floats, Floats]:
+    A, B, C, G, Q, R, goal_covariance, prior, start = (np.frombuffer(items).reshape(shape) for shape, items in packed)
+    GA, GB, one = G @ A, G @ B, np.eye(len(A))
+    N = G @ Q @ G.T + goal_covariance
+    weight = np.linalg.solve(N, GB)
+    V = np.linalg.inv(N) - weight @ np.linalg.solve(prior + GB.T @ weight, weight.T)
+    # What is steady does not depend on the start; beside a belief that knows nothing R would be lost to rounding.
+    start = start * min(1.0, 1e6 / max(1.0, float((np.diag(C @ start @ C.T) / np.diag(R)).max())))
+    predicted = start + Q + 1e-9 * np.trace(R) * one
+    largest = VARIANCE_CAP * np.trace(predicted)
+    for _ in range(2000):  # the covariances' own recursion, which an undetectable model makes grow without end
+        K = np.linalg.solve(C @ predicted @ C.T + R, C @ predicted).T
+        P = (one - K @ C) @ predicted @ (one - K @ C).T + K @ R @ K.T
+        T = np.linalg.inv(one + P @ GA.T @ V @ GA) if joint else one
+        following = A @ (T @ P) @ A.T + Q
+        change = np.abs(following - predicted).max()
+        predicted = (following + following.T) / 2
+        if change <= 1e-10 * np.abs(predicted).max() or np.trace(predicted) > largest:
+            break
+    weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
+    L = np.linalg.solve(prior + GB.T @ weight, weight.T @ GA)
+    return np.asarray(K, float), np.asarray(L, float), np.asarray(T, float)
+
+
+__all__ = ["steady_gains"]

@@ -1,0 +1,236 @@
+"""The Kalman cross-check: our estimates beside those of filterpy's Kalman filter, fed the same samples and controls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.controllers.bayesian.recorded import estimate
+from bayesftc.controllers.models.checks import as_covariance
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.precision.baselines import SERFDI
+from bayesftc.controllers.precision.filterpy import reference_filter, update_by_ser
+from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.bayesian.linear import BayesianController
+
+
+INTERPRETED = 10_000
+"""Recordings of up to this many steps run interpreted, for compiling takes seconds."""
+
+
+@dataclass(frozen=True)
+class KalmanCheck:
+    """Largest differences between a controller's belief and filterpy's over a run.
+
+    Attributes
+    ----------
+    mean_difference : float
+        Largest ``|x_hat - x_kf|`` relative to the larger of ``|x_kf|`` and the belief's own standard deviation.
+    covariance_difference : float
+        Largest ``|P - P_kf|`` relative to ``|P_kf|`` (Frobenius norms).
+    mean_absolute, covariance_absolute : float
+        The same in the state's units.
+    steps : int
+        Number of samples compared.
+    """
+
+    mean_difference: float
+    covariance_difference: float
+    mean_absolute: float
+    covariance_absolute: float
+    steps: int
+
+
+class Estimates(NamedTuple):
+    """What filterpy's filter makes of a recording.
+
+    Attributes
+    ----------
+    x_hat, P : ndarray, steps x n and steps x n x n
+        Filtered means and covariances.
+    ignored : ndarray of bool, steps x m
+        Which present samples were left out.
+    innovation : ndarray, steps x m
+        ``y - C x_t|t-1``; NaN for a missing sample.
+    """
+
+    x_hat: Floats
+    P: Floats
+    ignored: np.ndarray[Any, np.dtype[np.bool_]]
+    innovation: Floats
+
+
+def ser_reference(
+    model: LinearModel,
+    y: Floats,
+    u: Floats,
+    *,
+    threshold: float = float("inf"),
+    R: Floats | None = None,
+    initial_mean: Any = 0.0,
+    initial_covariance: Any = 1.0,
+) -> Estimates:
+    """Run filterpy's Kalman filter over recorded samples: the SER baseline in its reference form (paper, section 5.2.1).
+
+    Parameters
+    ----------
+    model : LinearModel
+        The model.
+    y : ndarray, steps x m
+        Samples; one that is not finite is missing.
+    u : ndarray, steps x p
+        The controls that were applied after each sample.
+    threshold : float
+        A sample whose innovation exceeds this many of its standard deviations is left out; infinite for a plain Kalman filter.
+    R : ndarray, steps x m x m, optional
+        Sensor covariance at each step, instead of the model's; a sensor with an infinite variance is left out.
+    initial_mean, initial_covariance
+        Belief before the first sample.
+
+    Returns
+    -------
+    Estimates
+        Filtered means and covariances, which present samples were left out, and the innovations.
+    """
+    n, m, p = model.states, model.sensors, model.controls
+    y, u = np.asarray(y, float).reshape(-1, m), np.asarray(u, float).reshape(-1, p)
+    start = as_covariance("The initial_covariance", initial_covariance, n, singular=True)
+    A, B, C, Q = (model.matrix(name) for name in ("A", "B", "C", "process_covariance"))
+    kf = reference_filter(A, B, Q, initial_mean, start)
+    nominal = model.matrix("sensor_covariance")
+    means, covariances, ignored = np.empty((len(y), n)), np.empty((len(y), n, n)), np.zeros((len(y), m), bool)
+    innovation = np.empty((len(y), m))
+    for k, sample in enumerate(y):
+        innovation[k] = np.where(np.isfinite(sample), sample - (C @ kf.x)[:, 0], np.nan)
+        ignored[k] = update_by_ser(kf, sample, C, nominal if R is None else R[k], threshold)
+        means[k], covariances[k] = kf.x[:, 0], kf.P
+        kf.predict(u=u[k].reshape(p, 1))
+    return Estimates(means, covariances, ignored, innovation)
+
+
+def check_kalman(
+    signals: Mapping[str, Any],
+    controller: BayesianController,
+    *,
+    y: str | None = None,
+    name: str = "controller",
+    most: int | None = None,
+) -> KalmanCheck:
+    """Compare a controller's recorded belief with filterpy's Kalman filter, step by step.
+
+    filterpy gets the same samples, the controls that were applied, and at each step the sensor covariance that the controller
+    used (``R``), so the comparison also holds where precision is learned: it is then a check of everything but the learning.
+    Under `SERFDI` it gets the threshold instead, and decides for itself which sensors to ignore.
+
+    Parameters
+    ----------
+    signals : Result
+        Must hold ``u``, ``x_hat``, ``P`` and ``R`` of the controller and the samples it saw, at every step (decimation 1). With
+        its ``innovation``, samples that counted as missing are left out.
+    controller : BayesianController
+        The controller that ran, for its model and initial belief.
+    y : str, optional
+        Name of the signal that was connected to the controller's ``y``; by default its recorded input.
+    name : str
+        The controller's name in the diagram.
+    most : int, optional
+        Number of samples that are compared, from the first one on; by default all.
+
+    Returns
+    -------
+    KalmanCheck
+        The largest differences. With ``belief="filtered"`` they are rounding; with ``"joint"`` they need not be.
+    """
+    source = f"{name}.y" if y is None else y
+    _check_recorded(signals, source, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))
+    if getattr(signals, "decimation", 1) != 1:
+        raise ModelError("The Kalman check needs every step; run with decimation=1.")
+    learner = controller.precision
+    threshold = learner.threshold if isinstance(learner, SERFDI) else None
+    samples, innovation = np.asarray(signals[source]), f"{name}.innovation"
+    if innovation in signals:  # what counted as missing: absurd samples, and those of invalid values
+        samples = np.where(np.isnan(signals[innovation]), np.nan, samples)
+    reference = ser_reference(
+        controller.model,
+        samples[:most],
+        signals[f"{name}.u"][:most],
+        threshold=float("inf") if threshold is None else threshold,
+        R=signals[f"{name}.R"][:most] if threshold is None else None,
+        initial_mean=controller.initial_mean,
+        initial_covariance=controller.initial_covariance,
+    )
+    return compare(signals[f"{name}.x_hat"][:most], signals[f"{name}.P"][:most], reference)
+
+
+def sensor_by_sensor(
+    signals: Mapping[str, Any], controller: BayesianController, *, y: str | None = None, name: str = "controller"
+) -> tuple[dict[str, Any], BayesianController]:
+    """Return what the per-sensor form of a controller's learner makes of the samples and controls of a run.
+
+    A learner that infers state and faults together has no belief of a Kalman filter's; this form has.
+
+    Parameters
+    ----------
+    signals : Result
+        Must hold the samples, and ``u`` of the controller, at every step.
+    controller, y, name
+        See `check_kalman`.
+
+    Returns
+    -------
+    dict
+        The signals that `check_kalman` needs.
+    BayesianController
+        The controller with that form.
+
+    Raises
+    ------
+    ModelError
+        If the learner has no such form.
+    """
+    source, ports = f"{name}.y" if y is None else y, ("x_hat", "P", "R", "innovation")
+    _check_recorded(signals, source, f"{name}.u")
+    learner = controller.precision.apart("The Kalman check")
+    estimator = StateEstimator(
+        controller.model, learner, controller.initial_mean, controller.initial_covariance, invalid=controller.invalid
+    )
+    samples, u = np.asarray(signals[source]), np.asarray(signals[f"{name}.u"])
+    found = estimate(estimator, samples, u, ports, compiled=len(samples) > INTERPRETED)
+    known = {f"{name}.{port}": values for port, values in found.items()} | {source: samples, f"{name}.u": u}
+    return known, replace(controller, precision=learner)
+
+
+def _check_recorded(signals: Mapping[str, Any], *names: str) -> None:
+    for needed in names:
+        if needed not in signals:
+            raise UnknownNameError(
+                f"The Kalman check needs the signal {needed!r}, which was not recorded; add it to record=[...]."
+            )
+
+
+def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:
+    """Return the largest differences of recorded means (steps x n) and covariances (steps x n x n) from the reference's."""
+    mean = np.linalg.norm(x_hat - reference.x_hat, axis=1)
+    scale = np.maximum(np.linalg.norm(reference.x_hat, axis=1), np.sqrt(np.trace(reference.P, axis1=1, axis2=2)))
+    covariance = np.linalg.norm(P - reference.P, axis=(1, 2))
+    size = np.linalg.norm(reference.P, axis=(1, 2))
+    return KalmanCheck(
+        mean_difference=_largest_ratio(mean, scale),
+        covariance_difference=_largest_ratio(covariance, size),
+        mean_absolute=float(mean.max()),
+        covariance_absolute=float(covariance.max()),
+        steps=len(mean),
+    )
+
+
+def _largest_ratio(difference: Floats, scale: Floats) -> float:
+    """Return the largest difference relative to its scale; equal zeros differ by nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.max(np.where(difference == 0, 0.0, difference / scale)))

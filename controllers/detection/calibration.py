@@ -1,0 +1,302 @@
+"""From beta to a probability that can be believed: a logistic map fitted on simulated faults (paper, section 4.2)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.linear import BayesianController, UnstableLoopWarning
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.precision.gamma import GammaPrecision
+from bayesftc.controllers.precision.rate import Calibration, RateLearner
+from bayesftc.controllers.registry import LEARNERS
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.probabilities import reliability
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.precision.base import PrecisionLearner
+    from bayesftc.cosim.block import Block
+    from bayesftc.cosim.diagram.diagram import Diagram
+    from bayesftc.cosim.types import Floats
+
+TRAINING_SHARE = 0.8
+"""The first part of each simulated run is fitted, the rest judged: a split by time, without a leak across it."""
+
+SKIPPED = 200
+"""Steps at the start that are left out, while the belief settles."""
+
+
+class Hazards(NamedTuple):
+    """How often faults come and go: mean times in seconds (the paper's third experiment)."""
+
+    mean_time_to_fault: float = 2.8
+    mean_time_to_recovery: float = 0.4
+
+
+@dataclass(frozen=True)
+class CalibrationReport:
+    """A fitted map and how it did on the part of the run that it was not fitted on.
+
+    Attributes
+    ----------
+    calibration : Calibration or None
+        What the learner takes; None for one that gives a probability itself.
+    auc : float
+        Area under the receiver operating characteristic: 0.5 is guessing.
+    brier, brier_of_constant : float
+        Mean squared error of the probability, and that of always saying the share of faults.
+    calibration_error : float
+        Expected calibration error: mean distance of predicted probability and observed share over ten equally filled bins.
+    fault_share : float
+        Share of samples in fault.
+    samples : int
+        Number of samples judged.
+    """
+
+    calibration: Calibration | None
+    auc: float
+    brier: float
+    brier_of_constant: float
+    calibration_error: float
+    fault_share: float
+    samples: int
+
+
+def calibrate(
+    model: LinearModel,
+    hazards: tuple[float, float] = Hazards(),
+    magnitudes: Mapping[str, float] | None = None,
+    *,
+    precision: PrecisionLearner | None = None,
+    reference: Block | float | Sequence[Block | float] | None = None,
+    feature: Literal["log", "linear"] = "log",
+    steps: int = 80_000,
+    seed: int = 0,
+    **controller: Any,
+) -> CalibrationReport:
+    """Fit the map from a sensor's beta to the probability that it has failed, on a simulated closed loop.
+
+    The model itself is simulated, every sensor freezing, jumping and drifting at random; the controller sees the faulty
+    samples. The map therefore answers for faults of these kinds, rates and magnitudes, and for this learner's settings: it
+    must be fitted anew when one of them changes.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Plant and sensors.
+    hazards : (float, float)
+        Mean time to fault and mean time to recovery in seconds.
+    magnitudes : mapping
+        ``injection`` (constant offset) and ``drift`` (offset per second), in the sensors' units; by default 3 and 5 standard
+        deviations of the first sensor. Freezes need none.
+    precision : PrecisionLearner, optional
+        The learner to calibrate, a `RateLearner`; by default ``GammaPrecision()``. Its own calibration is ignored.
+    reference : source, number, or one for each goal, optional
+        By default a sine of five sensor standard deviations over 400 steps. On a constant reference a frozen sensor looks
+        healthier than a healthy one.
+    feature : {"log", "linear"}
+        Whether the map is linear in log(beta) or in beta.
+    steps : int
+        Length of the simulated run in steps.
+    seed : int
+        Seed of noise and faults.
+    **controller
+        Further settings of `BayesianController`.
+
+    Returns
+    -------
+    CalibrationReport
+        ``report.calibration`` goes into the learner's ``calibration=``.
+
+    Raises
+    ------
+    ModelError
+        If the learner has no rate, the loop is unstable, or the run is too short or without faults. What the probability is worth
+        of a learner that gives one itself, `judge_own_probability` says.
+    """
+    from sklearn.linear_model import LogisticRegression
+
+    from bayesftc.controllers.detection.classifier import FaultClassifier
+
+    chosen = GammaPrecision() if precision is None else precision
+    if not isinstance(chosen, RateLearner):
+        known = " or ".join(cls.__name__ for cls in LEARNERS if issubclass(cls, RateLearner))
+        told = " and gives a fault probability itself" if getattr(chosen, "why_no_probability", "") is None else ""
+        raise ModelError(
+            f"calibrate cannot calibrate {type(chosen).__name__}, which has no rate{told}; "
+            f"give it a learner with one: {known}."
+        )
+    learner: RateLearner = replace(chosen, calibration=None)  # type: ignore[call-arg]
+    beta, faulty = _simulated("beta", model, hazards, magnitudes or {}, learner, reference, steps, seed, controller)
+    ratio = beta / learner.prior_rates(model)
+    x = np.log(ratio) if feature == "log" else ratio
+    cut = int(TRAINING_SHARE * len(x))
+    train, test = (x[:cut].ravel(), faulty[:cut].ravel()), (x[cut:].ravel(), faulty[cut:].ravel())
+    _check_labels(train[1], test[1])
+    classifier = FaultClassifier(LogisticRegression(C=np.inf, max_iter=1000)).fit(train[0].reshape(-1, 1), train[1])
+    return judge(replace(classifier.calibration(), feature=feature), *test)
+
+
+def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]) -> CalibrationReport:
+    """Return how a map does on features `x` (log or linear, as the map says) with known labels."""
+    return _judged(calibration, x, 1.0 / (1.0 + np.exp(-(calibration.slope * x + calibration.intercept))), faulty)
+
+
+def judge_own_probability(
+    model: LinearModel,
+    hazards: tuple[float, float] = Hazards(),
+    magnitudes: Mapping[str, float] | None = None,
+    *,
+    precision: PrecisionLearner,
+    reference: Block | float | Sequence[Block | float] | None = None,
+    steps: int = 80_000,
+    seed: int = 0,
+    **controller: Any,
+) -> CalibrationReport:
+    """Return how a learner does that gives a probability itself, on the last part of the run on which `calibrate` fits its map.
+
+    Parameters
+    ----------
+    model, hazards, magnitudes, reference, steps, seed, **controller
+        See `calibrate`.
+    precision : PrecisionLearner
+        One whose ``why_no_probability`` is None.
+
+    Returns
+    -------
+    CalibrationReport
+        Its ``calibration`` is None.
+
+    Raises
+    ------
+    ModelError
+        If the loop is unstable, or the run is too short or without faults.
+    """
+    told, faulty = _simulated(
+        "fault_probability", model, hazards, magnitudes or {}, precision, reference, steps, seed, controller
+    )
+    cut = int(TRAINING_SHARE * len(told))
+    probability, faulty = told[cut:].ravel(), faulty[cut:].ravel()
+    _check_labels(faulty)
+    return _judged(None, probability, probability, faulty)
+
+
+def _check_labels(*parts: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
+    if not all(0 < faulty.mean() < 1 for faulty in parts):
+        raise ModelError("The simulated run has no faults, or nothing but faults; take more steps or other hazards.")
+
+
+def _judged(
+    calibration: Calibration | None, score: Floats, probability: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]
+) -> CalibrationReport:
+    from sklearn.metrics import roc_auc_score
+
+    found = reliability(probability, faulty)
+    return CalibrationReport(
+        calibration=calibration,
+        auc=float(roc_auc_score(faulty, score)),
+        brier=found.brier,
+        brier_of_constant=found.brier_of_constant,
+        calibration_error=found.calibration_error,
+        fault_share=float(faulty.mean()),
+        samples=len(probability),
+    )
+
+
+def _simulated(
+    output: str,
+    model: LinearModel,
+    hazards: tuple[float, float],
+    magnitudes: Mapping[str, float],
+    learner: PrecisionLearner,
+    reference: Block | float | Sequence[Block | float] | None,
+    steps: int,
+    seed: int,
+    controller: Mapping[str, Any],
+) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Return an output of the controller for each sensor, and whether the sensor was faulty, of a simulated run."""
+    if steps < 5_000:
+        raise ModelError(f"calibrate got steps={steps}; it needs at least 5000 to see enough faults.")
+    unknown = set(magnitudes) - {"injection", "drift"}
+    if unknown:
+        raise ModelError(
+            f"calibrate does not know the magnitude {sorted(unknown)[0]!r}; it takes 'injection' and 'drift'."
+        )
+    deviation = float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
+    sizes = {"injection": 3 * deviation, "drift": 5 * deviation, **magnitudes}
+    loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
+    record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
+    result = loop.simulate(steps * model.step, seed=seed, record=record)
+    faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
+    return result[record[0]][SKIPPED:], faulty
+
+
+def _loop(
+    model: LinearModel,
+    hazards: tuple[float, float],
+    sizes: Mapping[str, float],
+    learner: PrecisionLearner,
+    reference: Block | float | Sequence[Block | float] | None,
+    deviation: float,
+    settings: Mapping[str, Any],
+) -> Diagram:
+    import control
+
+    from bayesftc import cosim
+
+    n, p = model.states, model.controls
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UnstableLoopWarning)
+        try:
+            controller = BayesianController(model, precision=learner, **settings)
+        except UnstableLoopWarning as warning:
+            raise ModelError(f"calibrate cannot simulate this loop. {warning}") from None
+    names = [f"u{i}" for i in range(p)], [f"x{i}" for i in range(n)]
+    system = control.ss(
+        model.matrix("A"),
+        model.matrix("B"),
+        np.eye(n),
+        np.zeros((n, p)),
+        float(model.step),
+        inputs=names[0],
+        outputs=names[1],
+    )
+    plant = cosim.StateSpace(system, process_noise=model.matrix("process_covariance"), initial=controller.initial_mean)
+    goal: Any = cosim.Sine(amplitude=5 * deviation, period=float(400 * model.step))
+    if reference is None:
+        reference = [goal] * controller.goals
+    kinds = (cosim.Freeze(), cosim.Injection(magnitude=sizes["injection"]), cosim.Drift(slope=sizes["drift"]))
+    faults = [
+        cosim.RandomFaults(
+            kinds=kinds,
+            sensor=i,
+            mean_time_to_fault=hazards[0],
+            mean_time_to_recovery=hazards[1],
+            name=_fault_name(i),
+        )
+        for i in range(model.sensors)
+    ]
+    sensors = cosim.Sensors(
+        count=model.sensors,
+        signals=n,
+        matrix=model.matrix("C").tolist(),
+        covariance=model.matrix("sensor_covariance").tolist(),
+    )
+    loop: Diagram = cosim.closed_loop(
+        plant=plant,
+        controller=controller,
+        control=names[0],
+        measured=names[1],
+        reference=reference,
+        sensors=sensors,
+        faults=faults,
+    )
+    return loop
+
+
+def _fault_name(sensor: int) -> str:
+    return f"fault_{sensor}"

@@ -1,0 +1,181 @@
+"""Many runs of a state estimator at once: its own step functions, each element of their arrays an array over all runs.
+
+How an estimator errs does not depend on where the plant is or who drives it, as long as its model is true. So the plant rests at
+zero, and only the errors are simulated: the belief's mean is the error of the belief, a sample is its sensor's noise and fault.
+"""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.controllers.estimation.innovation import slowest, steady_covariance
+from bayesftc.cosim.stepping.batch_ops import OPERATIONS
+from bayesftc.cosim.stepping.tracing import rebound
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.controllers.precision.gamma import GammaPrecision
+    from bayesftc.cosim.types import Floats
+
+WARM = 12.0
+"""The runs settle for so many time constants of the slower one of filter and learner."""
+
+MOST_STEPS = 5_000
+
+THIN = 0.8
+"""Runs are left out once no more than this share of those still computed is without an alarm."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is added to one sensor's samples: offset + slope * age + noise of a standard deviation, age in steps."""
+
+    offset: float = 0.0
+    slope: float = 0.0
+    std: float = 0.0
+
+
+class EstimatorRuns:
+    """Runs of one estimator that have settled without a fault.
+
+    Parameters
+    ----------
+    model : LinearModel
+        What is believed, and true.
+    precision : GammaPrecision
+        The learner.
+    sensor : int
+        The sensor that is to fail.
+    runs, seed : int
+        How many runs, and of which noise.
+    noise : float, optional
+        True variance of that sensor's noise, where it is not the model's.
+    """
+
+    def __init__(
+        self,
+        model: LinearModel,
+        precision: GammaPrecision,
+        sensor: int,
+        runs: int,
+        seed: int,
+        noise: float | None = None,
+    ):
+        P = steady_covariance(model)
+        estimator = StateEstimator(model, precision, initial_covariance=P)
+        definition = estimator.define(model.step)
+        assert definition.output is not None
+        assert definition.update is not None
+        self._steps = [rebound(kernel, OPERATIONS) for kernel in (definition.output, definition.update)]
+        self._names = [list(inspect.signature(kernel).parameters) for kernel in (definition.output, definition.update)]
+        self._fixed: dict[str, Any] = {
+            name: np.atleast_1d(np.asarray(value, float)) for name, value in definition.parameters.items()
+        }
+        ports = (*estimator.inputs, *estimator.outputs)
+        initial = {
+            **{port.name: np.zeros(port.shape) for port in ports},
+            **{name: np.asarray(value, float) for name, value in definition.state.items()},
+            "outputs": np.zeros(sum(port.size for port in estimator.outputs)),
+        }
+        R = model.matrix("sensor_covariance").copy()
+        if noise is not None:
+            R[sensor, sensor] = noise
+        self._sensor_root, self._process_root = np.linalg.cholesky(R), _root(model.matrix("process_covariance"))
+        self._sensor, self._runs, self._seed = sensor, runs, seed
+        remembered = float(precision.window or 0) or 1.0 / (1.0 - float(precision.forgetting or 0.0))
+        self.warm_steps = min(int(WARM * max(remembered, 1.0 / (1.0 - slowest(model)))) + 1, MOST_STEPS)
+        self._state = {name: _rows(np.atleast_1d(value), runs) for name, value in initial.items()}
+        # Errors of a filter at nominal precision in steady state: what the learner changes of them is what has to settle.
+        self._state["mean"] = _rows_of(_root(P) @ np.random.default_rng(seed).standard_normal((len(P), runs)))
+        squares = spread = 0.0
+        last = max(self.warm_steps // 4, 1)
+        for k in range(self.warm_steps):
+            self._advance(self._state, k, Fault(), 0, np.arange(runs))
+            if k >= self.warm_steps - last:
+                squares += float(np.mean(self._state["e"][sensor] ** 2)) / last
+                spread += float(np.mean(self._state["spread"][sensor, sensor])) / last
+        self.innovation_variance = squares
+        """Mean square of the sensor's innovation without a fault."""
+        self.spread = spread
+        """Mean variance of its prediction, as the estimator believes it."""
+
+    @property
+    def beta(self) -> Floats:
+        """Beta of every run at the last sample before the onset."""
+        return np.asarray(self._state["beta"][self._sensor])
+
+    def survival(self, fault: Fault, threshold: float, steps: int) -> Floats:
+        """Return the share of runs without an alarm up to each sample after the onset, of those without one just before.
+
+        It ends early once no run is left.
+        """
+        quiet = self.beta <= threshold
+        state, kept, started = self._state, np.arange(self._runs), np.count_nonzero(quiet)
+        state = {name: array.copy() for name, array in state.items()}
+        shares: list[float] = []
+        for age in range(steps if started else 0):
+            if np.count_nonzero(quiet) <= THIN * len(
+                kept
+            ):  # to leave out every run at its alarm costs more than it saves
+                state, kept, quiet = _taken(state, quiet), kept[quiet], np.ones(np.count_nonzero(quiet), dtype=bool)
+            self._advance(state, self.warm_steps + age, fault, age, kept)
+            quiet = quiet & (state["beta"][self._sensor] <= threshold)
+            shares.append(np.count_nonzero(quiet) / started)
+            if not shares[-1]:
+                break
+        return np.array(shares)
+
+    def _advance(self, state: dict[str, Any], k: int, fault: Fault, age: int, kept: Any) -> None:
+        """Take some runs one sample on; each has its own noise, whatever becomes of the others and whatever the fault."""
+        m, n = len(self._sensor_root), len(self._process_root)
+        draw = np.random.default_rng([self._seed, k]).standard_normal((m + n + 1, self._runs))[:, kept]
+        y = self._sensor_root @ draw[:m]
+        if fault != Fault():
+            y[self._sensor] += fault.offset + fault.slope * age + fault.std * draw[m + n]
+        state["y"] = _rows_of(y)
+        for step, names in zip(self._steps, self._names, strict=True):
+            step(**{name: self._fixed[name] if name in self._fixed else state[name] for name in names})
+        q = self._process_root @ draw[m : m + n]
+        for i in range(n):
+            state["mean"][i] = state["mean"][i] - q[i]
+
+
+def without_map(precision: GammaPrecision) -> GammaPrecision:
+    """Return the learner without its map to a probability, which nothing here needs."""
+    return replace(precision, calibration=None)
+
+
+def _root(covariance: Floats) -> Floats:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _rows(array: Floats, runs: int) -> Any:
+    made = np.empty(array.shape, dtype=object)
+    for index in np.ndindex(array.shape):
+        made[index] = np.full(runs, array[index])
+    return made
+
+
+def _rows_of(values: Floats) -> Any:
+    made = np.empty(len(values), dtype=object)
+    for i, row in enumerate(values):
+        made[i] = row
+    return made
+
+
+def _taken(state: dict[str, Any], quiet: Any) -> dict[str, Any]:
+    """Return some of the runs; what a step function has made one number for all stays one."""
+    taken = {}
+    for name, array in state.items():
+        made = np.empty(array.shape, dtype=object)
+        for index in np.ndindex(array.shape):
+            value = array[index]
+            made[index] = value[quiet] if np.ndim(value) else value
+        taken[name] = made
+    return taken

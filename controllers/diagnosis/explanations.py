@@ -1,0 +1,140 @@
+"""Ways in which a model may be wrong, each a change of what an observer predicts: its input, its matrices, or pushes besides.
+
+All are run over the same recording by the same observers, many at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.estimation.observers import Observers
+    from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.cosim.types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a diagnosis sees of a run of T samples.
+
+    Attributes
+    ----------
+    y : ndarray, T x m
+        Samples; NaN is a missing one.
+    u : ndarray, T x p
+        What was applied from each sample to the next.
+    mean : ndarray, shape (n,)
+        Belief before the first sample.
+    begins : tuple of int
+        Samples before which nothing is known of the state: the first one, and those after a stretch that is left out.
+    """
+
+    y: Floats
+    u: Floats
+    mean: Floats
+    begins: tuple[int, ...] = (0,)
+
+    def until(self, end: int) -> Recording:
+        """Return the first `end` samples."""
+        return replace(self, y=self.y[:end], u=self.u[:end])
+
+
+def innovations(
+    models: Sequence[LinearModel], seers: Sequence[Observers], seen: Recording, moved: Floats
+) -> tuple[list[Floats], Floats]:
+    """Return the whitened innovations of the observers of several models, and the states that the first one's predict.
+
+    Parameters
+    ----------
+    models : sequence of LinearModel
+        What the observers predict by.
+    seers : sequence of Observers
+        Those of each model, of the same sets.
+    seen : Recording
+        The run.
+    moved : ndarray, models x H x T x n
+        What moves the state from each sample to the next, for each of H explanations: ``B u`` and whatever else.
+
+    Returns
+    -------
+    list of ndarray
+        For each model the innovations, sets x (H + errors) x T x m. The last ones are what an error of each state (a constant
+        is known) before each of the samples ``seen.begins`` adds to those of the first explanation.
+    ndarray, T x n
+        Predictions of the state by the first model under the first explanation, on average over its sets.
+    """
+    each, n, samples = len(seers[0]), moved.shape[3], len(seen.y)
+    gains = np.concatenate([s.gain for s in seers]).transpose(0, 2, 1)
+    whiten = np.concatenate([s.whiten for s in seers])
+    At, Ct = (np.repeat([model.matrix(name).T for model in models], each, axis=0) for name in "AC")
+    unknown = n - models[0].constant
+    errors_of = unknown * len(seen.begins)
+    courses = np.concatenate([moved, np.repeat(moved[:, :1], errors_of, axis=1)], axis=1)
+    courses = np.ascontiguousarray(np.repeat(courses, each, axis=0).transpose(2, 0, 1, 3))
+    y, there = np.where(np.isfinite(seen.y), seen.y, 0.0), np.isfinite(seen.y).astype(float)
+    z = np.empty((len(At), courses.shape[2], n))
+    errors, predicted = np.empty((samples, *z.shape[:2], y.shape[1])), np.empty((samples, each, n))
+    with np.errstate(all="ignore"):  # an explanation that is far off may diverge; it then explains nothing
+        for k in range(samples):
+            if k in seen.begins:
+                first = moved.shape[1] + seen.begins.index(k) * unknown
+                z[:] = seen.mean
+                z[:, first : first + unknown, :unknown] += np.eye(unknown)
+            e = errors[k]
+            predicted[k] = z[:each, 0]
+            np.subtract(y[k], z @ Ct, out=e)
+            e *= there[k]
+            z = z @ At + e @ gains + courses[k]
+        white = np.matmul(errors.transpose(1, 2, 0, 3), whiten.transpose(0, 2, 1)[:, None])
+        white[:, -errors_of:] -= white[:, :1]
+    return [white[first : first + each] for first in range(0, len(white), each)], predicted.mean(axis=1)
+
+
+def delayed(u: Floats, steps: int) -> Floats:
+    """Return the controls `steps` samples late; before the first one arrives there is none."""
+    late = np.zeros_like(u)
+    late[steps:] = u[: len(u) - steps]
+    return late
+
+
+def lagged(u: Floats, steps: float) -> Floats:
+    """Return the controls through a first-order lag with a time constant of `steps` samples."""
+    from scipy.signal import lfilter
+
+    share = 1.0 - float(np.exp(-1.0 / steps))
+    return np.asarray(lfilter([share], [1.0, share - 1.0], u, axis=0))
+
+
+def faster(model: LinearModel, factor: float) -> LinearModel | None:
+    """Return the model of a plant in which `factor` times as much time passes in a step; None if A has no real logarithm."""
+    from scipy.linalg import expm, logm
+
+    n, plant, p = model.states, model.states - model.disturbances, model.controls
+    A, B = model.matrix("A"), model.matrix("B")
+    # What acts on the plant from outside (controls, estimated disturbances, the constant) is held during a step.
+    outside = np.hstack([A[:plant, plant:], B[:plant]])
+    whole = np.block([[A[:plant, :plant], outside], [np.zeros((outside.shape[1], plant)), np.eye(outside.shape[1])]])
+    try:
+        rate = logm(whole)
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    if not np.isfinite(rate).all() or np.abs(np.imag(rate)).max() > 1e-9:
+        return None
+    step = expm(factor * np.real(rate))
+    if not np.isfinite(step).all() or np.abs(expm(np.real(rate)) - whole).max() > 1e-6 * np.abs(whole).max():
+        return None
+    changed, driven = A.copy(), B.copy()
+    changed[:plant, :plant] = step[:plant, :plant]
+    changed[:plant, plant:] = step[:plant, plant:n]
+    driven[:plant] = step[:plant, n : n + p]
+    return replace(model, A=changed, B=driven)
+
+
+def holding(model: LinearModel, x: Floats) -> Floats:
+    """Return the control that holds the plant in a state, as nearly as one does."""
+    A, B = model.matrix("A"), model.matrix("B")
+    return np.asarray(np.linalg.lstsq(B, x - A @ x, rcond=None)[0])

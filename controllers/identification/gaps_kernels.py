@@ -1,0 +1,91 @@
+"""What a recording with gaps says of the states in between: forward by Kalman, backward by Rauch, Tung and Striebel."""
+
+from bayesftc.controllers.linalg.dense import apply, cholesky, congruence, multiply, solve_columns
+from bayesftc.cosim.ops import log
+
+_VECTOR, _TABLE, _TABLES = "float64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
+_TYPES = [_TABLE] * 5 + [_VECTOR] + [_TABLE, _TABLES] * 2 + [_TABLE] * 5 + [_VECTOR] * 2
+SMOOTH = f"void({', '.join(_TYPES)})"
+"""What `smooth` is compiled for."""
+
+CALLS = (multiply, congruence, apply, cholesky, solve_columns)
+"""What it calls."""
+
+TWO_PI = 6.283185307179586
+
+
+def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, gain, work, lower, change, column, total):
+    """Write means and covariances of the states given all samples.
+
+    Parameters
+    ----------
+    y : array, steps x outputs
+        Samples, what the model says of them without a state taken off; NaN where there is none.
+    drive : array, steps x states
+        What inputs do to the state until the next step.
+    A, C, Q : array
+        Transition, outputs of the state, covariance of the process noise.
+    R : array
+        Variances of the outputs' noise.
+    ahead, P_ahead : array, (steps + 1) x states, (steps + 1) x states x states
+        The first: the state before the first sample. Written: the states given the samples before theirs.
+    x, P : array, steps x states, steps x states x states
+        Written: the states given all samples.
+    between : array, states x states
+        Added to: covariances of each state but the first with the one before it, given all samples.
+    gain, work, lower, change, column
+        Scratch: four of states x states, and a vector of states.
+    total : array
+        Added to: the logarithm of the samples' density, in its only element.
+    """
+    steps, m, n = y.shape[0], y.shape[1], A.shape[0]
+    for k in range(steps):
+        for i in range(n):
+            x[k, i] = ahead[k, i]
+            for j in range(n):
+                P[k, i, j] = P_ahead[k, i, j]
+        for s in range(m):  # one sensor after the other, for their noises are independent
+            if y[k, s] == y[k, s]:
+                e, spread = y[k, s], R[s]
+                for i in range(n):
+                    e = e - C[s, i] * x[k, i]
+                    column[i] = 0.0
+                    for j in range(n):
+                        column[i] = column[i] + P[k, i, j] * C[s, j]
+                for i in range(n):
+                    spread = spread + C[s, i] * column[i]
+                for i in range(n):
+                    x[k, i] = x[k, i] + column[i] * (e / spread)
+                    for j in range(n):
+                        P[k, i, j] = P[k, i, j] - column[i] * column[j] / spread
+                total[0] = total[0] - 0.5 * (log(TWO_PI * spread) + e * e / spread)
+        apply(A, x[k], ahead[k + 1])
+        congruence(A, P[k], work, P_ahead[k + 1])
+        for i in range(n):
+            ahead[k + 1, i] = ahead[k + 1, i] + drive[k, i]
+            for j in range(n):
+                P_ahead[k + 1, i, j] = P_ahead[k + 1, i, j] + Q[i, j]
+    for back in range(1, steps):
+        k = steps - 1 - back
+        # The transpose of the gain: P_ahead^-1 A P.
+        cholesky(P_ahead[k + 1], lower)
+        multiply(A, P[k], gain)
+        solve_columns(lower, gain)
+        for i in range(n):
+            column[i] = x[k + 1, i] - ahead[k + 1, i]
+            for j in range(n):
+                change[i, j] = P[k + 1, i, j] - P_ahead[k + 1, i, j]
+        for i in range(n):
+            for j in range(n):
+                x[k, i] = x[k, i] + gain[j, i] * column[j]
+        multiply(P[k + 1], gain, work)
+        for i in range(n):
+            for j in range(n):
+                between[i, j] = between[i, j] + work[i, j]
+        multiply(change, gain, work)
+        for i in range(n):
+            for j in range(n):
+                add = 0.0
+                for a in range(n):
+                    add = add + gain[a, i] * work[a, j]
+                P[k, i, j] = P[k, i, j] + add

@@ -1,0 +1,1 @@
+"""Learning fault modes from recorded runs."""

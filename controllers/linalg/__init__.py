@@ -1,0 +1,1 @@
+"""Linear algebra and special functions in step functions."""

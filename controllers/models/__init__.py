@@ -1,0 +1,1 @@
+"""What a controller believes of its plant and sensors: linear and nonlinear Gaussian models."""

@@ -1,0 +1,458 @@
+"""The linear Gaussian model that a controller believes in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.controllers.models.checks import ROWS, Matrix, as_covariance, as_matrix, as_numbers, as_vector, frozen
+from bayesftc.controllers.models.sensor_errors import with_sensor_errors
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.errors import ModelError, StepSizeError
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.identification.identify import Identification
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """``x_t+1 = A x_t + B u_t + q``, ``y_t = C x_t + eta`` with Gaussian ``q`` and ``eta`` (paper, section 2.1).
+
+    Parameters
+    ----------
+    A : matrix, n x n
+        Transition of the state in one step.
+    B : matrix, n x p
+        Effect of the controls.
+    C : matrix, m x n
+        What each sensor reads; redundant sensors are equal rows.
+    process_covariance : number, vector or matrix
+        Covariance of ``q`` per step (n x n); a number or vector stands for a diagonal. May be singular.
+    sensor_covariance : number, vector or matrix
+        Nominal covariance of ``eta`` (m x m), positive definite.
+    dt : float, str or Fraction
+        Sample time in seconds.
+    disturbances : int
+        How many states, the last ones, are estimated disturbances: of the inputs (`with_disturbance`) or of the sensors
+        (`with_sensor_errors`); goals do not concern them.
+    constant : bool
+        Whether the last of these states is the constant 1, by which a model of deviations speaks of values (`about`). It is known
+        and costs a belief nothing.
+
+    Raises
+    ------
+    ModelError
+        If dimensions do not fit or a covariance is not positive (semi-)definite.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    process_covariance: Matrix
+    sensor_covariance: Matrix
+    dt: float | str | Fraction
+    disturbances: int = 0
+    constant: bool = False
+
+    def __post_init__(self) -> None:
+        A = as_matrix("The model's A", self.A)
+        n = A.shape[0]
+        if A.shape != (n, n):
+            raise ModelError(f"The model's A is {A.shape[0]} x {A.shape[1]}; it must be square, a row for each state.")
+        C = as_matrix("The model's C", np.atleast_2d(as_numbers("The model's C", self.C, ROWS)), columns=n)
+        values = {
+            "A": A,
+            "B": as_matrix("The model's B", self.B, rows=n),
+            "C": C,
+            "process_covariance": as_covariance(
+                "The model's process_covariance", self.process_covariance, n, singular=True
+            ),
+            "sensor_covariance": as_covariance("The model's sensor_covariance", self.sensor_covariance, C.shape[0]),
+            "dt": rational_step(self.dt, "The model's sample time"),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        if not 0 <= self.disturbances < n:
+            raise ModelError(
+                f"The model has disturbances={self.disturbances} among {n} states; at least one must be the plant's."
+            )
+        if self.constant and (not self.disturbances or not _stays(self, n)):
+            raise ModelError(
+                "The model has constant=True, but its last state is no constant: let about() make it, as the last thing."
+            )
+
+    @property
+    def states(self) -> int:
+        """Number of states n, disturbances included."""
+        return len(self.matrix("A"))
+
+    @property
+    def controls(self) -> int:
+        """Number of controls p."""
+        return int(self.matrix("B").shape[1])
+
+    @property
+    def sensors(self) -> int:
+        """Number of sensors m."""
+        return len(self.matrix("C"))
+
+    @property
+    def step(self) -> Fraction:
+        """Sample time in seconds, exact."""
+        return rational_step(self.dt)
+
+    @property
+    def quantities(self) -> Floats:
+        """What each sensor measures of the plant's states, disturbances (its own error is one) left out (m x n)."""
+        rows = self.matrix("C").copy()
+        rows[:, self.states - self.disturbances : self.states - self.constant] = 0.0
+        return frozen(rows)
+
+    @property
+    def alike(self) -> tuple[tuple[int, ...], ...]:
+        """The sensors in groups of those that read the same quantity."""
+        groups: dict[bytes, list[int]] = {}
+        for i, row in enumerate(self.quantities):
+            groups.setdefault((row + 0.0).tobytes(), []).append(i)  # 0 and -0 are the same
+        return tuple(tuple(group) for group in groups.values())
+
+    @property
+    def moving(self) -> LinearModel:
+        """The model without its constant: that of deviations."""
+        if not self.constant:
+            return self
+        return replace(
+            self,
+            A=self.matrix("A")[:-1, :-1],
+            B=self.matrix("B")[:-1],
+            C=self.matrix("C")[:, :-1],
+            process_covariance=self.matrix("process_covariance")[:-1, :-1],
+            disturbances=self.disturbances - 1,
+            constant=False,
+        )
+
+    def matrix(self, name: str) -> Floats:
+        """Return one of the matrices by name, as an array."""
+        return np.asarray(getattr(self, name), dtype=np.float64)
+
+    @classmethod
+    def from_control(
+        cls,
+        system: Any,
+        *,
+        process_covariance: Matrix,
+        sensor_covariance: Matrix,
+        dt: float | str | Fraction | None = None,
+        sensors: int | None = None,
+    ) -> LinearModel:
+        """Return the model of a python-control linear system.
+
+        Parameters
+        ----------
+        system : control.StateSpace or control.TransferFunction
+            Continuous (then discretised by zero-order hold at `dt`) or discrete. Its outputs must not depend directly on its
+            inputs (D = 0).
+        process_covariance : number, vector or matrix
+            Covariance of the process noise per step.
+        sensor_covariance : number, vector or matrix
+            Covariance of the sensors' noise.
+        dt : float, str or Fraction, optional
+            Sample time in seconds; needed for a continuous system.
+        sensors : int, optional
+            Number of sensors, a multiple of the system's outputs: sensor i reads output i modulo their number. By default one
+            a output, or as many as `sensor_covariance` has rows.
+        """
+        import control
+
+        linear = control.ss(system)
+        if linear.isctime(strict=True) or linear.dt is None or linear.dt == 0:
+            if dt is None:
+                raise StepSizeError("The system is continuous; give dt= in seconds, at which it is to be controlled.")
+            linear = control.sample_system(linear, float(rational_step(dt)), method="zoh")
+            step = rational_step(dt)
+        else:
+            given = linear.dt if linear.dt is not True else dt
+            if given is None:
+                raise StepSizeError("The system is discrete without a sample time (dt=True); give dt= in seconds.")
+            step = rational_step(float(given)) if not isinstance(given, str | Fraction) else rational_step(given)
+            if dt is not None and rational_step(dt) != step:
+                raise StepSizeError(
+                    f"The system's sample time is {float(step):g} s, but dt={dt!r} was asked; resample it first."
+                )
+        if np.any(linear.D != 0):
+            raise ModelError(
+                "The system has direct feedthrough (D is not 0), which the model y = C x cannot express; delay the input."
+            )
+        outputs = linear.C.shape[0]
+        if sensors is None:
+            rows = np.asarray(sensor_covariance, float)
+            sensors = rows.shape[0] if rows.ndim else outputs
+        if sensors % outputs:
+            raise ModelError(
+                f"{sensors} sensors cannot be shared evenly by {outputs} outputs; give C= to LinearModel itself."
+            )
+        C = np.tile(linear.C, (sensors // outputs, 1))
+        return cls(linear.A, linear.B, C, process_covariance, sensor_covariance, step)
+
+    @classmethod
+    def from_fmu(
+        cls,
+        fmu: Any,
+        *,
+        measured: str | Sequence[str],
+        actuated: str | Sequence[str],
+        dt: float | str | Fraction | None = None,
+        at: Mapping[str, float | Sequence[float]] | None = None,
+        order: int | None = None,
+        noise: Mapping[str, float | Sequence[float]] | None = None,
+        sensors: int | None = None,
+        sensor_std: float | Sequence[float] = 0.01,
+        disturbance: Matrix | None = None,
+    ) -> LinearModel:
+        """Return the model of an FMU about a steady state, in the FMU's own values.
+
+        *Model exchange* (also where the file can do both): the state at which the derivatives are zero is sought from the start
+        values, with the inputs held or, if there is none, with those free that are actuated and not given in `at`. If there is
+        none either, a steady motion will do, in which states on which nothing depends (a car's position) go on at a constant
+        rate. There the FMU's directional derivatives are taken, or central differences where it has none, and sampled exactly
+        (zero-order hold). States are the FMU's, but for integrators that no output sees, which are left out.
+
+        *Co-simulation*, whose states nobody sees: the FMU is run from its start until its outputs stay where they are; from
+        there it answers short pulses of each input, up and down, of several sizes, of which those count that agree best. The
+        eigensystem realisation of the responses (python-control's `era`) is the model; its order is the number of singular values
+        above what the responses are uncertain by. Each experiment starts from a saved state, or in a new instance where the FMU
+        saves none. States are balanced and mean nothing by themselves; a mode that no input moves is not in it.
+
+        A plant that never rests needs a recording instead: `identify`.
+
+        Parameters
+        ----------
+        fmu : FMU or path
+            The plant; its parameters say where it starts.
+        measured, actuated : str or sequence of str
+            Names of the outputs that sensors read, and of the inputs that the controller drives. Of arrays of FMI 3 the name
+            stands for all elements, ``"y[1]"`` (of a matrix ``"T[0,1]"``) for one.
+        dt : float, str or Fraction, optional
+            Sample time in seconds; by default the step size that the FMU recommends.
+        at : mapping of input to number or vector, optional
+            Inputs at the operating point; by default their start values.
+        order : int, optional
+            Number of states, for a model by pulse responses (asked also of an FMU for model exchange if it is given).
+        noise : mapping of input to number or vector, optional
+            Where process noise comes in, and its standard deviation in each sample: any inputs of the FMU. By default the
+            actuated ones, with 5 % of their value at the operating point or of 1, whichever is larger.
+        sensors : int, optional
+            Number of sensors, a multiple of the measured outputs: sensor i reads output i modulo their number. By default one
+            each.
+        sensor_std : number or vector
+            Standard deviation of the sensors' noise: of all, of those of each output, or of each sensor.
+        disturbance : number, vector or matrix, optional
+            Estimate an unknown load on each control as well, a walk of this covariance in each sample: see `with_disturbance`.
+
+        Raises
+        ------
+        ModelError
+            If there is no steady state, or an output depends at once on an input.
+        FMUError
+            If the FMU fails.
+
+        Warns
+        -----
+        PoorFitWarning
+            If the model does not reproduce the responses of which it was made.
+
+        Examples
+        --------
+        >>> from bayesftc import fmus
+        >>> from bayesftc.controllers import LinearModel
+        >>> model = LinearModel.from_fmu(fmus.path("PositionServo"), measured="angle", actuated="voltage")
+        >>> sorted(np.linalg.eigvals(model.A).round(6).tolist())
+        [0.82853, 0.968606, 1.0]
+        """
+        from bayesftc.controllers.models.linearization import linearize, names_of
+
+        linear = linearize(fmu, measured=measured, actuated=actuated, noise=noise, dt=dt, at=at, order=order)
+        return linear.model(
+            names_of(measured, "measured"),
+            names_of(actuated, "actuated"),
+            noise=noise,
+            sensors=sensors,
+            sensor_std=sensor_std,
+            disturbance=disturbance,
+        )
+
+    @classmethod
+    def identify(
+        cls,
+        data: Any,
+        *,
+        inputs: str | Sequence[str],
+        outputs: str | Sequence[str],
+        order: int | None = None,
+        dt: float | str | Fraction | None = None,
+        time: str = "time",
+        held_out: float = 0.3,
+        past: int | None = None,
+    ) -> Identification:
+        """Return a model that is identified from a recording, in its `model`, with figures of how good it is.
+
+        Subspace identification in predictor form (SSARX with canonical variables), which bears feedback, so that a plant that
+        must be held by a controller can be recorded as it runs; the inputs must be moved by something else as well (a changing
+        goal, a dither). From the innovations model come the covariances of process and sensors, each sensor's noise being its
+        own: those whose Kalman filter is nearest to it. Where fewer than (n + 1) / 2 outputs leave the process covariance of n
+        states undetermined, one of several equally good ones is taken. States are canonical variables of unit variance and mean
+        nothing by themselves.
+
+        Samples that are missing here and there are left out with all that needs them. Where less than half of the stretches are
+        whole, as with a sensor that delivers at every fifth sample, a Kalman filter bridges the gaps: the likelihood of what is
+        there is maximised by expectation and maximisation (Gibson and Ninness, Automatica 41, 2005), process and sensor noise
+        included, and the order is that of the best Bayesian information criterion.
+
+        The last part of the recording is held out. On it are judged: the share of each output that is explained one sample ahead
+        and by simulation, whether residuals are white, and whether a long autoregression does better.
+
+        Parameters
+        ----------
+        data : Result, path of a CSV file, or pandas.DataFrame
+            The recording: evenly spaced rows, an input being that from its row to the next; empty cells are missing samples. A
+            slower sensor has a value in every fifth row, say.
+        inputs, outputs : str or sequence of str
+            Columns of the controls and of the sensors. The name of a signal of several elements stands for all of them.
+        order : int, optional
+            Number of states; by default as many as the singular values tell (Bauer's criterion).
+        dt : float, str or Fraction, optional
+            Sample time in seconds; by default that of the column `time`.
+        time : str
+            Name of the column of times in seconds.
+        held_out : float
+            Share of the recording, its end, that the model is not made from.
+        past : int, optional
+            Length of the autoregression behind it; by default Akaike's choice.
+
+        Returns
+        -------
+        Identification
+            With ``model``, ``fit``, ``whiteness``, ``describe()``, ``plot()``; `design` takes it as a plant.
+
+        Raises
+        ------
+        ModelError
+            If there are too few samples (it tells how many are needed), or an input or output does not move.
+        StepSizeError
+            If the times are not evenly spaced.
+
+        Warns
+        -----
+        PoorFitWarning
+            If the inputs are not persistently exciting of twice the model's order (a single step, a sine), hardly move in
+            what is held out or follow from the outputs; if a long autoregression predicts held-out data better, residuals are
+            correlated, or nothing is explained.
+        """
+        from bayesftc.controllers.identification.identify import identify
+
+        return identify(
+            data, inputs=inputs, outputs=outputs, order=order, dt=dt, time=time, held_out=held_out, past=past
+        )
+
+    def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:
+        """Return the model extended by an unknown disturbance on each control, which the controller then estimates.
+
+        The disturbance ``d`` adds to the control, ``x_t+1 = A x_t + B (u_t + d_t) + q``, and drifts as a random walk, so that
+        under a flat control prior a constant load leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003). A proper
+        control prior pulls the control towards its own mean and leaves one.
+
+        Parameters
+        ----------
+        covariance : number, vector or matrix
+            Covariance of the walk per step (p x p), in units of the control.
+        """
+        if self.disturbances:
+            raise ModelError(
+                "The model has a disturbance already; apply with_disturbance() once, and before with_sensor_errors()."
+            )
+        n, p = self.states, self.controls
+        A = np.block([[self.matrix("A"), self.matrix("B")], [np.zeros((p, n)), np.eye(p)]])
+        B = np.vstack([self.matrix("B"), np.zeros((p, p))])
+        C = np.hstack([self.matrix("C"), np.zeros((self.sensors, p))])
+        Q = np.zeros((n + p, n + p))
+        Q[:n, :n] = self.matrix("process_covariance")
+        Q[n:, n:] = as_covariance("The disturbance's covariance", covariance, p)
+        return replace(self, A=A, B=B, C=C, process_covariance=Q, disturbances=p)
+
+    def with_sensor_errors(
+        self,
+        std: float | Sequence[float],
+        time_constant: float | Sequence[float],
+        sensors: Sequence[int] | None = None,
+        *,
+        common: bool = False,
+    ) -> LinearModel:
+        """Return the model extended by errors of the sensors that last from sample to sample, which are then estimated.
+
+        Each error is a first-order autoregressive process (Ornstein and Uhlenbeck's, sampled), ``c_t+1 = exp(-dt /
+        time_constant) c_t + w``, and adds to what its sensor reads: a coloured noise, or with a time constant far beyond the
+        recording a bias. What the sensor's own white noise is stays in `sensor_covariance`. Apply it several times for a sensor
+        with errors of several kinds. A constant that all sensors have in common cannot be told from the state itself.
+
+        Parameters
+        ----------
+        std : number or vector
+            Standard deviation of the error in the sensor's unit, for all sensors or for each of `sensors`.
+        time_constant : number or vector
+            Seconds in which its autocorrelation falls to 1/e.
+        sensors : sequence of int, optional
+            Which sensors have it; by default all.
+        common : bool
+            Whether they all have the same error (wheels of one axle), `std` saying how much of it, instead of one each.
+        """
+        return with_sensor_errors(self, std, time_constant, sensors, common)
+
+    def about(self, x: ArrayLike, u: ArrayLike, y: ArrayLike, *, following: ArrayLike | None = None) -> LinearModel:
+        """Return this model of deviations from an operating point as one of values, with the constant 1 as its last state.
+
+        Apply it last: further states stand before the constant.
+
+        Parameters
+        ----------
+        x, u, y : vector
+            Where the deviations begin: state (of the plant, disturbances left out), control and readings.
+        following : vector, optional
+            The state one step later; by default `x`, as at a steady state.
+        """
+        if self.constant:
+            raise ModelError("The model speaks of values already; apply about() once.")
+        n, plant = self.states, self.states - self.disturbances
+        A, B, C = (self.matrix(name) for name in "ABC")
+        x, u, y = (
+            as_vector("The x", x, plant),
+            as_vector("The u", u, self.controls),
+            as_vector("The y", y, self.sensors),
+        )
+        reached = x if following is None else as_vector("The following state", following, plant)
+        drift = np.zeros((n, 1))
+        drift[:plant, 0] = reached - A[:plant, :plant] @ x - B[:plant] @ u
+        reading = (y - C[:, :plant] @ x)[:, None]
+        Q = np.zeros((n + 1, n + 1))
+        Q[:n, :n] = self.matrix("process_covariance")
+        return replace(
+            self,
+            A=np.block([[A, drift], [np.zeros((1, n)), np.ones((1, 1))]]),
+            B=np.vstack([B, np.zeros((1, self.controls))]),
+            C=np.hstack([C, reading]),
+            process_covariance=Q,
+            disturbances=self.disturbances + 1,
+            constant=True,
+        )
+
+
+def _stays(model: LinearModel, n: int) -> bool:
+    """Whether the last state keeps what it is, whatever happens."""
+    last = np.eye(n)[-1]
+    Q = model.matrix("process_covariance")
+    return np.array_equal(model.matrix("A")[-1], last) and not (model.matrix("B")[-1].any() or Q[-1].any())

@@ -1,0 +1,466 @@
+"""The linear model of a plant that is given as equations or as a black box, about a steady state."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import Matrix, as_number, as_vector
+from bayesftc.controllers.models.differences import derivative
+from bayesftc.controllers.models.integrators import without_integrators
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.pulse_responses import realise
+from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.blocks.linear_system import LinearSystem, held
+from bayesftc.cosim.blocks.state_space import StateSpace
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.ports import labels
+from bayesftc.cosim.types import Floats
+
+Names = str | Sequence[str]
+
+INPUT_NOISE = 0.05
+"""Process noise where nothing is said: this share of each actuated input's scale, in every sample."""
+
+_NEGLIGIBLE = 1e-12
+"""A control that moves the states by less than this, of their own size or 1, moves them by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """A plant about an operating point: ``x+ - x = A (x_t - x) + B (u - u0)``, ``y - y0 = C (x_t - x)``, sampled.
+
+    Attributes
+    ----------
+    A, B, C : ndarray
+        Transition in one step, effect of the inputs, and what the outputs are of the state.
+    x, u, y : ndarray
+        The operating point: a steady state, or one of steady motion.
+    start : ndarray
+        The state in which the plant starts.
+    inputs, outputs : tuple of str
+        Names of the columns of B and the rows of C; elements of vectors and matrices as ``"y[1]"``, ``"T[0,1]"``.
+    step : Fraction
+        Sample time in seconds.
+    following : ndarray or None
+        The state one step after x, where integrators (a position) go on all the while; None where it is x.
+    """
+
+    A: Floats
+    B: Floats
+    C: Floats
+    x: Floats
+    u: Floats
+    y: Floats
+    start: Floats
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    step: Fraction
+    following: Floats | None = None
+
+    def seen(self) -> Linearization:
+        """Return the same without integrators that none of the outputs see (a position where only the speed is of interest)."""
+        rest = without_integrators(self.A, self.C)
+        if rest is None:
+            return self
+        x, start = rest.rows @ self.x, rest.rows @ self.start
+        following = None if self.following is None else rest.rows @ self.following
+        if following is not None and np.allclose(following, x, rtol=1e-9, atol=1e-12):
+            following = None
+        return replace(
+            self, A=rest.of(self.A), B=rest.rows @ self.B, C=self.C @ rest.back, x=x, start=start, following=following
+        )
+
+    def rows(self, names: Sequence[str]) -> list[int]:
+        """Return the places of outputs; a vector's name stands for all its elements."""
+        return _places(names, self.outputs, "output")
+
+    def columns(self, names: Sequence[str]) -> list[int]:
+        """Return the places of inputs; a vector's name stands for all its elements."""
+        return _places(names, self.inputs, "input")
+
+    def model(
+        self,
+        measured: Sequence[str],
+        actuated: Sequence[str],
+        *,
+        noise: Mapping[str, float | Sequence[float]] | None = None,
+        sensors: int | None = None,
+        sensor_std: float | Sequence[float] = 0.01,
+        disturbance: Matrix | None = None,
+    ) -> LinearModel:
+        """Return the model of a controller, in the plant's own values; see `LinearModel.from_fmu`."""
+        rows, columns = self.rows(measured), self.columns(actuated)
+        count = len(rows) if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
+        if count % len(rows):
+            raise ModelError(
+                f"{count} sensors cannot be shared evenly by {len(rows)} measured outputs; sensor i reads output i modulo their "
+                "number."
+            )
+        order = [rows[i % len(rows)] for i in range(count)]
+        std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
+        if (std < 0).any():
+            raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
+        variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
+        model = LinearModel(
+            self.A, self.B[:, columns], self.C[order], self._noise(columns, noise), variances, self.step
+        )
+        if disturbance is not None and disturbance is not False:
+            model = model.with_disturbance(disturbance)
+        if not (self.x.any() or self.u.any() or self.y.any()):
+            return model
+        # Inputs that are not actuated stay as they are at the operating point, and so are part of what is steady.
+        return model.about(self.x, self.u[columns], self.y[order], following=self.following)
+
+    def _noise(self, actuated: Sequence[int], noise: Mapping[str, float | Sequence[float]] | None) -> Floats:
+        std = {j: INPUT_NOISE * max(1.0, abs(self.u[j])) for j in actuated}
+        if noise is not None:
+            std = _spread("The noise", noise, self.inputs)
+        Q = np.zeros_like(self.A)
+        for j, size in std.items():
+            effect = self.B[:, j] * as_number(f"The noise has {self.inputs[j]}", size, least=0)
+            Q += np.outer(effect, effect)
+        return Q
+
+
+def linearize(
+    plant: Any,
+    *,
+    measured: Names,
+    actuated: Names,
+    others: Names = (),
+    noise: Mapping[str, float | Sequence[float]] | None = None,
+    dt: float | str | Fraction | None = None,
+    at: Mapping[str, float | Sequence[float]] | None = None,
+    order: int | None = None,
+) -> Linearization:
+    """Return a plant about a steady state; `others` are outputs that are to be in it beside those that are measured."""
+    for name, given in (("noise", noise), ("at", at)):
+        if not isinstance(given, Mapping | None):
+            raise ModelError(
+                f"{name} is {given!r}; it must be numbers by the names of inputs, as {name}={{'load': 0.02}}."
+            )
+    inputs = list(dict.fromkeys([*names_of(actuated, "actuated"), *(noise or {})]))
+    outputs = list(dict.fromkeys([*names_of(measured, "measured"), *([others] if isinstance(others, str) else others)]))
+    if isinstance(plant, str | PathLike):
+        plant = FMU(plant)
+    if isinstance(plant, FMU):
+        return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
+    block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
+    if order is not None:
+        raise ModelError("order= is for an FMU whose states are not seen; leave it out.")
+    if not isinstance(block.system, LinearSystem):
+        return _of_nonlinear(block, inputs, outputs, dt, at or {}).seen()
+    return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}).seen()
+
+
+def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
+    """Refuse controls that move nothing about the operating point, as a spring's stiffness where the spring is at rest.
+
+    Raises
+    ------
+    ModelError
+        That names the control.
+    """
+    size = max(1.0, *(float(np.abs(v).max(initial=0.0)) for v in (linear.x, linear.y)))
+    for j in linear.columns(actuated):
+        if float(np.abs(linear.B[:, j]).max(initial=0.0)) * max(1.0, abs(linear.u[j])) <= _NEGLIGIBLE * size:
+            raise ModelError(
+                f"{linear.inputs[j]} moves nothing about the operating point, so the plant is not controllable by it. Take "
+                "another input, or an operating point at which it has an effect (start values, or at=...)."
+            )
+
+
+def names_of(given: Names, what: str) -> list[str]:
+    """Return names as a list.
+
+    Raises
+    ------
+    ModelError
+        If there is none, or one stands twice.
+    """
+    names = [given] if isinstance(given, str) else list(given)
+    if not names or len(set(names)) < len(names) or not all(isinstance(name, str) for name in names):
+        raise ModelError(f"{what}={given!r}; it must name at least one variable of the plant, each once.")
+    return names
+
+
+def elements_of(name: str, known: Sequence[str]) -> list[str]:
+    """Return the elements that a name stands for: itself, or all of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
+    return [name] if name in known else [element for element in known if element.startswith(f"{name}[")]
+
+
+def _places(names: Sequence[str], known: Sequence[str], what: str) -> list[int]:
+    places: list[int] = []
+    for name in names:
+        found = [list(known).index(element) for element in elements_of(name, known)]
+        if not found:
+            raise UnknownNameError(f"The plant has no {what} {name!r}; {did_you_mean(name, known)}")
+        if set(found) & set(places):
+            raise ModelError(f"{what}s {', '.join(names)}: {name!r} names an element a second time; name each once.")
+        places += found
+    return places
+
+
+def _spread(title: str, given: Mapping[str, Any], known: Sequence[str]) -> dict[int, float]:
+    """Return what is given by name by place; of a vector it is one number, or one for each element."""
+    found: dict[int, float] = {}
+    for name, value in given.items():
+        places = _places([name], known, "input")
+        values = as_vector(f"{title} of {name}", value, len(places)) if len(places) > 1 else [value]
+        found.update(zip(places, values, strict=True))  # type: ignore[arg-type]
+    return found
+
+
+def _operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float | Sequence[float]]) -> Floats:
+    """Return the inputs at the operating point: their start values, but for those that are given."""
+    u = np.array(start, dtype=np.float64)
+    for place, value in _spread("The operating point", at, inputs).items():
+        u[place] = as_number(f"The operating point has {inputs[place]}", value)
+    return u
+
+
+def _chosen(names: Sequence[str], known: Sequence[str], what: str) -> tuple[list[int], tuple[str, ...]]:
+    """Return places and names of the elements that are meant, each once, though several names may stand for it."""
+    places = list(dict.fromkeys(place for name in names for place in _places([name], known, what)))
+    return places, tuple(known[place] for place in places)
+
+
+# --- systems of python-control ---------------------------------------------------------------------------------------
+
+
+def _of_linear(
+    system: LinearSystem,
+    start: Floats,
+    inputs: list[str],
+    outputs: list[str],
+    dt: float | str | Fraction | None,
+    at: Mapping[str, float | Sequence[float]],
+) -> Linearization:
+    if at:
+        raise ModelError("A linear system is the same everywhere; leave at= out.")
+    a, b, c, d = system.matrices()
+    columns, into = _chosen(inputs, system.input_names, "input")
+    rows, out = _chosen(outputs, system.output_names, "output")
+    step = _step(system.dt, dt)
+    if system.dt == 0:
+        a, b = held(a, b, float(step))
+    _refuse_direct(d[np.ix_(rows, columns)])
+    zeros = np.zeros(len(a)), np.zeros(len(columns)), np.zeros(len(rows))
+    return Linearization(a, b[:, columns], c[rows], *zeros, start, into, out, step)
+
+
+def _of_nonlinear(
+    block: StateSpace,
+    inputs: list[str],
+    outputs: list[str],
+    dt: float | str | Fraction | None,
+    at: Mapping[str, float | Sequence[float]],
+) -> Linearization:
+    system = block.system
+    known_inputs = [port.name for port in block.inputs if port.draw is None]
+    u = _operating(known_inputs, np.zeros(len(known_inputs)), at)
+    columns, into = _chosen(inputs, known_inputs, "input")
+    rows, out = _chosen(outputs, [port.name for port in block.outputs], "output")
+    x = np.array(block.initial, dtype=np.float64)
+    n, params = len(x), {} if block.params is None else dict(block.params)
+
+    def residual(x: Floats, u: Floats) -> Floats:
+        change = np.asarray(system.dynamics(0.0, x, u, params), dtype=np.float64)
+        return change if system.dt == 0 else change - x
+
+    def both(z: Floats) -> Floats:
+        """Return what follows from states and inputs, and the outputs."""
+        moves, seen = (f(0.0, z[:n], z[n:], params) for f in (system.dynamics, system.output))
+        return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
+
+    x, u, rate = _rest(residual, x, u, _free(columns, known_inputs, at))
+    whole = derivative(both, np.concatenate([x, u]))
+    a, b, c, d = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+    y = both(np.concatenate([x, u]))[n:]
+    step = _step(system.dt, dt)
+    if system.dt == 0:
+        a, b = held(a, b, float(step))
+    _refuse_direct(d[np.ix_(rows, columns)])
+    following = None if rate is None else x + rate * (float(step) if system.dt == 0 else 1.0)
+    start = np.array(block.initial)
+    return Linearization(a, b[:, columns], c[rows], x, u[columns], y[rows], start, into, out, step, following)
+
+
+def _step(own: float | None, asked: float | str | Fraction | None) -> Fraction:
+    if own and own is not True:
+        step = rational_step(own)
+        if asked is not None and rational_step(asked) != step:
+            raise StepSizeError(
+                f"The system's sample time is {own:g} s, but dt={asked!r} was asked; resample it first."
+            )
+        return step
+    if asked is None:
+        raise StepSizeError("Give dt= in seconds, at which the plant is to be controlled.")
+    return rational_step(asked)
+
+
+# --- FMUs ------------------------------------------------------------------------------------------------------------
+
+
+def _of_fmu(
+    fmu: FMU,
+    inputs: list[str],
+    outputs: list[str],
+    dt: float | str | Fraction | None,
+    at: Mapping[str, float | Sequence[float]],
+    order: int | None,
+) -> Linearization:
+    _refuse_without_ports(fmu, outputs)
+    step = _fmu_step(fmu, dt)
+    fmu = replace(fmu, inputs=_variables(fmu, [*inputs, *at]), outputs=_variables(fmu, outputs))
+    into, out = (
+        [name for port in side or () for name in labels(port.name, port.shape)]  # type: ignore[union-attr]
+        for side in (fmu.inputs, fmu.outputs)
+    )
+    start = [np.broadcast_to(port.default or 0.0, port.shape).ravel() for port in fmu.inputs or ()]  # type: ignore[union-attr, arg-type]
+    u = _operating(into, np.concatenate(start), at)
+    columns, driven = _chosen(inputs, into, "input")
+    rows, seen = _chosen(outputs, out, "output")
+    if fmu.description.exchange is not None and order is None:
+        return _of_equations(fmu, u, columns, rows, driven, seen, step, _free(columns, into, at))
+    found = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
+    if found.waited and not at:
+        warnings.warn(
+            f"The plant {fmu.default_name!r} does not rest at its start; it was left alone for {show(found.waited)} s, and the "
+            f"model is about where it came to rest, at the outputs {found.y.tolist()}. If it is to be controlled elsewhere, "
+            "give other start values or inputs (at=...).",
+            stacklevel=4,
+        )
+    point = np.zeros(len(found.A)), u[columns], found.y, found.start
+    return Linearization(found.A, found.B, found.C, *point, driven, seen, step)
+
+
+def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
+    """Refuse an FMU that nothing goes into, or comes out of."""
+    known = fmu.description.variables
+    if not any(v.causality == "input" or v.variability == "tunable" for v in known):
+        raise ModelError(
+            f"The FMU {fmu.default_name!r} has no input, so there is nothing that could control it. Export it with an input; "
+            "as it is, it can be watched: give its sensors to a StateEstimator, or their recording to `bayesftc monitor`."
+        )
+    local = {v.name for v in known if v.causality == "local"}
+    if not any(v.causality == "output" for v in known) and not local.intersection(_variables(fmu, measured)):
+        raise ModelError(
+            f"The FMU {fmu.default_name!r} has no output, so no sensor could see it. Export it with an output, or measure one of "
+            f"its local variables by name{': ' + ', '.join(sorted(local)[:8]) if local else ' (it has none either)'}."
+        )
+
+
+def _variables(fmu: FMU, names: Sequence[str]) -> list[str]:
+    """Return the variables of an FMU that are named, in whole or by an element (``y[1]``), each once."""
+    known = {variable.name for variable in fmu.description.variables}
+    return list(dict.fromkeys(name if name in known else re.sub(r"\[[\d,]+\]$", "", name) for name in names))
+
+
+def _of_equations(
+    fmu: FMU,
+    u: Floats,
+    columns: list[int],
+    rows: list[int],
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    step: Fraction,
+    free: Sequence[int],
+) -> Linearization:
+    from bayesftc.cosim.fmi.equations import ModelEquations
+
+    with ModelEquations(fmu) as model:
+        if not len(model.x0):
+            raise ModelError(
+                f"The FMU {fmu.default_name!r} has no state: its outputs follow its inputs at once (a relative degree of 0), so "
+                "there are no dynamics to control. Solve for the input, or put it in front of a plant that has."
+            )
+        x, u, rate = _rest(model.derivatives, model.x0, u, free, model.nominals)
+        a, b, c, d = model.jacobians(x, u)
+        y, start = model.outputs(x, u), model.x0
+    _refuse_direct(d[np.ix_(rows, columns)])
+    A, B = held(a, b, float(step))
+    following = None if rate is None else x + float(step) * rate
+    return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step, following)
+
+
+def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:
+    if dt is None:
+        own = fmu.description.default_experiment.get("stepSize")
+        if own is None:
+            raise StepSizeError(
+                "The FMU recommends no step size; give dt= in seconds, at which it is to be controlled."
+            )
+        dt = own
+    return rational_step(dt)
+
+
+def _free(columns: Sequence[int], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:
+    """Return which of the actuated inputs may take other values in a steady state: those of which none is given."""
+    given = _spread("The operating point", at, inputs)
+    return [j for j in columns if j not in given]
+
+
+def _rest(
+    residual: Any, x: Floats, u: Floats, free: Sequence[int], scale: Floats | None = None
+) -> tuple[Floats, Floats, Floats | None]:
+    """Return a state and inputs at which nothing changes: where it starts, else near there, with other inputs if it must be.
+
+    If there is none, one of steady motion will do: states on whose values nothing depends (the position of a car) change at a
+    constant rate, which is the third of what is returned; else it is None.
+
+    Raises
+    ------
+    ModelError
+        If there is none either.
+    """
+    from scipy.optimize import least_squares
+
+    size = np.maximum(np.abs(x), 1.0 if scale is None else scale)
+    n = len(x)
+
+    def change(z: Floats) -> Floats:
+        inputs = u.copy()
+        if len(z) > n:
+            inputs[list(free)] = z[n:]
+        return np.asarray(residual(z[:n] * size, inputs)) / size
+
+    z = x / size
+    if np.abs(change(z)).max(initial=0.0) <= 1e-9:
+        return x, u, None
+    still = np.array([not (change(z + step) - change(z - step)).any() for step in 0.1 * np.eye(n)])
+    ways: list[tuple[Floats, Any]] = [(z, change)]
+    ways += [(np.concatenate([z, u[list(free)]]), change)] if len(free) else []
+    ways += [(z, lambda z: np.where(still, 0.0, change(z)))] if still.any() else []
+    for start, f in ways:
+        try:
+            found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        except (ValueError, np.linalg.LinAlgError):  # where something is no number
+            continue
+        if np.abs(found.fun).max() <= 1e-8:
+            inputs = u.copy()
+            if len(start) > n:
+                inputs[list(free)] = found.x[n:]
+            rest = found.x[:n] * size
+            return rest, inputs, None if f is change else np.where(still, residual(rest, inputs), 0.0)
+    raise ModelError(
+        "No steady state was found: no state near the start at which nothing changes (integrators on which nothing depends left "
+        f"out){', whatever the actuated inputs' if len(free) else ''}. Give other start values, or other inputs (at=...)."
+    )
+
+
+def _refuse_direct(D: Floats) -> None:
+    if np.any(D != 0):
+        raise ModelError(
+            "An output depends at once on an input (D is not 0, a relative degree of 0), which the model y = C x cannot express; "
+            "measure another output, or delay the input."
+        )

@@ -1,0 +1,172 @@
+"""Sensor modalities: groups of sensors that measure the state in one way, such as encoders or a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import Matrix, as_covariance, as_matrix, as_numbers, as_vector
+from bayesftc.controllers.models.linear_rows import linear_rows
+from bayesftc.controllers.models.trial import try_out
+from bayesftc.cosim.errors import KernelError, ModelError
+from bayesftc.cosim.stepping.differentiation import jacobian
+from bayesftc.cosim.types import Floats, Kernel, argument_names
+
+
+@dataclass(frozen=True, eq=False)
+class Modality:
+    """Sensors that read ``y = g(x)`` plus Gaussian noise.
+
+    Parameters
+    ----------
+    name : str
+        What an error calls it.
+    size : int, optional
+        Number of samples; needed with a `function`.
+    function : function, optional
+        A step function ``function(x, y)`` that writes what ideal sensors read of the state x into y.
+    matrix : matrix, optional
+        Instead of the function, a row of states for each sensor.
+    std : number or vector
+        Nominal standard deviation of each sensor's noise.
+    covariance : number, vector or matrix, optional
+        Nominal covariance of the noise, instead of `std`.
+    precision : number or vector
+        What each sensor's prediction error is weighted with while the sensor is trusted as its nominal noise says. These are
+        weights against each other and against the state prior, in units that keep the belief's update stable; they need not
+        be inverse variances.
+    jacobian : function, optional
+        A step function ``jacobian(x, y_x)`` that writes the derivatives of the function (size x states); by default it is
+        made from the function by automatic differentiation.
+
+    Raises
+    ------
+    ModelError
+        If neither or both of function and matrix are given, or sizes and signs do not fit.
+    """
+
+    name: str
+    size: int | None = None
+    function: Callable[..., None] | None = None
+    matrix: Matrix | None = None
+    std: float | Sequence[float] | None = None
+    covariance: Matrix | None = None
+    precision: float | Sequence[float] = 1.0
+    jacobian: Callable[..., None] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.function is None) == (self.matrix is None):
+            raise ModelError(f"{self._title} needs one of function= and matrix=, which say what it measures.")
+        if self.matrix is not None:
+            if self.jacobian is not None:
+                raise ModelError(f"{self._title} has a matrix and a jacobian; the matrix is its jacobian.")
+            rows = np.atleast_2d(
+                as_numbers(f"The matrix of {self._title}", self.matrix, "give a row of states for each sensor")
+            )
+            matrix = as_matrix(f"The matrix of {self._title}", rows)
+            if self.size not in {None, len(matrix)}:
+                raise ModelError(f"{self._title} has size={self.size}, but its matrix has {len(matrix)} rows.")
+            object.__setattr__(self, "matrix", matrix)
+            object.__setattr__(self, "size", len(matrix))
+        if isinstance(self.size, bool) or not isinstance(self.size, int | np.integer) or self.size < 1:
+            raise ModelError(f"{self._title} has size={self.size!r}; say how many samples it gives, at least 1.")
+        for kind in ("function", "jacobian"):
+            function = getattr(self, kind)
+            if function is not None and (not isinstance(function, FunctionType) or len(argument_names(function)) != 2):
+                raise ModelError(
+                    f"{self._title} has {kind}={function!r}; it must be a plain Python function of two arguments, the state "
+                    "and what it writes."
+                )
+        if (self.std is None) == (self.covariance is None):
+            raise ModelError(f"{self._title} needs one of std= and covariance=, its nominal noise.")
+        nominal: Any = self.covariance
+        if nominal is None:
+            std = as_vector(f"The std of {self._title}", self.std, self.samples)
+            if (std <= 0).any():
+                raise ModelError(f"{self._title} has std={std.tolist()}; it must be positive.")
+            nominal = std * std
+        object.__setattr__(self, "covariance", as_covariance(f"The covariance of {self._title}", nominal, self.samples))
+        weights = as_vector(f"The precision of {self._title}", self.precision, self.samples)
+        if (weights <= 0).any():
+            raise ModelError(f"{self._title} has precision={weights.tolist()}; it must be positive.")
+        object.__setattr__(self, "precision", weights)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return int(self.size or 0)
+
+    def try_out(self, states: int) -> None:
+        """See that the functions take that many states and write all of their results.
+
+        Raises
+        ------
+        ModelError
+            If they do not.
+        """
+        for kind, form, shape in (
+            ("function", "function(x, y)", (self.samples,)),
+            ("jacobian", "jacobian(x, y_x)", (self.samples, states)),
+        ):
+            if (function := getattr(self, kind)) is not None:
+                try_out(f"The {kind} of {self._title}", function, form, [states], [shape])
+
+    def derivative(self, states: int) -> Kernel | None:
+        """Return the step function of the Jacobian; None for a matrix.
+
+        Raises
+        ------
+        ModelError
+            If the function or its Jacobian cannot be computed for that many states.
+        """
+        if self.matrix is not None:
+            if np.asarray(self.matrix).shape[1] != states:
+                raise ModelError(
+                    f"The matrix of {self._title} has {np.asarray(self.matrix).shape[1]} columns for {states} states."
+                )
+            return None
+        assert self.function is not None
+        if self.jacobian is not None:
+            return self.jacobian
+        x, y = argument_names(self.function)
+        try:
+            return jacobian(self.function, {x: states, y: self.samples}, y, [x])
+        except KernelError as error:
+            if not isinstance(error.__cause__, IndexError):
+                raise KernelError(f"The function of {self._title}: {error}") from None
+            raise ModelError(
+                f"The function of {self._title} does not fit {states} states and {self.samples} samples: {error.__cause__}."
+            ) from None
+
+    def rows(self, states: int) -> Floats:
+        """Return what each sensor reads of the state (samples x states); NaN where that is no linear function."""
+        if self.matrix is not None:
+            return np.asarray(self.matrix, dtype=np.float64)
+        assert self.function is not None
+        return linear_rows(self.function, self.samples, states)
+
+    def jacobian_at(self, mean: Floats) -> Floats:
+        """Return the Jacobian at a state (samples x states)."""
+        derivative = self.derivative(len(mean))
+        if derivative is None:
+            return np.asarray(self.matrix, dtype=np.float64)
+        result = np.full((self.samples, len(mean)), np.nan)
+        with np.errstate(all="ignore"):
+            derivative(np.array(mean, dtype=np.float64), result)
+        if not np.isfinite(result).all():
+            raise ModelError(
+                f"The Jacobian of {self._title} has entries that are NaN or infinite at the initial mean {mean.tolist()}; "
+                "start elsewhere, or check the function."
+            )
+        return result
+
+    @property
+    def _title(self) -> str:
+        return f"the modality {self.name!r}"
+
+
+__all__ = ["Modality"]

@@ -1,0 +1,212 @@
+"""The nonlinear Gaussian model that a controller believes in: functions of motion and of measurement, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number, as_vector
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.trial import try_out
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.errors import KernelError, ModelError
+from bayesftc.cosim.stepping.differentiation import jacobian
+from bayesftc.cosim.types import Floats, Kernel, argument_names
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearModel:
+    """``x_t+1 = f(x_t, u_t) + q``, ``y_t = g(x_t) + eta`` with Gaussian ``q`` and ``eta``.
+
+    The functions are step functions by the rules of `bayesftc.cosim.Block`: plain Python, scalar loops, all mathematics from
+    `bayesftc.cosim.ops`, every element of the last argument written. Constants come from where the function is written.
+
+    Parameters
+    ----------
+    f : function
+        ``f(x, u, x_next)``: writes the state one step later.
+    g : function
+        ``g(x, y)``: writes what each sensor reads of the state; redundant sensors are equal elements.
+    states, controls, sensors : int
+        Numbers n of states, p of controls, m of sensors.
+    process_covariance : number, vector or matrix
+        Covariance of ``q`` per step (n x n); a number or vector stands for a diagonal. May be singular.
+    sensor_covariance : number, vector or matrix
+        Nominal covariance of ``eta`` (m x m), positive definite.
+    dt : float, str or Fraction
+        Sample time in seconds.
+    f_jacobian : function, optional
+        ``f_jacobian(x, u, F, B)``: writes the derivatives of the next state by the state (n x n) and by the control (n x p).
+        By default `bayesftc.cosim.jacobian` derives it from `f`.
+    g_jacobian : function, optional
+        ``g_jacobian(x, C)``: writes the derivatives of the readings by the state (m x n). By default derived from `g`.
+    disturbances : int
+        How many states, the last ones, are no states of the plant but disturbances; goals do not concern them.
+
+    Raises
+    ------
+    ModelError
+        If sizes do not fit, a function does not write all of its result or writes anything else, or a covariance is not
+        positive (semi-)definite.
+    KernelError
+        If a function breaks the rules of step functions.
+
+    Examples
+    --------
+    >>> from bayesftc.controllers import NonlinearModel
+    >>> from bayesftc.cosim.ops import sin
+    >>> def swing(x, u, x_next):
+    ...     x_next[0] = x[0] + 0.02 * x[1]
+    ...     x_next[1] = x[1] + 0.02 * (u[0] - 9.81 * sin(x[0]))
+    >>> def angle_twice(x, y):
+    ...     y[0] = x[0]
+    ...     y[1] = x[0]
+    >>> pendulum = NonlinearModel(swing, angle_twice, 2, 1, 2, process_covariance=1e-6, sensor_covariance=1e-4, dt=0.02)
+    >>> pendulum.linearised([0.0, 0.0]).A.round(4).tolist()
+    [[1.0, 0.02], [-0.1962, 1.0]]
+    """
+
+    f: Kernel
+    g: Kernel
+    states: int
+    controls: int
+    sensors: int
+    process_covariance: Matrix
+    sensor_covariance: Matrix
+    dt: float | str | Fraction
+    f_jacobian: Kernel | None = None
+    g_jacobian: Kernel | None = None
+    disturbances: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("states", "controls", "sensors"):
+            number = getattr(self, name)
+            if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
+                raise ModelError(f"The model has {name}={number!r}; it must be a whole number, at least 1.")
+        n, p, m = self.states, self.controls, self.sensors
+        as_number("The model has disturbances", self.disturbances, least=0, most=n - 1, whole=True)
+        values = {
+            "process_covariance": as_covariance(
+                "The model's process_covariance", self.process_covariance, n, singular=True
+            ),
+            "sensor_covariance": as_covariance("The model's sensor_covariance", self.sensor_covariance, m),
+            "dt": rational_step(self.dt, "The model's sample time"),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        try_out("The model's f", self.f, "f(x, u, x_next)", [n, p], [(n,)])
+        try_out("The model's g", self.g, "g(x, y)", [n], [(m,)])
+        if self.f_jacobian is not None:
+            try_out("The model's f_jacobian", self.f_jacobian, "f_jacobian(x, u, F, B)", [n, p], [(n, n), (n, p)])
+        if self.g_jacobian is not None:
+            try_out("The model's g_jacobian", self.g_jacobian, "g_jacobian(x, C)", [n], [(m, n)])
+        self.derivatives  # noqa: B018 - a function that cannot be differentiated fails here
+
+    @property
+    def derivatives(self) -> tuple[Kernel, Kernel]:
+        """The Jacobians of f and of g as step functions, ``(x, u, F, B)`` and ``(x, C)``: those given, else derived."""
+        of_f = self.f_jacobian or _derived("f", self.f, (self.states, self.controls), self.states)
+        return of_f, self.g_jacobian or _derived("g", self.g, (self.states,), self.sensors)
+
+    @property
+    def step(self) -> Fraction:
+        """Sample time in seconds, exact."""
+        return rational_step(self.dt)
+
+    def matrix(self, name: str) -> Floats:
+        """Return one of the covariances by name, as an array."""
+        return np.asarray(getattr(self, name), dtype=np.float64)
+
+    def linearised(self, x: ArrayLike, u: ArrayLike = 0.0) -> LinearModel:
+        """Return the linear model of small deviations from a state and a control.
+
+        Parameters
+        ----------
+        x : vector
+            The state.
+        u : number or vector
+            The control.
+
+        Raises
+        ------
+        ModelError
+            If f, g or a derivative is not finite there.
+        """
+        n, p, m = self.states, self.controls, self.sensors
+        x, u = as_vector("The state x", x, n), as_vector("The control u", u, p)
+        A, B, C = np.empty((n, n)), np.empty((n, p)), np.empty((m, n))
+        following, reading = np.empty(n), np.empty(m)
+        of_f, of_g = self.derivatives
+        with np.errstate(all="ignore"):
+            self.f(x, u, following)
+            self.g(x, reading)
+            of_f(x, u, A, B)
+            of_g(x, C)
+        for name, value in (
+            ("f", following),
+            ("g", reading),
+            ("derivative of f", A),
+            ("derivative of f", B),
+            ("derivative of g", C),
+        ):
+            if not np.isfinite(value).all():
+                raise ModelError(
+                    f"The model's {name} is not finite at x = {x.tolist()}, u = {u.tolist()}, where the controller begins; "
+                    "give an initial_mean at which it is."
+                )
+        return LinearModel(
+            A, B, C, self.process_covariance, self.sensor_covariance, self.dt, disturbances=self.disturbances
+        )
+
+    @classmethod
+    def from_linear(cls, model: LinearModel) -> NonlinearModel:
+        """Return the same model in this form.
+
+        Parameters
+        ----------
+        model : LinearModel
+            The model.
+        """
+        if model.constant:
+            raise ModelError(
+                "The model has the constant 1 as a state (LinearModel.about), which no nonlinear model needs: write f and g with "
+                "the constants in them, or take model.moving and work with deviations."
+            )
+        A, B, C = (tuple(map(tuple, model.matrix(name).tolist())) for name in "ABC")
+        n, p, m = model.states, model.controls, model.sensors
+
+        def move(x, u, x_next):
+            for i in range(n):
+                total = A[i][0] * x[0]
+                for j in range(1, n):
+                    total = total + A[i][j] * x[j]
+                for j in range(p):
+                    total = total + B[i][j] * u[j]
+                x_next[i] = total
+
+        def read(x, y):
+            for i in range(m):
+                total = C[i][0] * x[0]
+                for j in range(1, n):
+                    total = total + C[i][j] * x[j]
+                y[i] = total
+
+        noise = model.process_covariance, model.sensor_covariance
+        return cls(move, read, n, p, m, *noise, model.dt, disturbances=model.disturbances)
+
+
+def _derived(name: str, function: Kernel, inputs: tuple[int, ...], size: int) -> Kernel:
+    *arguments, output = argument_names(function)
+    shapes = {**dict(zip(arguments, inputs, strict=True)), output: size}
+    try:
+        return jacobian(function, shapes, output, arguments)
+    except KernelError as error:
+        raise KernelError(
+            f"The model's {name}: {error} Or give its derivatives yourself, as {name}_jacobian."
+        ) from None
+
+
+__all__ = ["NonlinearModel"]

@@ -1,0 +1,1 @@
+"""Precision learners, and the baselines and relatives that they are compared with."""

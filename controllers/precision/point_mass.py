@@ -1,0 +1,159 @@
+"""Point estimates of the sensors' precisions, by gradient descent on the free energy (paper, section 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import check_choice, check_flags, check_number
+from bayesftc.controllers.precision.base import ERROR_CAP, NAN, Learner, PrecisionLearner
+from bayesftc.controllers.precision.matrix import prior_memory
+from bayesftc.controllers.precision.point_mass_matrix import (
+    LEAST,
+    MOST,
+    RATE,
+    WIDEST,
+    WORK,
+    learn_matrix,
+    report_matrix,
+)
+from bayesftc.controllers.signals import port
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import exp, log, maximum, minimum, select
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+
+
+def descend_log(w, squared, rate):
+    """Return the relative precision after one step of ``zeta = ln w`` down the free energy."""
+    return exp(log(w) - 0.5 * rate * (w * squared - 1.0))
+
+
+def descend(w, squared, rate):
+    """Return the relative precision after one step of ``w`` itself down the free energy."""
+    return w - 0.5 * rate * (squared - 1.0 / w)
+
+
+@cache
+def _learner(step_down: Callable[..., float]) -> Callable[..., None]:
+    def learn_point_mass(
+        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
+    ):
+        """Take one gradient step for each sensor that delivered a sample. ``memory``: relative precisions."""
+        m = y.shape[0]
+        for i in range(m):
+            w = memory[i]
+            squared = minimum(e[i] * e[i] / nominal[i, i], ERROR_CAP)
+            best = 1.0 / squared  # where this sample's free energy is least; infinite for an error of 0
+            stepped = step_down(w, squared, settings[RATE])
+            stepped = select(w > best, maximum(stepped, best), minimum(stepped, best))
+            stepped = minimum(maximum(stepped, settings[LEAST]), settings[MOST])
+            w = select(present[i] > 0.5, stepped, w)
+            memory[i] = w
+            for j in range(m):
+                R[i, j] = 0.0
+            R[i, i] = nominal[i, i] / w
+            used[i] = present[i]
+            precision[i] = w / nominal[i, i]
+            beta[i] = NAN
+            fault_probability[i] = NAN
+
+    return learn_point_mass
+
+
+def report_point_mass(memory, settings, nominal, first, outputs):
+    """Write mean, mode and variance of each sensor's precision: one point, of which the variance is 0."""
+    m = nominal.shape[0]
+    for i in range(m):
+        w = memory[i] / nominal[i, i]
+        outputs[first + i] = w
+        outputs[first + m + i] = w
+        outputs[first + 2 * m + i] = 0.0
+
+
+@dataclass(frozen=True)
+class PointMassPrecision(PrecisionLearner):
+    """One number for each sensor's precision, learned by gradient descent on the free energy (paper, section 3.1).
+
+    With w the precision relative to the nominal one and e the innovation in nominal standard deviations, each sample is worth
+    the free energy ``F = (w e^2 - ln w) / 2``, and each sample takes one step of size `rate` down it. Sensors are learned one
+    by one; a missing sample changes nothing. The learner never forgets: it moves back at its rate as soon as errors are small.
+
+    No step goes past this sample's own minimum ``w = 1 / e^2``: an explicit step that is too long would throw the precision
+    to and fro. A squared error is capped at 1e12, so one absurd sample takes the precision to its lower bound and no further.
+
+    With ``full=True`` the precision matrix of all sensors together is learned, as the paper writes it, correlations included:
+    ``F = (e' Pi e - ln |Pi|) / 2``, by steps of the matrix's logarithm, which keep it positive definite (the module
+    `_point_mass_matrix` derives them). The bounds then hold for each eigenvalue of the precision relative to the nominal one. A
+    missing sensor keeps its covariance given the others. Innovations share the error of the prediction, which is taken for
+    correlated noise: where the noise of the sensors is independent, the diagonal is the better choice.
+
+    It adds the outputs ``precision_mean``, ``precision_mode`` (the same) and ``precision_variance`` (0) to its controller: m
+    numbers each, or m x m where the matrix is full. ``beta`` is NaN, for a point has no rate.
+
+    Parameters
+    ----------
+    rate : float
+        Size k of the gradient step. Near the optimum the logarithm of the precision settles within about 2 / k samples.
+    lower_bound : float
+        Least precision, relative to the nominal one. It matters most: at 0.1 a faulty sensor still pulls the belief away.
+    variance_bound : float
+        Least variance, relative to the nominal one (the paper's bound); at 1 no sensor is trusted more than the model does.
+    parameterization : {"exponential", "direct"}
+        Whether the step is taken by zeta = ln w (steps relative to w), or by w itself, which leaves a low precision by leaps,
+        as its gradient is 1 / w there.
+    full : bool
+        Whether the full precision matrix is learned, by its logarithm ("exponential") only.
+    """
+
+    rate: float = 0.1
+    lower_bound: float = 1e-3
+    variance_bound: float = 1.0
+    parameterization: Literal["exponential", "direct"] = "exponential"
+    full: bool = False
+
+    def __post_init__(self) -> None:
+        check_number(self, "rate", above=0)
+        check_number(self, "variance_bound", above=0)
+        check_number(self, "lower_bound", above=0)
+        check_choice(self, "parameterization", "exponential", "direct")
+        check_flags(self, "full")
+        if self.full and self.parameterization == "direct":
+            raise ModelError(
+                "PointMassPrecision has full=True and parameterization='direct', but a step of a matrix itself can leave the "
+                "positive definite ones; take 'exponential', or the diagonal."
+            )
+        if self.full and self.lower_bound * self.variance_bound < WIDEST:
+            raise ModelError(
+                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; for a full "
+                f"matrix their product must be at least {WIDEST:g}, or it may not be inverted."
+            )
+        if self.lower_bound > 1 / self.variance_bound:
+            raise ModelError(
+                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; the "
+                "precision's lower bound must be at most 1 / variance_bound, its upper bound."
+            )
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        m, most = model.sensors, 1.0 / self.variance_bound
+        start = float(np.clip(1.0, self.lower_bound, most))
+        settings = np.array([self.rate, self.lower_bound, most])
+        names = [f"precision_{name}" for name in ("mean", "mode", "variance")]
+        if self.full:
+            memory = prior_memory(1.0, model.matrix("sensor_covariance") / start)
+            ports = tuple(port(name, (m, m)) for name in names)
+            return Learner(learn_matrix, memory, settings, WORK, ports, report_matrix)
+        step = _learner(descend_log if self.parameterization == "exponential" else descend)
+        ports = tuple(port(name, (m,)) for name in names)
+        return Learner(step, np.full(m, start), settings, ports=ports, report=report_point_mass)
+
+    @property
+    def why_no_probability(self) -> str | None:
+        """See `PrecisionLearner.why_no_probability`."""
+        return "PointMassPrecision holds one number for each precision and no rate, from which a probability could be told."

@@ -1,0 +1,187 @@
+"""Robust updates, published relatives of precision learning: each sample has a weight of its own, and nothing is remembered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.controllers.estimation import posterior as _posterior
+from bayesftc.controllers.estimation.posterior import errors_after, prepare
+from bayesftc.controllers.linalg.dense import cholesky, solve_columns
+from bayesftc.controllers.models.checks import check_flags, check_number
+from bayesftc.controllers.precision.base import ERROR_CAP, NAN, Learner, PrecisionLearner
+from bayesftc.controllers.signals import port
+from bayesftc.cosim.ops import maximum, minimum, select, sqrt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bayesftc.controllers.models.linear import LinearModel
+
+NO_PROBABILITY = (
+    "weighs each sample by itself and holds no belief about its sensor, from which a probability could be told."
+)
+
+
+def mahalanobis(present, nominal, E, L):
+    """Return the trace of E R^-1 over the sensors that delivered a sample; `E` is overwritten."""
+    m = nominal.shape[0]
+    for i in range(m):
+        for j in range(m):
+            there = present[i] * present[j] > 0.5
+            L[i, j] = select(there, nominal[i, j], 1.0 if i == j else 0.0)
+            E[i, j] = select(there, E[i, j], 0.0)
+    cholesky(L, L)
+    solve_columns(L, E)
+    total = E[0, 0]
+    for i in range(1, m):
+        total = total + E[i, i]
+    return maximum(minimum(total, ERROR_CAP), 0.0)
+
+
+def use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability):
+    """Divide the nominal covariance by the weights: one for all sensors, or one for each variance, uncorrelated."""
+    m = nominal.shape[0]
+    for i in range(m):
+        for j in range(m):
+            R[i, j] = select(joint > 0.5, nominal[i, j], nominal[i, i] if i == j else 0.0) / weights[0, i]
+        used[i] = present[i]
+        precision[i] = 1.0 / R[i, i]
+        beta[i] = NAN
+        fault_probability[i] = NAN
+
+
+def report_weights(memory, settings, nominal, first, outputs):
+    """Write the weight of each sensor's sample."""
+    for i in range(nominal.shape[0]):
+        outputs[first + i] = memory[i]
+
+
+# Settings of both learners.
+_JOINT, _PARAMETER = range(2)
+
+
+@cache
+def _student_learner(iterations: int) -> Callable[..., None]:
+    def learn_student(
+        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
+    ):
+        """Iterate between the belief and the samples' weights. ``memory``: the weights, for the report."""
+        m = y.shape[0]
+        joint, freedom = settings[_JOINT], settings[_PARAMETER]
+        weights, E = work[14], work[0]
+        prepare(e, spread, nominal, work)
+        count = 0.0 * present[0]
+        for i in range(m):
+            count = count + present[i]
+            weights[0, i] = 1.0
+        for _ in range(iterations):
+            use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability)
+            errors_after(present, R, work)
+            for i in range(m):
+                squared = minimum(E[i, i] / nominal[i, i], ERROR_CAP)
+                weights[0, i] = select(present[i] > 0.5, (1.0 + freedom) / (freedom + squared), 1.0)
+            together = mahalanobis(present, nominal, E, work[12])
+            for i in range(m):
+                common = select(count > 0.5, (count + freedom) / (freedom + together), 1.0)
+                weights[0, i] = select(joint > 0.5, common, weights[0, i])
+        use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability)
+        for i in range(m):
+            memory[i] = weights[0, i]
+
+    return learn_student
+
+
+def learn_weighted(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+    """Weigh each sample by its innovation. ``memory``: the weights, for the report."""
+    m = y.shape[0]
+    joint, c2 = settings[_JOINT], settings[_PARAMETER] * settings[_PARAMETER]
+    weights, E = work[0], work[1]
+    for i in range(m):
+        for j in range(m):
+            a, b = sqrt(ERROR_CAP * nominal[i, i]), sqrt(ERROR_CAP * nominal[j, j])
+            E[i, j] = maximum(minimum(e[i], a), -a) * maximum(minimum(e[j], b), -b)
+        weights[0, i] = c2 / (c2 + E[i, i] / nominal[i, i])
+    together = mahalanobis(present, nominal, E, work[2])
+    for i in range(m):
+        weights[0, i] = select(joint > 0.5, c2 / (c2 + together), weights[0, i])
+        memory[i] = weights[0, i]
+    use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability)
+
+
+@dataclass(frozen=True)
+class StudentTUpdate(PrecisionLearner):
+    """The robust Student-t update: heavy-tailed sensor noise, by variational Bayes (Huang et al., IEEE TAES 53, 2017).
+
+    The noise is Gaussian with covariance R / lambda, and lambda, gamma distributed with mean 1, is inferred anew at each sample:
+    ``E[lambda] = (d + v) / (v + tr(E R^-1))`` with ``E = r r' + H P H'`` of the belief updated by R / E[lambda], iterated from
+    lambda = 1. It adds the output ``precision_weight``, E[lambda] for each sensor; ``beta`` is NaN.
+
+    Parameters
+    ----------
+    degrees_of_freedom : float
+        v of the t distribution; the smaller, the heavier its tails. The weight of a sample cannot exceed (1 + v) / v. At 5 the
+        noise still has the moments up to the fourth.
+    iterations : int
+        How often lambda is inferred in a sample (1 to 20).
+    joint : bool
+        One lambda for all sensors together (d of them), as published; then one failed sensor takes the others' weight with
+        its own. By default each sensor has its own (d = 1), and a correlation in the model's covariance is not used.
+    """
+
+    degrees_of_freedom: float = 5.0
+    iterations: int = 5
+    joint: bool = False
+
+    def __post_init__(self) -> None:
+        check_number(self, "degrees_of_freedom", above=0)
+        check_number(self, "iterations", least=1, most=_posterior.MOST_ITERATIONS, whole=True)
+        check_flags(self, "joint")
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        m, settings = model.sensors, np.array([self.joint, self.degrees_of_freedom], dtype=np.float64)
+        step, ports = _student_learner(int(self.iterations)), (port("precision_weight", (m,)),)
+        return Learner(step, np.ones(m), settings, _posterior.WORK + 1, ports, report_weights)
+
+    @property
+    def why_no_probability(self) -> str | None:
+        """See `PrecisionLearner.why_no_probability`."""
+        return f"StudentTUpdate {NO_PROBABILITY}"
+
+
+@dataclass(frozen=True)
+class WeightedLikelihood(PrecisionLearner):
+    """The weighted-likelihood filter: a sample counts less the further it is off (Duran-Martin et al., arXiv 2405.05646, 2024).
+
+    With e the innovation in nominal standard deviations, its log-likelihood has the weight ``w = c^2 / (c^2 + e^2)`` (the inverse
+    multiquadric), so its covariance is R / w. It adds the output ``precision_weight``, w for each sensor; ``beta`` is NaN.
+
+    Parameters
+    ----------
+    c : float
+        At how many standard deviations a sample has half its weight; 3, where `SERFDI` by default leaves it out.
+    joint : bool
+        One weight for all sensors together by ``e' R^-1 e``, as published; then one failed sensor takes the others' weight
+        with its own. By default each sensor has its own, and a correlation in the model's covariance is not used.
+    """
+
+    c: float = 3.0
+    joint: bool = False
+
+    def __post_init__(self) -> None:
+        check_number(self, "c", above=0)
+        check_flags(self, "joint")
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        m, settings = model.sensors, np.array([self.joint, self.c], dtype=np.float64)
+        return Learner(learn_weighted, np.ones(m), settings, 3, (port("precision_weight", (m,)),), report_weights)
+
+    @property
+    def why_no_probability(self) -> str | None:
+        """See `PrecisionLearner.why_no_probability`."""
+        return f"WeightedLikelihood {NO_PROBABILITY}"

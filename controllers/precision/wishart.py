@@ -1,0 +1,142 @@
+"""A Wishart distribution over the precision matrix of all sensors together (paper, section 3.2), for correlated sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import as_number, check_choice, check_flags, check_number
+from bayesftc.controllers.precision.base import ERROR_CAP, NAN, Learner
+from bayesftc.controllers.precision.matrix import (
+    BELIEF,
+    FORGETTING,
+    INTERCEPT,
+    LESS,
+    PRIOR,
+    SLOPE,
+    TO_PRIOR,
+    TOWARDS,
+    any_of,
+    complete,
+    expected_covariance,
+    forget,
+    invert,
+    learn_errors,
+    prior_memory,
+    report_wishart,
+    wishart_ports,
+)
+from bayesftc.controllers.precision.rate import Calibration, RateLearner, probability_map
+from bayesftc.cosim.ops import maximum, minimum, select, sqrt
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.cosim.types import Floats
+
+
+@cache
+def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
+    def learn_wishart(
+        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
+    ):
+        """Forget, then learn from this sample: n + 1, V^-1 + e e' (paper, section 3.2)."""
+        m = y.shape[0]
+        seen = any_of(present)
+        forget(seen, memory, settings, nominal)
+        T = work[0]
+        for i in range(m):
+            for j in range(m):
+                a, b = sqrt(ERROR_CAP * nominal[i, i]), sqrt(ERROR_CAP * nominal[j, j])
+                both = maximum(minimum(e[i], a), -a) * maximum(minimum(e[j], b), -b)
+                T[i, j] = both + settings[BELIEF] * spread[i, j]
+        complete(present, memory, settings, nominal, T, work[1], work[2])
+        learn_errors(seen, T, memory, settings, nominal)
+        invert(memory, work[0], work[1])
+        expected_covariance(present, memory, settings, R, used, precision, beta)
+        for i in range(m):
+            ratio = beta[i] / (0.5 * settings[PRIOR] * nominal[i, i])
+            probability = to_probability(ratio, settings[SLOPE], settings[INTERCEPT])
+            fault_probability[i] = select(present[i] > 0.5, probability, NAN)
+
+    return learn_wishart
+
+
+@dataclass(frozen=True)
+class WishartPrecision(RateLearner):
+    """A Wishart distribution over the precision matrix of all sensors, learned from their innovations (paper, section 3.2).
+
+    Each sample adds 1 to the degrees of freedom n and e e' to the inverse scale V^-1; the new expected precision n V weights
+    the same sample. The prior expects the model's sensor covariance, correlations included. ``beta`` is half the diagonal of
+    V^-1: the rate of the gamma distribution that 1 / R_ii has, and with one sensor exactly `GammaPrecision`'s.
+
+    Where some sensors deliver no sample, the errors expected of them (given the others, by the covariance learned so far) stand
+    in: the present ones learn what they would have learned alone, the missing ones keep their covariance given the others.
+    Where all are silent, the distribution only forgets.
+
+    Innovations share the error of the prediction, and the learner takes what they share for correlated noise.
+
+    It adds the outputs ``precision_degrees_of_freedom`` and, as m x m matrices, ``precision_scale``, ``precision_mean``,
+    ``precision_mode`` and ``precision_variance`` to its controller.
+
+    Parameters
+    ----------
+    forgetting : float or None
+        Forgetting factor in (0, 1] per step; None never forgets.
+    degrees_of_freedom : float or None
+        Those of the prior, n0, above m - 1 for m sensors; it counts as n0 samples. By default m + 3, at which each 1 / R_ii has
+        the shape 2 of `GammaPrecision`'s default prior, however many sensors there are.
+    forget_to : {"prior", "zero"}
+        Whether n and V^-1 decay towards their prior (n <- rho n + (1 - rho) n0, likewise V^-1), or V^-1 towards zero and
+        n - m - 1 likewise (Sarkka and Hartikainen, arXiv 1302.0681, 2013).
+    belief_uncertainty : bool
+        Whether the belief's own covariance H P H' is added to e e'; the paper leaves it out.
+    estimate : {"mean", "mode"}
+        Which precision is used: n V or (n - m - 1) V; the inverse of the latter is the expected covariance.
+    calibration : Calibration or None
+        Logistic map from beta to the fault probability; without one the probability is NaN.
+    """
+
+    forgetting: float | None = 0.95
+    degrees_of_freedom: float | None = None
+    forget_to: Literal["prior", "zero"] = "prior"
+    belief_uncertainty: bool = False
+    estimate: Literal["mean", "mode"] = "mean"
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        check_choice(self, "forget_to", "prior", "zero")
+        check_choice(self, "estimate", "mean", "mode")
+        check_number(self, "forgetting", above=0, most=1, optional=True)
+        check_number(self, "degrees_of_freedom", above=0, optional=True)
+        check_flags(self, "belief_uncertainty")
+        self.check_calibration()
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        m, degrees = model.sensors, self._degrees(model)
+        to_probability, slope, intercept = probability_map(self.calibration)
+        settings = np.zeros(8)
+        settings[FORGETTING] = 1.0 if self.forgetting is None else self.forgetting
+        settings[PRIOR] = degrees
+        settings[TOWARDS] = degrees if self.forget_to == "prior" else m + 1
+        settings[TO_PRIOR] = self.forget_to == "prior"
+        settings[LESS] = m + 1 if self.estimate == "mode" else 0
+        settings[BELIEF] = self.belief_uncertainty
+        settings[SLOPE], settings[INTERCEPT] = slope, intercept
+        memory = prior_memory(degrees, degrees * model.matrix("sensor_covariance"))
+        return Learner(_learner(to_probability), memory, settings, 3, wishart_ports(m), report_wishart)
+
+    def prior_rates(self, model: LinearModel) -> Floats:
+        """See `RateLearner.prior_rates`."""
+        return np.asarray(0.5 * self._degrees(model) * np.diag(model.matrix("sensor_covariance")))
+
+    def _degrees(self, model: LinearModel) -> float:
+        m = model.sensors
+        if self.degrees_of_freedom is None:
+            return m + 3.0
+        title = f"For {m} sensors and the {self.estimate} WishartPrecision has degrees_of_freedom"
+        return as_number(title, self.degrees_of_freedom, above=m + 1 if self.estimate == "mode" else m - 1)

@@ -1,0 +1,1 @@
+"""Switching between fault modes: what is learned of sensors, actuators and process."""

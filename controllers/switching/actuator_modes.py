@@ -1,0 +1,152 @@
+"""Actuator modes: the ways in which an actuator or the process can fail, which `SwitchingPrecision` tells from sensors' faults.
+
+Each is a number c that acts through the control channel: the plant gets ``u + c`` (`InputOffset`), ``(1 - c) u`` (`LostEffect`)
+or ``c`` (`StuckActuator`). c is estimated together with the state, so a mode is linear and said in numbers; it needs no step
+function. To write one you must:
+
+1. make it a frozen dataclass, a subclass of `ActuatorMode`, whose settings all have defaults;
+2. give it a method ``expected(self, scale)`` that returns three numbers: mean and variance of c at its onset, and the variance of
+   its walk per sample. ``scale`` is the control that moves the state in one sample as far as its process noise does: c in units
+   of the control is best said in it;
+3. name how it acts, by attributes of the class: the plant gets ``(1 + takes + relative c) u + absolute c``; `follows` is 1 if c
+   begins at the last control, else 0.
+
+That is all in Python: ``SwitchingPrecision(actuator_modes=[Released()])``; ``docs/extend.md`` has a whole one. Scenario files
+choose by name from `ACTUATOR_MODES`, over which the tests run as well: one that they shall know is added there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from bayesftc.controllers.models.checks import check_number
+from bayesftc.controllers.switching.default_time import DefaultTime
+
+
+@dataclass(frozen=True)
+class ActuatorMode:
+    """Base of all actuator modes.
+
+    Parameters
+    ----------
+    time_to_fault : float
+        Mean time in seconds until a healthy actuator fails in this way. By default ten times that of a sensor: then the insurance
+        costs nothing while all is well.
+    time_to_recovery : float
+        Mean time in seconds until it is healthy again.
+
+    Both defaults grow with the sample time as those of `FaultMode` do.
+    """
+
+    time_to_fault: float = DefaultTime(3000.0)
+    time_to_recovery: float = DefaultTime(20.0)
+
+    absolute: ClassVar[float] = 0.0
+    relative: ClassVar[float] = 0.0
+    takes: ClassVar[float] = 0.0
+    follows: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("time_to_fault", "time_to_recovery"):
+            check_number(self, name, above=0)
+
+    def expected(self, scale: float) -> tuple[float, float, float]:
+        """Return mean and variance of c at the onset, and the variance of its walk per sample."""
+        raise TypeError(f"{type(self).__name__} does not say what to expect: give it a method expected(scale).")
+
+
+@dataclass(frozen=True)
+class InputOffset(ActuatorMode):
+    """An unknown amount is added to the control: an additive fault of actuator or process, such as a leak or an external force.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `ActuatorMode`.
+    jump : float
+        Standard deviation at the onset, in units of the control that moves the state in one sample as far as process noise does.
+    walk : float
+        Standard deviation of its random walk per sample, in the same units.
+    """
+
+    jump: float = 5.0
+    walk: float = 0.05
+
+    absolute: ClassVar[float] = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_number(self, "jump", least=0)
+        check_number(self, "walk", least=0)
+
+    def expected(self, scale: float) -> tuple[float, float, float]:
+        """See `ActuatorMode.expected`."""
+        return 0.0, (self.jump * scale) ** 2, (self.walk * scale) ** 2
+
+
+@dataclass(frozen=True)
+class LostEffect(ActuatorMode):
+    """The actuator has lost a share of its effectiveness.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `ActuatorMode`.
+    share : float
+        Mean of the share that is lost, at the onset.
+    spread : float
+        Its standard deviation.
+    walk : float
+        Standard deviation of its random walk per sample.
+    """
+
+    share: float = 0.5
+    spread: float = 0.3
+    walk: float = 0.001
+
+    relative: ClassVar[float] = -1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_number(self, "share", least=-1, most=1)
+        check_number(self, "spread", least=0)
+        check_number(self, "walk", least=0)
+
+    def expected(self, scale: float) -> tuple[float, float, float]:
+        """See `ActuatorMode.expected`."""
+        return self.share, self.spread**2, self.walk**2
+
+
+@dataclass(frozen=True)
+class StuckActuator(ActuatorMode):
+    """The plant gets a constant, whatever the control: the actuator is stuck, at or near the last control.
+
+    Parameters
+    ----------
+    time_to_fault, time_to_recovery
+        See `ActuatorMode`.
+    spread : float
+        Standard deviation of where it is stuck around the last control, in units of the control that moves the state in one
+        sample as far as process noise does.
+    """
+
+    spread: float = 5.0
+
+    absolute: ClassVar[float] = 1.0
+    takes: ClassVar[float] = -1.0
+    follows: ClassVar[float] = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_number(self, "spread", least=0)
+
+    def expected(self, scale: float) -> tuple[float, float, float]:
+        """See `ActuatorMode.expected`."""
+        return 0.0, (self.spread * scale) ** 2, 0.0
+
+
+ACTUATOR_MODES: tuple[type[ActuatorMode], ...] = (InputOffset, LostEffect, StuckActuator)
+"""To add an actuator mode, write it by the rules above and name it here."""
+
+__all__ = ["ACTUATOR_MODES", "ActuatorMode", "InputOffset", "LostEffect", "StuckActuator"]

@@ -1,0 +1,89 @@
+"""What the joint form of `SwitchingPrecision` is told of the ways in which each actuator can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.controllers.switching.actuator_modes import ActuatorMode
+from bayesftc.controllers.switching.fault_modes import FaultMode
+from bayesftc.controllers.switching.given import expected_of
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+
+
+def control_scales(model: LinearModel) -> list[float]:
+    """Return for each control how much of it moves the state in one sample as far as its process noise does; 0: there is none.
+
+    Of several states that of the one that tells most.
+    """
+    told = np.linalg.pinv(model.matrix("process_covariance"), hermitian=True)
+    information = [float(effect @ told @ effect) for effect in model.matrix("B").T]
+    return [value**-0.5 if value > 0 else 0.0 for value in information]
+
+
+def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Sequence[str]) -> list[float]:
+    """Refuse modes of controls that cannot be told; return the scale of each control, if there are modes.
+
+    Parameters
+    ----------
+    modes : sequence of ActuatorMode
+        Of each control.
+    model : LinearModel
+        What the controls move.
+    names : sequence of str
+        What each control is called in a sentence.
+
+    Raises
+    ------
+    ModelError
+        If a control moves no state, or none with process noise and a mode expects sizes in its units.
+    """
+    if not modes:
+        return []
+    scales = control_scales(model)
+    for name, effect, scale in zip(names, model.matrix("B").T, scales, strict=True):
+        if not effect.any():
+            raise ModelError(
+                f"SwitchingPrecision has actuator_modes, but {name} moves no state (its column of B is zero); leave it out, or "
+                "the actuator modes."
+            )
+        for mode in modes:
+            if mode.absolute and not scale:
+                raise ModelError(
+                    f"{type(mode).__name__} expects faults in units of the process noise, but the model has none on any state "
+                    f"that {name} moves; give it a process_covariance there."
+                )
+    return scales
+
+
+def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list[float]:
+    """Return the settings of each mode of each actuator, one after the other.
+
+    Raises
+    ------
+    ModelError
+        As of `check_controls`, or if a mode expects no numbers.
+    """
+    settings: list[float] = []
+    for scale in check_controls(modes, model, [f"control {j} of the model" for j in range(model.controls)]):
+        for mode in modes:
+            mean, variance, walk = expected_of(mode, scale)
+            rates = [chance(mode, name, float(model.step)) for name in ("time_to_fault", "time_to_recovery")]
+            settings += [*rates, mean, mode.follows, variance, walk, mode.absolute, mode.relative, mode.takes]
+    return settings
+
+
+def chance(mode: FaultMode | ActuatorMode, name: str, step: float) -> float:
+    """Return the probability per sample of what takes a mean time in seconds."""
+    per_sample = step / float(getattr(mode, name))
+    if per_sample >= 1:
+        raise ModelError(
+            f"{type(mode).__name__} has {name}={getattr(mode, name)!r}, which is not longer than the sample "
+            f"time of {step:g} s; give more seconds, or a shorter sample time."
+        )
+    return per_sample

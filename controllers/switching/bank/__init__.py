@@ -1,0 +1,1 @@
+"""The joint form: a bank of hypotheses about state and faults together."""

@@ -1,0 +1,255 @@
+"""Step functions on one hypothesis of a bank: time passing, merging two into one, and a sample of one sensor.
+
+A hypothesis stands in ``memory`` from ``at`` on: its `PROBABILITY`, the mean `OFFSET_AGE` in samples, from `STATE` on the mean
+of z = [deviation of the state from the controller's prediction (n), offset c, its change b per sample], then z's
+covariance (a table of n + 2), then what is kept of each sensor (``_switching_kernels.py``). The hypothesis without an offset
+leaves c and b alone.
+"""
+
+from bayesftc.controllers.estimation.filter import MEAN_CAP
+from bayesftc.controllers.switching.mode_kernels import AGE, WEIGHT
+from bayesftc.controllers.switching.sensor_kernels import HEALTHY, LEAST
+from bayesftc.cosim.ops import absolute, both, maximum, select, sqrt
+
+PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
+
+FADED = 100.0
+"""Variance of what a sensor reads, in that of its noise, up to which a belief fades: else what no sensor sees would be lost."""
+
+
+def move(memory, at, n, offset, slides, c, cc, cb, bb, walk, A, Q, first, covariance, largest, couples, shift, scratch):
+    """Take a hypothesis one sample ahead: the state by the model, the offset by its slope if it ``slides``.
+
+    The offset moves the state by what stands at ``couples``, all else by what stands at ``shift``. Before the ``first`` sample
+    the belief is the controller's ``covariance``, and also where there is no longer one: with a variance beyond the ``largest``
+    or below zero. The offset is then what is expected at its onset: ``c`` and the covariance ``cc``, ``cb``, ``bb``.
+    """
+    N, used = n + 2, n + 2 * offset
+    z, P = at + STATE, at + STATE + n + 2
+    for a in range(n):
+        total = memory[shift + a]
+        for s in range(n):
+            total = total + A[a, s] * memory[z + s]
+        if offset:
+            total = total + memory[couples + a] * memory[z + n]
+        memory[scratch + a] = total
+    for a in range(n):
+        memory[z + a] = select(first, 0.0, memory[scratch + a])
+    if offset and slides:
+        memory[z + n] = memory[z + n] + memory[z + n + 1]
+    for a in range(used):
+        for b in range(used):
+            if a < n:
+                total = 0.0 * walk
+                for s in range(n):
+                    total = total + A[a, s] * memory[P + s * N + b]
+                if offset:
+                    total = total + memory[couples + a] * memory[P + n * N + b]
+            elif a == n and slides:
+                total = memory[P + n * N + b] + memory[P + (n + 1) * N + b]
+            else:
+                total = memory[P + a * N + b]
+            memory[scratch + a * N + b] = total
+    for a in range(used):
+        for b in range(a + 1):
+            if b < n:
+                total = 0.0 * walk
+                for s in range(n):
+                    total = total + A[b, s] * memory[scratch + a * N + s]
+                if offset:
+                    total = total + memory[couples + b] * memory[scratch + a * N + n]
+            elif b == n and slides:
+                total = memory[scratch + a * N + n] + memory[scratch + a * N + n + 1]
+            else:
+                total = memory[scratch + a * N + b]
+            if a < n:
+                total = select(first, covariance[a, b], total + Q[a, b])
+            elif a == n and b == n:
+                total = total + walk
+            memory[P + a * N + b] = total
+            memory[P + b * N + a] = total
+    # Where absurd samples have carried means apart, so that rounding leaves no covariance, the hypothesis begins anew.
+    sound = absolute(memory[z]) <= MEAN_CAP
+    for a in range(used):
+        sound = both(sound, both(memory[P + a * N + a] >= 0.0, memory[P + a * N + a] <= largest))
+        sound = both(sound, absolute(memory[z + a]) <= MEAN_CAP)
+        for b in range(a):
+            between, most = memory[P + a * N + b], memory[P + a * N + a] * memory[P + b * N + b]
+            sound = both(sound, between * between <= most * (1.0 + 1e-6))
+    for a in range(used):
+        memory[z + a] = select(sound, memory[z + a], c if a == n else 0.0)
+        for b in range(used):
+            anew = 0.0 * largest
+            if a < n and b < n:
+                anew = anew + covariance[a, b]
+            elif a == n and b == n:
+                anew = anew + cc
+            elif a > n and b > n:
+                anew = anew + bb
+            elif a >= n and b >= n:
+                anew = anew + cb
+            memory[P + a * N + b] = select(sound, memory[P + a * N + b], anew)
+
+
+def ended(end, age, haste):
+    """Return the probability that a fault of this ``age`` ends with a sample; ``end`` is one over how long they last on average.
+
+    Both are counted in samples. How long faults last has a Lomax distribution of shape 1 + 1 / haste, whose hazard falls with the
+    age; with a haste of 0 it is exponential, and the age tells nothing.
+    """
+    return end * (1.0 + haste) / (1.0 + haste * age * end)
+
+
+def blend(memory, at, part, other, n, offset, c, b, cc, cb, bb):
+    """Merge another belief about the state into a hypothesis, with its ``part`` of the probability, by moments.
+
+    With an ``offset`` its mean, slope and their covariance come in as well, independent of the state.
+    """
+    N = n + 2
+    z, P, y, R = at + STATE, at + STATE + N, other + STATE, other + STATE + N
+    around = part * (1.0 - part)
+    if offset:
+        dc, db = c - memory[z + n], b - memory[z + n + 1]
+        for a in range(n):
+            da = memory[y + a] - memory[z + a]
+            memory[P + a * N + n] = (1.0 - part) * memory[P + a * N + n] + around * da * dc
+            memory[P + a * N + n + 1] = (1.0 - part) * memory[P + a * N + n + 1] + around * da * db
+            memory[P + n * N + a] = memory[P + a * N + n]
+            memory[P + (n + 1) * N + a] = memory[P + a * N + n + 1]
+        at_c, at_b = P + n * N + n, P + (n + 1) * N + n + 1
+        memory[at_c] = memory[at_c] + part * (cc - memory[at_c]) + around * dc * dc
+        memory[at_c + 1] = memory[at_c + 1] + part * (cb - memory[at_c + 1]) + around * dc * db
+        memory[at_b - 1] = memory[at_c + 1]
+        memory[at_b] = memory[at_b] + part * (bb - memory[at_b]) + around * db * db
+        memory[z + n] = memory[z + n] + part * dc
+        memory[z + n + 1] = memory[z + n + 1] + part * db
+    for a in range(n):
+        da = memory[y + a] - memory[z + a]
+        for s in range(a + 1):
+            ds = memory[y + s] - memory[z + s]
+            here = P + a * N + s
+            memory[here] = memory[here] + part * (memory[R + a * N + s] - memory[here]) + around * da * ds
+            memory[P + s * N + a] = memory[here]
+    for a in range(n):
+        memory[z + a] = memory[z + a] + part * (memory[y + a] - memory[z + a])
+
+
+def blend_between(memory, at, part, other, n):
+    """Merge as well how the other's offset and its slope vary together with the state."""
+    N = n + 2
+    P, R = at + STATE + N, other + STATE + N
+    for a in range(n):
+        for b in range(n, N):
+            memory[P + a * N + b] = memory[P + a * N + b] + part * memory[R + a * N + b]
+            memory[P + b * N + a] = memory[P + a * N + b]
+
+
+def blend_sensor(memory, at, part, other, scale, first, width, spans):
+    """Merge what another hypothesis keeps of a sensor, its probabilities times ``scale``, into what this one keeps.
+
+    Of each mode's block its span is merged; modes of span 0 take no part.
+    """
+    here, there = memory[at + HEALTHY], scale * memory[other + HEALTHY]
+    memory[at + HEALTHY] = maximum(here + part * (there - here), LEAST)
+    for k in range(len(spans)):
+        if spans[k] > 0:
+            own, new = at + first + k * width, other + first + k * width
+            come = part * scale * memory[new + WEIGHT]
+            total = maximum((1.0 - part) * memory[own + WEIGHT] + come, LEAST)
+            share = come / total
+            memory[own + WEIGHT] = total
+            for a in range(AGE, spans[k]):
+                memory[own + a] = memory[own + a] + share * (memory[new + a] - memory[own + a])
+
+
+def blend_healthy(memory, at, part, first, width, modes):
+    """Merge into what a hypothesis keeps of a sensor that it is healthy."""
+    memory[at + HEALTHY] = memory[at + HEALTHY] + part * (1.0 - memory[at + HEALTHY])
+    for k in range(modes):
+        weight = at + first + k * width + WEIGHT
+        memory[weight] = maximum((1.0 - part) * memory[weight], LEAST)
+
+
+def inflate(memory, at, n, plant, more, fades, Q):
+    """Let a hypothesis know less of the first states, those of the plant.
+
+    To their covariance ``more`` times the process noise is added, after it has grown by the part ``fades`` of itself.
+    """
+    P, N = at + STATE + n + 2, n + 2
+    grows = sqrt(1.0 + fades)
+    for a in range(plant):
+        for b in range(n):
+            memory[P + a * N + b] = memory[P + a * N + b] * grows
+            memory[P + b * N + a] = memory[P + b * N + a] * grows
+    for a in range(plant):
+        for b in range(plant):
+            memory[P + a * N + b] = memory[P + a * N + b] + more * Q[a, b]
+
+
+def measurable(memory, at, n, C, nominal):
+    """Return 1 while no sensor's sample, were there one, would leave hardly anything of a hypothesis, else 0.
+
+    That is up to `FADED` times the variance of its noise.
+    """
+    P, N = at + STATE + n + 2, n + 2
+    fresh = 1.0 + 0.0 * memory[P]
+    for i in range(nominal.shape[0]):
+        variance = 0.0 * fresh
+        for a in range(n):
+            for b in range(n):
+                variance = variance + C[i, a] * memory[P + a * N + b] * C[i, b]
+        fresh = select(variance <= FADED * nominal[i, i], fresh, 0.0)
+    return fresh
+
+
+def expect(memory, at, n, offset, reads, sensor, C, direction):
+    """Compute the covariance of z with what a sensor reads of it (at ``direction``); return the variance of that and its mean.
+
+    With an ``offset`` the hypothesis' own is part of what this sensor ``reads``.
+    """
+    N, used = n + 2, n + 2 * offset
+    z, P = at + STATE, at + STATE + n + 2
+    mean = C[sensor, 0] * memory[z]
+    for s in range(1, n):
+        mean = mean + C[sensor, s] * memory[z + s]
+    if reads:
+        mean = mean + memory[z + n]
+    for a in range(used):
+        total = C[sensor, 0] * memory[P + a * N]
+        for s in range(1, n):
+            total = total + C[sensor, s] * memory[P + a * N + s]
+        if reads:
+            total = total + memory[P + a * N + n]
+        memory[direction + a] = total
+    variance = C[sensor, 0] * memory[direction]
+    for s in range(1, n):
+        variance = variance + C[sensor, s] * memory[direction + s]
+    if reads:
+        variance = variance + memory[direction + n]
+    return maximum(variance, 0.0), mean
+
+
+def correct(memory, at, n, offset, reads, sensor, C, direction, error, total, noise, present):
+    """Condition a hypothesis on a sensor's sample, by Kalman's update in Joseph's form; ``total`` is the error's variance."""
+    N, used = n + 2, n + 2 * offset
+    z, P = at + STATE, at + STATE + n + 2
+    gain, left = direction + N, direction + 2 * N
+    part = present / total
+    for a in range(used):
+        memory[gain + a] = memory[direction + a] * part
+        memory[z + a] = memory[z + a] + memory[gain + a] * error
+    for a in range(used):
+        for b in range(used):
+            memory[P + a * N + b] = memory[P + a * N + b] - memory[gain + a] * memory[direction + b]
+    for a in range(used):
+        rest = C[sensor, 0] * memory[P + a * N]
+        for s in range(1, n):
+            rest = rest + C[sensor, s] * memory[P + a * N + s]
+        if reads:
+            rest = rest + memory[P + a * N + n]
+        memory[left + a] = rest
+    for a in range(used):
+        for b in range(a + 1):
+            change = (noise * memory[gain + a] - memory[left + a]) * memory[gain + b]
+            memory[P + a * N + b] = memory[P + a * N + b] + change
+            memory[P + b * N + a] = memory[P + a * N + b]

@@ -1,0 +1,93 @@
+"""Hypotheses of a bank together: all that ends is merged into one, the pool, and what comes from one into another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers.switching.bank.hypothesis import (
+    OFFSET_AGE,
+    STATE,
+    blend,
+    blend_between,
+    blend_healthy,
+    blend_sensor,
+)
+from bayesftc.controllers.switching.bank.layout import Layout
+from bayesftc.controllers.switching.sensor_kernels import FIRST, HEALTHY, LEAST
+from bayesftc.cosim.ops import maximum, minimum
+
+
+@cache
+def make_collect(layout: Layout) -> Callable[..., None]:
+    """Return the step function that merges into the pool what ends of a hypothesis."""
+    n, m, pool, kept, sensor, width = layout.n, layout.m, layout.pool, layout.kept, layout.sensor, layout.width
+    modes, other = layout.modes, layout.other
+
+    def collect(memory, at, end, i):
+        """Merge what ends, with the probability ``end``, of a hypothesis in which sensor ``i``, if it is one, had an offset."""
+        ended = memory[at] * end
+        memory[at] = maximum(memory[at] - ended, LEAST)
+        both = maximum(memory[pool] + ended, LEAST * LEAST)
+        part = ended / both
+        memory[pool] = both
+        blend(memory, pool, part, at, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for j in range(m):
+            if j == i:
+                blend_healthy(memory, pool + kept + j * sensor, part, FIRST, width, modes)
+            else:
+                blend_sensor(memory, pool + kept + j * sensor, part, at + kept + j * sensor, 1.0, FIRST, width, other)
+
+    return collect
+
+
+@cache
+def make_receive(layout: Layout) -> Callable[..., None]:
+    """Return the step function that merges into a hypothesis what comes from another one."""
+    n, m, kept, sensor, width, other = layout.n, layout.m, layout.kept, layout.sensor, layout.width, layout.other
+
+    def receive(memory, at, came, source, i, age, c, b, cc, cb, bb):
+        """Merge what ``came``, with an offset of this mean, slope and covariance, of sensor ``i`` if it is one."""
+        part = came / (memory[at] + came)
+        memory[at] = memory[at] + came
+        blend(memory, at, part, source, n, 1, c, b, cc, cb, bb)
+        memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + part * (age - memory[at + OFFSET_AGE])
+        for j in range(m):
+            if j != i:
+                blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0, FIRST, width, other)
+
+    return receive
+
+
+@cache
+def make_become(layout: Layout) -> Callable[..., None]:
+    """Return the step function that merges all of a hypothesis into another one with an offset, of sensor ``i`` if it is one."""
+    n, N, receive = layout.n, layout.n + 2, make_receive(layout)
+
+    def become(memory, at, source, i):
+        c, cc, came = source + STATE + n, source + STATE + N + n * N + n, memory[source]
+        part = came / (memory[at] + came)
+        receive(
+            memory, at, came, source, i, memory[source + OFFSET_AGE], memory[c], memory[c + 1],
+            memory[cc], memory[cc + 1], memory[cc + N + 1],
+        )  # fmt: skip
+        blend_between(memory, at, part, source, n)
+        memory[source] = LEAST + 0.0 * came
+
+    return become
+
+
+@cache
+def make_witnessed(layout: Layout) -> Callable[..., float]:
+    """Return the function that says how probable it is that a sensor has a witness."""
+    m, sensor = layout.m, layout.sensor
+
+    def witnessed(memory, sensors, i):
+        """Return the probability that a sensor other than ``i`` is healthy."""
+        nobody = 1.0 + 0.0 * memory[sensors + HEALTHY]
+        for j in range(m):
+            if j != i:
+                nobody = nobody * (1.0 - minimum(memory[sensors + j * sensor + HEALTHY], 1.0))
+        return 1.0 - nobody
+
+    return witnessed

@@ -1,0 +1,387 @@
+"""What a sample of each sensor tells a bank of hypotheses, and what all of them say together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers.precision.base import NAN
+from bayesftc.controllers.switching.bank.hypothesis import OFFSET_AGE, STATE, correct, expect
+from bayesftc.controllers.switching.bank.layout import (
+    ABSOLUTE,
+    ACTUATOR_SETTINGS,
+    BY_COURSE,
+    BY_MODES,
+    LOAD,
+    OF_MODES,
+    PUSHES,
+    RELATIVE,
+    STEERS,
+    TAKES,
+    WORKS,
+    Layout,
+)  # fmt: skip
+from bayesftc.controllers.switching.course import follow, misfit, repeats_share
+from bayesftc.controllers.switching.mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT, log_density
+from bayesftc.controllers.switching.sensor_kernels import (
+    DENSITY,
+    FIRST,
+    FIRST_SETTINGS,
+    HEALTHY,
+    LAST,
+    LEAST,
+    LEAST_TRUST,
+    MODE_ARRIVES,
+    MODE_MISSING,
+    NOISE,
+    NOISE_SHAPE,
+    OWN_SETTINGS,
+    TRUSTED,
+    WIDTH,
+    held,
+    learn_noise,
+    learn_repeats,
+    repetition,
+    share_of,
+)  # fmt: skip
+from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
+
+ABSURD = 1e12
+"""Largest variance of an innovation, in the sensor's own, up to which a larger innovation is learned from: beyond it hypotheses
+would carry each other away."""
+
+LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
+"""Least and largest part of the control that is counted on: with less an actuator would be asked for the impossible."""
+
+
+@cache
+def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: int) -> Callable[..., None]:
+    """Return the step function that conditions a hypothesis, with an ``offset`` or without (1, 0), on one sensor after the other.
+
+    It leaves what the samples tell of the hypothesis: a logarithm, and a factor that has its probability. A sensor that is judged
+    by its own modes is weighed by ``weigh_sensor``.
+    """
+    m, sensor, row_length, width_of_settings = layout.m, layout.sensor, layout.row, layout.width_of_settings
+    n, judged, squares, repeated, scratch = layout.n, layout.judged, layout.squares, layout.repeated, layout.scratch
+    none, stride, kept = layout.first, layout.length, layout.kept
+    told, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
+
+    def condition(h, y, e, present, nominal, C, memory, settings):
+        at = none + h * stride
+        memory[told + h] = 0.0 * memory[at]
+        memory[factor + h] = memory[at]
+        for i in range(m):
+            variance, row, by = nominal[i, i] * memory[i * sensor + NOISE], i * row_length, judged[h * m + i]
+            if by == BY_MODES:
+                spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
+                total = spread + variance
+                error = held(e[i] - expected, minimum(total, ABSURD * variance))
+                own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
+                doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
+                density = weigh_sensor(
+                    error, present[i], total, variance, doubt, change, memory[repeated + i], memory, own, settings, row
+                )
+                memory[told + h] = memory[told + h] + density
+                memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
+                noise = variance / memory[own + TRUSTED]
+                correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
+                part = variance / total
+                memory[squares + h * m + i] = part * (part * error * error + spread)
+            elif offset and by >= 0:
+                spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
+                total = spread + variance
+                error = held(e[i] - expected, minimum(total, ABSURD * variance))
+                own = row + FIRST_SETTINGS + by * width_of_settings
+                density = select(present[i] > 0.5, log_density(error * error, total), 0.0)
+                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
+                correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
+                memory[told + h] = memory[told + h] + density
+                memory[factor + h] = memory[factor + h] * times
+                part = variance / total
+                memory[squares + h * m + i] = part * (part * error * error + spread)
+            if i % 2 == 1 and i < m - 1:  # before the product of many small ones is none
+                memory[told + h] = memory[told + h] + log(memory[factor + h])
+                memory[factor + h] = 1.0 + 0.0 * memory[at]
+
+    return condition
+
+
+@cache
+def make_weigh(
+    layout: Layout, weigh_alone: Callable[..., float], weigh_other: Callable[..., float]
+) -> Callable[..., None]:
+    """Return the step function that conditions each hypothesis on the samples and gives it its probability.
+
+    Parameters
+    ----------
+    layout : Layout
+        Where everything stands.
+    weigh_alone, weigh_other : function
+        Weighing of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
+    """
+    m, H, without, with_offset = layout.m, layout.hypotheses, layout.without_offset, layout.with_offset or (0,)
+    sensor, row_length, width_of_settings = layout.sensor, layout.row, layout.width_of_settings
+    n, none, stride, first_lost = layout.n, layout.first, layout.length, layout.first_lost
+    told, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
+    U, lost = len(layout.lost), layout.lost or (0,)
+    courses, course, repeated = layout.courses, layout.course, layout.repeated
+    # Each of its own, so that a compiler knows how long loops are.
+    condition_first = make_condition(layout, weigh_alone, 0)
+    condition_plain, condition_offset = (make_condition(layout, weigh_other, offset) for offset in (0, 1))
+
+    def weigh(y, e, present, nominal, C, memory, settings):
+        for i in range(m):
+            own, change = i * sensor, y[i] - memory[i * sensor + LAST]
+            memory[repeated + i] = repetition(change, nominal[i, i], memory, own, settings, i * row_length)
+        condition_first(0, y, e, present, nominal, C, memory, settings)
+        for k in range(1, len(without)):
+            condition_plain(without[k], y, e, present, nominal, C, memory, settings)
+        for k in range(H - len(without)):
+            condition_offset(with_offset[k], y, e, present, nominal, C, memory, settings)
+        for i in range(m):
+            for u in range(U):
+                h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
+                at, own, variance = none + h * stride, i * row_length + k, nominal[i, i]
+                spread, expected = expect(memory, at, n, 0, 0, i, C, scratch)
+                error = held(e[i] - expected, minimum(spread + variance, ABSURD * variance))
+                deviation, begun = sqrt(variance), courses + (i * U + u) * course
+                change = y[i] - memory[i * sensor + LAST]
+                density = follow(
+                    error / deviation, change / deviation, present[i], memory[begun], memory, begun + 1, scratch,
+                    settings, own + OWN_SETTINGS,
+                ) - log(deviation)  # fmt: skip
+                width = settings[i * row_length + WIDTH]
+                equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)
+                share = repeats_share(equal, present[i], memory[begun], memory, begun + 1, settings, own + OWN_SETTINGS)
+                likely = select(equal > 0.5, share * memory[repeated + i] / width, 1.0 - share)
+                density = select(both(present[i] > 0.5, equal < 0.5), density, 0.0)
+                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES] * likely, settings[own + MODE_MISSING])
+                memory[told + h] = memory[told + h] + density
+                memory[factor + h] = memory[factor + h] * times
+        most = memory[told]
+        for h in range(1, H):
+            most = maximum(most, memory[told + h])
+        total = 0.0 * most
+        for h in range(H):
+            memory[none + h * stride] = memory[factor + h] * share_of(memory[told + h], most)
+            total = total + memory[none + h * stride]
+        for h in range(H):
+            memory[none + h * stride] = maximum(memory[none + h * stride] / total, LEAST)
+        memory[m * sensor + 1] = most + log(total)
+
+    return weigh
+
+
+@cache
+def make_listen(layout: Layout) -> Callable[..., None]:
+    """Return the step function that learns each sensor's noise and repetitions, from hypotheses in which it is healthy.
+
+    Noise is around an offset what it is without one.
+    """
+    m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
+    sensor, row, squares, judged = layout.sensor, layout.row, layout.squares, layout.judged
+
+    def listen(y, present, nominal, memory, settings):
+        for i in range(m):
+            sound, squared = LEAST + 0.0 * memory[none], 0.0 * memory[none]
+            for h in range(H):
+                at, by = none + h * stride, judged[h * m + i]
+                if by != BY_COURSE:
+                    part = memory[at]
+                    if by == BY_MODES:
+                        part = part * memory[at + kept + i * sensor + HEALTHY]
+                    sound = sound + part
+                    squared = squared + part * memory[squares + h * m + i]
+            squared = minimum(squared / (sound * nominal[i, i]), FURTHEST)
+            learn_noise(squared, present[i] * sound, memory, i * sensor, settings, i * row)
+            change = y[i] - memory[i * sensor + LAST]
+            learn_repeats(change, present[i] * memory[i * sensor + HEALTHY], memory, i * sensor, settings, i * row)
+            memory[i * sensor + LAST] = select(present[i] > 0.5, y[i], memory[i * sensor + LAST])
+
+    return listen
+
+
+@cache
+def make_conclude(layout: Layout) -> Callable[..., None]:
+    """Return the step function that says what all hypotheses make together of the state.
+
+    Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays. The estimate is
+    the mean of all hypotheses, but for those that all sensors of a group have the same offset: they count from nothing where they
+    are as probable as all others to all where these are not. So the estimate follows a plant that may have been kicked. As far
+    as a belief fades it takes over no more of the deviation than the settings say. The covariance is the mean squared distance
+    from it, by the probabilities themselves.
+    """
+    n, H, N = layout.n, layout.hypotheses, layout.n + 2
+    none, stride, scratch, counts = layout.first, layout.length, layout.couples, layout.grow + layout.hypotheses
+    first_common, first_ended = layout.first_common, layout.first_ended
+    G, process, fading, takes_over = layout.process_modes, layout.process, layout.fades or (0,), layout.takes_over
+
+    def conclude(mean, covariance, memory, settings, x_hat, P):
+        rest = 0.0 * memory[none]
+        for h in range(H):
+            memory[counts + h] = memory[none + h * stride]
+            if not first_common <= h < first_ended:
+                rest = rest + memory[counts + h]
+        whole = rest
+        for h in range(first_common, first_ended):
+            memory[counts + h] = maximum(memory[counts + h] - rest, 0.0)
+            whole = whole + memory[counts + h]
+        for h in range(H):
+            memory[counts + h] = memory[counts + h] / whole
+        fades = 0.0 * rest
+        for q in range(G):
+            if fading[q] > 0:
+                fades = fades + memory[counts + process + q]
+        part = 1.0 - fades * (1.0 - settings[takes_over])
+        for a in range(n):
+            total = 0.0 * mean[a]
+            for h in range(H):
+                total = total + memory[counts + h] * memory[none + h * stride + STATE + a]
+            memory[scratch + a] = part * total
+            x_hat[a] = mean[a] + memory[scratch + a]
+        for h in range(H):
+            for a in range(n):
+                z = none + h * stride + STATE + a
+                memory[z] = memory[z] - memory[scratch + a]
+        for a in range(n):
+            for b in range(a + 1):
+                total = 0.0 * mean[a]
+                for h in range(H):
+                    z = none + h * stride + STATE
+                    apart = memory[z + a] * memory[z + b]
+                    total = total + memory[none + h * stride] * (memory[z + N + a * N + b] + apart)
+                P[a, b] = total
+        good = x_hat[0] - x_hat[0] == 0.0
+        for a in range(n):
+            good = both(good, both(x_hat[a] - x_hat[a] == 0.0, both(P[a, a] >= 0.0, P[a, a] - P[a, a] == 0.0)))
+            for b in range(a):
+                good = both(good, P[a, b] * P[a, b] <= P[a, a] * P[b, b] * (1.0 + 1e-6))
+        for a in range(n):
+            x_hat[a] = select(good, x_hat[a], mean[a])
+            for b in range(a + 1):
+                P[a, b] = select(good, P[a, b], covariance[a, b])
+                P[b, a] = P[a, b]
+
+    return conclude
+
+
+@cache
+def make_summarise(layout: Layout) -> Callable[..., None]:
+    """Return the step function that says of each sensor what the per-sensor form says, in the same places, and of each actuator.
+
+    Of an actuator it keeps how the plant is expected to get the control u, ``works u + load``; and the same such that the
+    expected squared distance from the goal is least: there a hypothesis counts as far as it lets the control through, so that
+    nothing is asked of an actuator that is stuck.
+    """
+    n, m, p, H, L, judged = layout.n, layout.m, layout.p, layout.hypotheses, layout.actuator_modes, layout.judged
+    sensor, modes, width = layout.sensor, layout.modes, layout.width
+    none, stride, kept, N = layout.first, layout.length, layout.kept, layout.n + 2
+    first_lost, U, lost, courses, course = (
+        layout.first_lost, len(layout.lost), layout.lost or (0,), layout.courses, layout.course,
+    )  # fmt: skip
+    K, groups, first_common, alone, other = (
+        len(layout.kinds), len(layout.groups), layout.first_common, layout.alone, layout.other,
+    )  # fmt: skip
+    actuators, actuator, of_actuators = layout.actuators, layout.actuator, layout.actuator_settings
+    first_actuator = layout.first_actuator
+
+    def summarise(memory, settings):
+        for i in range(m):
+            own = i * sensor
+            healthy, trust = 0.0 * memory[none], 0.0 * memory[none]
+            for h in range(H):
+                if judged[h * m + i] == BY_MODES:
+                    at = none + h * stride
+                    healthy = healthy + memory[at] * memory[at + kept + own + HEALTHY]
+                    trust = trust + memory[at] * memory[at + kept + own + TRUSTED]
+            memory[own + HEALTHY] = healthy
+            memory[own + TRUSTED] = maximum(minimum(trust, 1.0), LEAST_TRUST)
+            for k in range(modes):
+                block = own + FIRST + k * width
+                weight, trusted = 0.0 * memory[none], 0.0 * memory[none]
+                size, age = 0.0 * memory[none], 0.0 * memory[none]
+                for h in range(H if alone[k] + other[k] > 0 else 0):
+                    if judged[h * m + i] == BY_MODES:
+                        here = none + h * stride + kept + block
+                        part = memory[none + h * stride] * memory[here + WEIGHT]
+                        size = size + part * memory[here + SIZE]
+                        age = age + part * memory[here + AGE]
+                        trusted = trusted + part * memory[here + TRUST]
+                        weight = weight + part
+                for q in range(K + groups):
+                    h = 1 + i * K + q if q < K else first_common + q - K
+                    if judged[h * m + i] == k:
+                        at = none + h * stride
+                        size = size + memory[at] * memory[at + STATE + n]
+                        age = age + memory[at] * memory[at + OFFSET_AGE]
+                        weight = weight + memory[at]
+                for u in range(U):
+                    if lost[u] == k:
+                        at = none + (first_lost + i * U + u) * stride
+                        size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
+                        age = age + memory[at] * memory[at + OFFSET_AGE]
+                        weight = weight + memory[at]
+                memory[block + WEIGHT] = weight
+                memory[block + SIZE] = size / weight
+                memory[block + AGE] = age / weight
+                memory[block + TRUST] = trusted / weight
+        for j in range(p):
+            own = actuators + j * actuator
+            healthy = 1.0 + 0.0 * memory[none]
+            works, load = 0.0 * healthy, 0.0 * healthy
+            squared, pushed = 0.0 * healthy, 0.0 * healthy
+            for q in range(L):
+                at = none + (first_actuator + j * L + q) * stride
+                row = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
+                c = memory[at + STATE + n]
+                through = maximum(1.0 + settings[row + TAKES] + settings[row + RELATIVE] * c, 0.0)
+                added = settings[row + ABSOLUTE] * c
+                part = memory[at] * through
+                healthy = healthy - memory[at]
+                works, load = works + part, load + memory[at] * added
+                spread = settings[row + RELATIVE] * settings[row + RELATIVE] * memory[at + STATE + N + n * N + n]
+                squared, pushed = squared + part * through + memory[at] * spread, pushed + part * added
+                memory[own + OF_MODES + 2 * q] = memory[at]
+                memory[own + OF_MODES + 2 * q + 1] = c
+            healthy = maximum(healthy, LEAST)
+            memory[own + WORKS], memory[own + LOAD] = works + healthy, load
+            part = 1.0 / (works + healthy)
+            memory[own + STEERS] = maximum(minimum((squared + healthy) * part, MOST_EFFECT), LEAST_EFFECT)
+            memory[own + PUSHES] = pushed * part
+
+    return summarise
+
+
+def report_process(memory, at, stride, modes, first, outputs):
+    """Write the probabilities of the process' modes, healthy first, last that one has ended; they stand from ``at`` on."""
+    healthy = 1.0 + 0.0 * memory[at]
+    for k in range(modes + 1):
+        outputs[first + 1 + k] = memory[at + k * stride]
+        healthy = healthy - memory[at + k * stride]
+    outputs[first] = maximum(healthy, 0.0)
+
+
+def report_actuators(memory, at, modes, actuators, first, outputs):
+    """Write each actuator's mode probabilities; then for all the probability of a fault, the most probable mode, its size.
+
+    They stand in ``outputs`` from ``first`` on; what is kept of the actuators stands in ``memory`` from ``at`` on.
+    """
+    later = first + actuators * (modes + 1)
+    for j in range(actuators):
+        own = at + j * (OF_MODES + 2 * modes) + OF_MODES
+        total = 0.0 * memory[own]
+        for k in range(modes):
+            total = total + memory[own + 2 * k]
+        best = maximum(1.0 - total, 0.0)
+        outputs[first + j * (modes + 1)] = best
+        kind, size = 0.0 * best, NAN + 0.0 * best
+        for k in range(modes):
+            p = memory[own + 2 * k]
+            outputs[first + j * (modes + 1) + 1 + k] = p
+            likelier = p > best
+            kind = select(likelier, k + 1.0, kind)
+            size = select(likelier, memory[own + 2 * k + 1], size)
+            best = maximum(best, p)
+        outputs[later + j] = minimum(total, 1.0)
+        outputs[later + actuators + j] = kind
+        outputs[later + 2 * actuators + j] = size

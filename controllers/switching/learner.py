@@ -1,0 +1,416 @@
+"""Switching between fault modes: for each sensor a hidden Markov model over the ways in which it can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import as_number, as_vector, check_flags, check_number
+from bayesftc.controllers.precision.base import TOGETHER, Learner, PrecisionLearner
+from bayesftc.controllers.signals import port
+from bayesftc.controllers.switching import mode_kernels, sensor_kernels as kernels
+from bayesftc.controllers.switching.actuator_modes import ActuatorMode
+from bayesftc.controllers.switching.actuator_settings import actuator_settings, chance
+from bayesftc.controllers.switching.bank.infer import make_infer
+from bayesftc.controllers.switching.bank.layout import Layout
+from bayesftc.controllers.switching.default_time import time_at
+from bayesftc.controllers.switching.fault_modes import (
+    Drifting,
+    DroppedOut,
+    FaultMode,
+    Frozen,
+    Noisier,
+    Offset,
+    Ramping,
+    Unmodelled,
+)
+from bayesftc.controllers.switching.filter_share import filter_share
+from bayesftc.controllers.switching.given import (
+    as_actuator_modes,
+    as_fault_modes,
+    as_process_modes,
+    first_of,
+    settings_of,
+)
+from bayesftc.controllers.switching.mode_kernels import TRUST
+from bayesftc.controllers.switching.process_modes import PROCESS_MODES, NoisierProcess
+from bayesftc.controllers.switching.step_text import learner_functions, sensor_functions
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+
+
+KNOWN = 1e12
+"""Shape of the gamma distribution of a precision that is not learned: there is no doubt about it."""
+
+
+def _kept(mode: FaultMode) -> int:
+    """Return how many numbers of a mode's block are merged: up to its age if nothing is learned of its faults."""
+    return TRUST if type(mode).evidence in (mode_kernels.freezes, mode_kernels.drops) else TRUST + len(mode.first)
+
+
+MOST_MODES = 32
+"""Of a kind; a step takes time by the square of their number."""
+
+
+@dataclass(frozen=True)
+class SwitchingPrecision(PrecisionLearner):
+    """For each sensor a hidden Markov model over being healthy and failing in one of several ways.
+
+    The precision stays what is inferred: a sensor is used with ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal
+    precision, where ``trust_k`` is 0 of a sensor that is frozen or has an offset, and what has been learned of one that is
+    noisier (the paper's learner is that mode). At each sample time passes first (modes begin and end), then each mode says how
+    probable the sample is, as a logarithm, so that none is lost. What a mode has learned about its fault is merged with what it
+    expects of one that has just begun, as in an interacting-multiple-model filter.
+
+    The model's standard deviations of sensors are a first guess: the noise of each sensor is learned while it is healthy, by a
+    gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). So is the share of samples that
+    a healthy sensor repeats exactly (`Frozen`).
+
+    ``fault_probability`` is that of all modes which are faults (all but `Burst`), also of a sensor that sends nothing; ``beta``
+    is NaN. It adds the outputs ``mode_probability`` (m x 1 + modes, healthy first), and for each sensor ``fault_kind`` (the most
+    probable mode by its number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard
+    deviation of a noisier sensor in nominal ones, the root mean square of an unmodelled one's innovations in the same; NaN where
+    there is none) and ``fault_onset`` (time in seconds since the first
+    sample; NaN of a healthy sensor); and ``log_density``, the logarithm of the density of these samples after those before,
+    whose sum over a recording says how well the settings explain it (a pseudo-likelihood where an offset exceeds its `jump`).
+
+    In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
+    slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs.
+    Further hypotheses are that a sensor fails in a way that has no mode (`Unmodelled`), where the state is inferred without it;
+    that the plant is moved by more than its process noise, or the model says less than it should; that all sensors, if they read
+    one quantity, have jumped alike (`alike`); or that an actuator has failed. The joint form is for controllers with a linear
+    model; with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated, sensors are judged one by one by
+    their innovation from the common prediction (the per-sensor form).
+
+    Parameters
+    ----------
+    modes : sequence of FaultMode
+        The ways in which a sensor can fail, with how often, all on top of each other; see `FAULT_MODES`.
+    loss : float or sequence of float
+        Probability with which a sample of a healthy sensor is missing, for all sensors or for each: of one that is not due at
+        every step (a slow one) the share of the steps without a sample.
+    joint : bool
+        Whether offsets are estimated together with the state, and the state without a sensor that is `Unmodelled`. The
+        per-sensor form is faster and tells slow drifts later.
+    actuator_modes : sequence of ActuatorMode
+        The ways in which each actuator or the process can fail, see `ACTUATOR_MODES`; in the joint form. Then there are, for each
+        actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``,
+        ``actuator_fault_kind`` (the most probable mode by its number, 0: healthy) and ``actuator_fault_size`` (of that mode: its
+        c, see there; NaN of a healthy one); and the control makes up for what is lost and added: give the controller its limits,
+        ``u_min`` and ``u_max``. By default there is none: an actuator that is slower than the model says looks failed as well,
+        and to make up for that can make the loop unstable.
+    process_modes : sequence of NoisierProcess
+        Times in which the plant is moved by more than its process noise: by default kicks, and longer ones in which the belief
+        fades, slowly or fast, for the model says less than it should. Without any, what all sensors see alike is taken for faults
+        of all of them. A part of the joint form, which then has the output ``process_mode_probability`` (2 + modes: healthy
+        first; last that one has ended, as far as that is not settled). Without the joint form, a mode with hypotheses of its own
+        (`Offset`, `Unmodelled`) or process noise the default ones are left out.
+    alike : float
+        Prior probability, from 0 to below 1, that a jump which all sensors show alike is a fault of the sensors, not a kick of
+        the plant (a process mode with a `scale` above 1): that cannot be known but by how it goes on. The estimate follows the
+        sensors unless a fault is the more probable. A part of the joint form, where two or more sensors all read the same and
+        there are such a mode and an `Offset`; elsewhere it has no effect.
+    duration_shape : float
+        Shape, above 1, of the Lomax distribution of how long a fault lasts, whose mean is its ``time_to_recovery``: the closer to
+        1, the more of them are short and a few very long. Infinite: the distribution is exponential, as that of all other modes,
+        for faults whose mean duration is known. A part of the joint form, for offsets that jump and `Unmodelled`.
+    gain_limit : float
+        When it is certain that the belief fades (a process mode with `fading` above 1), the estimate takes over with each sample
+        at most so many times the part of a deviation that the model's own filter takes over; in proportion where it is not
+        certain. Sensors that are followed faster would make the loop unstable where the control comes late. From a product of 1
+        on, as of many sensors or precise ones, there is no limit; infinite: none at all, for an estimate that no control hangs
+        on. A part of the joint form.
+    noise_factor : float
+        The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
+        less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.
+    noise_strength : float
+        How many samples the belief in the model's standard deviations counts as.
+    noise_forgetting : float
+        Forgetting factor in (0, 1] per sample of what is learned of that noise.
+
+    Raises
+    ------
+    ModelError
+        If there is no mode or one that is none (its step function has other arguments, say), the losses are not one for each
+        sensor, or with the model's sample time a fault would begin or end at each sample.
+    """
+
+    modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Unmodelled(), Noisier(), DroppedOut())
+    loss: float | Sequence[float] = 0.01
+    joint: bool = True
+    actuator_modes: Sequence[ActuatorMode] = ()
+    process_modes: Sequence[NoisierProcess] = PROCESS_MODES
+    alike: float = 0.2
+    duration_shape: float = 1.1
+    gain_limit: float = 1.0
+    noise_factor: float = 3.0
+    noise_strength: float = 5.0
+    noise_forgetting: float = 0.9998
+
+    def __post_init__(self) -> None:
+        check_flags(self, "joint")
+        check_number(self, "alike", least=0, below=1)
+        check_number(self, "duration_shape", above=1, finite=False)
+        check_number(self, "gain_limit", above=0, finite=False)
+        check_number(self, "noise_factor", least=1, most=1e3)
+        check_number(self, "noise_strength", above=0)
+        check_number(self, "noise_forgetting", above=0, most=1)
+        object.__setattr__(self, "modes", as_fault_modes(self.modes))
+        object.__setattr__(self, "actuator_modes", as_actuator_modes(self.actuator_modes))
+        object.__setattr__(self, "process_modes", as_process_modes(self.process_modes))
+        for name in ("modes", "actuator_modes", "process_modes"):
+            if (count := len(getattr(self, name))) > MOST_MODES:
+                raise ModelError(f"SwitchingPrecision has {count} {name}; it tells at most {MOST_MODES} apart.")
+        loss = self.loss
+        each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
+        for value in each:
+            as_number("SwitchingPrecision has loss", value, above=0, below=1)
+        object.__setattr__(self, "loss", each if len(each) > 1 else each[0])
+
+    def slowed(self, factor: float) -> SwitchingPrecision:
+        """Return the same learner for a plant that is `factor` times slower: all mean times of its modes are as much longer.
+
+        Parameters
+        ----------
+        factor : float
+            Positive.
+
+        Examples
+        --------
+        >>> from bayesftc.controllers import SwitchingPrecision
+        >>> SwitchingPrecision().slowed(100.0).modes[0].time_to_recovery
+        1000.0
+        """
+        factor = as_number("SwitchingPrecision.slowed() has factor", factor, above=0)
+        return self._timed(lambda value: factor * value)
+
+    def paced(self, step: float) -> SwitchingPrecision:
+        """Return the same learner with the mean times that hold for samples `step` seconds apart; `learner` takes these.
+
+        Times that were given stay as they are. Default times are for samples of up to 20 ms; beyond, they grow with the step
+        (those of `Burst` beyond 0.1 s).
+
+        Parameters
+        ----------
+        step : float
+            Sample time in seconds, positive.
+
+        Examples
+        --------
+        >>> from bayesftc.controllers import Frozen, Offset, SwitchingPrecision
+        >>> modes = SwitchingPrecision([Frozen(), Offset(time_to_fault=3600.0)]).paced(2.0).modes
+        >>> [(mode.time_to_fault, mode.time_to_recovery) for mode in modes]
+        [(30000.0, 1000.0), (3600.0, 1000.0)]
+        """
+        step = as_number("SwitchingPrecision.paced() has step", step, above=0)
+        return self._timed(lambda value: time_at(value, step))
+
+    def _timed(self, time: Callable[[float], float]) -> SwitchingPrecision:
+        """Return the same learner with other mean times, each a function of what it was."""
+
+        def other(modes: Sequence[Any]) -> tuple[Any, ...]:
+            names = ("time_to_fault", "time_to_recovery")
+            return tuple(replace(mode, **{name: time(getattr(mode, name)) for name in names}) for mode in modes)
+
+        return replace(
+            self,
+            modes=other(self.modes),
+            actuator_modes=other(self.actuator_modes),
+            process_modes=other(self.process_modes),
+        )
+
+    def learner(self, model: LinearModel) -> Learner:
+        """See `PrecisionLearner.learner`."""
+        return self.paced(float(model.step))._learner(model)
+
+    def _learner(self, model: LinearModel) -> Learner:
+        m, step = model.sensors, float(model.step)
+        begins = [chance(mode, "time_to_fault", step) for mode in self.modes]
+        ends = [chance(mode, "time_to_recovery", step) for mode in self.modes]
+        if sum(begins) >= 1:
+            raise ModelError(
+                f"SwitchingPrecision has fault modes that begin with a probability of {sum(begins):.3g} together in each sample "
+                f"of {step:g} s; their times to a fault are too short: lengthen time_to_fault."
+            )
+        losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
+        own = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
+        bank = self._has_bank(model)
+        first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
+        width = TRUST + max(map(len, first))
+        settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in own for values in of_sensor)
+        shape = 0.5 * self.noise_strength if self.noise_factor > 1 else KNOWN
+        settings = []
+        for i in range(m):
+            loss = float(losses[i])
+            settings += [1.0 - loss, loss, self.noise_forgetting, shape]
+            settings += [self.noise_factor**-2, self.noise_factor**2, *self._repeats(model, i)]
+            for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
+                arrives = 1.0 - loss if mode.arrival is None else mode.arrival
+                block = [begin, 1.0 - end, end, arrives, 1.0 - arrives, *values]
+                settings += block + [0.0] * (settings_width - len(block))
+        memory = []
+        for _ in range(m):
+            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, shape, shape, 0.0, 0.0]
+            for values in first:
+                block = [kernels.LEAST, 0.0, 1.0, 0.0, *values]
+                memory += block + [0.0] * (width - len(block))
+        evidence = tuple(type(mode).evidence for mode in self.modes)
+        single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
+        process_modes = self._acting(model)
+        layout = self._layout(model, width, settings_width, process_modes)
+        learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout)
+        ports = [port("mode_probability", (m, 1 + len(self.modes)))]
+        ports += [port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
+        ports.append(port("log_density"))
+        if layout is None:
+            return Learner(learn, np.array([*memory, 0.0, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
+        if layout.actuator_modes:
+            ports.append(port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
+            ports += [port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
+        if layout.process_modes:
+            ports.append(port("process_mode_probability", (2 + layout.process_modes,)))
+        kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])
+        settings += [step, *actuator_settings(self.actuator_modes, model)]
+        settings += [value for mode in process_modes for value in mode.settings(step)]
+        settings += [self._jumps_alike(process_modes[layout.kick], step) for _ in layout.groups]
+        settings.append(1.0 / (self.duration_shape - 1.0))
+        settings.append(min(1.0, self.gain_limit * filter_share(model)) if any(layout.fades) else 1.0)
+        return Learner(
+            learn, kept, np.array(settings), 1, tuple(ports), report,
+            infer=self._infer(layout, evidence),
+        )  # fmt: skip
+
+    def apart(self, who: str, instead: str = TOGETHER) -> SwitchingPrecision:
+        """See `PrecisionLearner.apart`."""
+        if self.actuator_modes:
+            raise ModelError(
+                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; {instead}, or leave "
+                "the actuator modes out."
+            )
+        if self.process_modes and not self._usual_process:
+            raise ModelError(
+                f"{who} learns precisions apart from the state, so that modes of the process cannot be told; {instead}, or leave "
+                "the process modes out."
+            )
+        return replace(self, process_modes=(), joint=False)
+
+    def without_covariance(self) -> SwitchingPrecision:
+        """See `PrecisionLearner.without_covariance`."""
+        return replace(self, noise_factor=1.0)
+
+    @property
+    def _usual_process(self) -> bool:
+        """Whether the modes of the process are the default ones, at whatever pace: these are left out where they cannot act."""
+        return [(m.scale, m.fading) for m in self.process_modes] == [(m.scale, m.fading) for m in PROCESS_MODES]
+
+    @property
+    def _faults(self) -> tuple[int, ...]:
+        return tuple(int(mode.is_fault) for mode in self.modes)
+
+    def _repeats(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
+        """Return what is expected of the repetitions of a healthy sensor; without a mode that repeats samples the usual."""
+        frozen = next((mode for mode in self.modes if isinstance(mode, Frozen)), Frozen())
+        return frozen.healthy(model, sensor)
+
+    @property
+    def _kinds(self) -> tuple[int, ...]:
+        """The modes that are estimated together with the state in the joint form."""
+        return tuple(k for k, mode in enumerate(self.modes) if isinstance(mode, Offset))
+
+    @property
+    def _lost(self) -> tuple[int, ...]:
+        """The modes in which the state is inferred without the sensor, in the joint form."""
+        return tuple(k for k, mode in enumerate(self.modes) if mode.own_hypothesis)
+
+    def _is_joint(self, model: LinearModel) -> bool:
+        nominal = model.matrix("sensor_covariance")
+        return self.joint and not np.any(nominal != np.diag(np.diag(nominal)))
+
+    def _has_bank(self, model: LinearModel) -> bool:
+        """Return whether there is anything for the joint form to tell."""
+        return self._is_joint(model) and bool(self._kinds or self._lost or self.actuator_modes)
+
+    def _acting(self, model: LinearModel) -> tuple[NoisierProcess, ...]:
+        """Return the process modes that can act; those that were given must."""
+        plant = model.states - model.disturbances
+        if self._has_bank(model) and np.any(model.matrix("process_covariance")[:plant, :plant]):
+            return tuple(self.process_modes)
+        if self.process_modes and not self._usual_process:
+            raise ModelError(
+                "SwitchingPrecision has process_modes, which are told from sensors' faults in the joint form only, and scale the "
+                "process noise of the plant: leave joint=True, give sensors of independent noise, an Offset or Unmodelled among "
+                "the modes and a process covariance, or leave the process modes out."
+            )
+        return ()
+
+    def _layout(
+        self, model: LinearModel, width: int, settings: int, process_modes: Sequence[NoisierProcess]
+    ) -> Layout | None:
+        """Return the layout of the joint form's bank, if it is that form."""
+        kinds, actuator_modes = self._kinds, self.actuator_modes
+        if not self._has_bank(model):
+            if actuator_modes:
+                raise ModelError(
+                    "SwitchingPrecision has actuator_modes, which are told from sensors' faults in the joint form only; leave "
+                    "joint=True and give sensors of independent noise, or leave the actuator modes out."
+                )
+            return None
+        step = float(model.step)
+        begins = model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in kinds)
+        begins += model.sensors * sum(chance(self.modes[k], "time_to_fault", step) for k in self._lost)
+        begins += model.controls * sum(chance(mode, "time_to_fault", step) for mode in actuator_modes)
+        begins += sum(mode.settings(step)[0] for mode in process_modes)
+        kick = next((q for q, mode in enumerate(process_modes) if mode.scale > 1), -1)
+        common = next((k for k in kinds if getattr(self.modes[k], "jump", 0.0) > 0), -1)
+        known = self.alike > 0 and min(kick, common) >= 0
+        groups = tuple(group for group in model.alike if 1 < len(group) == model.sensors) if known else ()
+        begins += sum(self._jumps_alike(process_modes[kick], step) for _ in groups)
+        if begins >= 1:
+            raise ModelError(
+                f"The offsets and unmodelled faults of {model.sensors} sensors, the actuators' faults and process modes begin "
+                f"with a probability of {begins:.3g} together in each sample of {step:g} s; their times to a fault are too short "
+                "for the joint form of SwitchingPrecision: lengthen time_to_fault, or take joint=False."
+            )
+        jumping = tuple(q for q, k in enumerate(kinds) if getattr(self.modes[k], "jump", 0.0) > 0)
+        becomes = (*range(len(kinds)), *jumping)
+        kinds += tuple(kinds[q] for q in jumping)
+        slow = tuple(int(self.modes[k].needs_witness) for k in kinds)
+        spans = [
+            tuple((k in of) * _kept(mode) for k, mode in enumerate(self.modes)) for of in self._parts(model.sensors)
+        ]
+        return Layout(
+            n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
+            becomes=becomes, slow=slow, lost=self._lost, groups=groups, common=common, kick=kick,
+            fades=tuple(int(mode.fading > 1) for mode in process_modes), alone=spans[0], other=spans[1],
+            faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
+            width=width, width_of_settings=settings,
+        )  # fmt: skip
+
+    def _jumps_alike(self, kick: NoisierProcess, step: float) -> float:
+        """Return the probability per sample that all sensors of a quantity jump alike: that of a kick, by the odds."""
+        return kick.settings(step)[0] * self.alike / (1.0 - self.alike)
+
+    def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the modes that are judged sensor by sensor where no sensor has an offset, and of the others where one has.
+
+        There a drift needs a third sensor that bears witness.
+        """
+        alone = tuple(k for k, mode in enumerate(self.modes) if not (isinstance(mode, Offset) or mode.own_hypothesis))
+        witness = sensors > 2
+        other = (
+            k
+            for k, mode in enumerate(self.modes)
+            if not (mode.joint_only or mode.own_hypothesis) and (witness or not mode.needs_witness)
+        )
+        return alone, tuple(other)
+
+    def _infer(self, layout: Layout, evidence: tuple[Callable[..., float], ...]) -> Callable[..., None]:
+        alone, other = (
+            sensor_functions(evidence, of, layout.width, layout.width_of_settings) for of in self._parts(layout.m)
+        )
+        return make_infer(layout, *alone, *other)

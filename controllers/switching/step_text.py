@@ -1,0 +1,209 @@
+"""The step functions of switching, written for each list of modes, whose own they call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import cache
+from typing import Any
+
+from bayesftc.controllers.precision.base import keep_nominal, report_nothing
+from bayesftc.controllers.switching import mode_kernels, sensor_kernels as kernels
+from bayesftc.controllers.switching.bank.layout import Layout
+from bayesftc.controllers.switching.bank.samples import report_actuators, report_process
+from bayesftc.cosim import ops
+from bayesftc.cosim.stepping.written import function_from_text
+from bayesftc.cosim.types import argument_names
+
+_PASS_TIME = """
+healthy = memory[at + HEALTHY]
+stays = healthy
+{modes}
+memory[at + HEALTHY] = stays
+"""
+
+_PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings, row + {settings})"
+
+_WEIGH = """
+sound = log_density(e * e, variance)
+told = select(present > 0.5, sound + wider(e * e, variance, nominal, doubt), 0.0)
+{modes}
+most = {most}
+share = share_of(told, most)
+healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], settings[row + MISSING]) * share
+{weights}
+total = {total}
+part = 1.0 / total
+memory[at + HEALTHY] = healthy * part + LEAST
+{probabilities}
+memory[at + TRUSTED] = maximum(({trust}) * part, LEAST_TRUST)
+memory[at + DENSITY] = total
+return most
+"""
+
+_WEIGH_MODE = """\
+block{k}, own = at + {block}, row + {settings}
+{tells}
+factor{k} = select(present > 0.5, settings[own + MODE_ARRIVES] * memory[block{k} + FACTOR]{times}, settings[own + MODE_MISSING])\
+"""
+
+_TELLS = """\
+told{k} = mode{k}(e, present, variance, nominal, change, {healthy}, memory, block{k}, settings, own + OWN_SETTINGS)
+told{k} = select(present > 0.5, told{k}, 0.0)\
+"""
+
+_LEARN = """
+told = 0.0 * nominal[0, 0]
+for i in range(y.shape[0]):
+    at, row = i * LENGTH, i * SETTINGS
+    noise = nominal[i, i] * memory[at + NOISE]
+    variance = spread[i, i] + noise
+    pass_time(memory, at, settings, row)
+    change = y[i] - memory[at + LAST]
+    error = held(e[i], variance)
+    repeats = repetition(change, nominal[i, i], memory, at, settings, row)
+    doubt = 0.5 / memory[at + NOISE_SHAPE]
+    told = told + weigh(error, present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
+    told = told + log(memory[at + DENSITY])
+    part = noise / variance
+    squared = part * (part * error * error + spread[i, i])
+    learn_noise(minimum(squared / nominal[i, i], FURTHEST), present[i] * memory[at + HEALTHY], memory, at, settings, row)
+    learn_repeats(change, present[i] * memory[at + HEALTHY], memory, at, settings, row)
+    memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
+    fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
+    use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
+memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
+memory[y.shape[0] * LENGTH + 1] = told
+"""
+
+_REPORT = """
+report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.shape[0] * SETTINGS], first, outputs)
+"""
+
+_REPORT_ACTUATORS = """
+report_actuators(memory, ACTUATORS, ACTUATOR_MODES, P, first + nominal.shape[0] * (MODES + 4) + 1, outputs)
+"""
+
+_REPORT_PROCESS = """
+report_process(memory, PROCESS, STRIDE, PROCESS_MODES, first + PROCESS_OUTPUTS, outputs)
+"""
+
+_OF_TIME = ("memory", "at", "settings", "row")
+_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "doubt", "change", "repeats", *_OF_TIME)
+
+Evidence = tuple[Callable[..., float], ...]
+
+
+@cache
+def sensor_functions(
+    evidence: Evidence, chosen: tuple[int, ...], width: int, settings: int
+) -> tuple[Callable[..., None], Callable[..., float]]:
+    """Return the functions by which time passes for a sensor's modes, and by which they are weighed by a sample.
+
+    The latter returns the logarithm of the sample's density, but for a factor (`DENSITY`). Only the ``chosen`` modes take part.
+
+    Parameters
+    ----------
+    evidence : tuple of function
+        The modes' own step functions.
+    chosen : tuple of int
+        Their numbers.
+    width, settings : int
+        Widths of the block of a mode in the memory and in the settings.
+    """
+    # Where a mode has nothing of its own to say a sample is a healthy one, whose noise may not be as believed (`wider`): that of
+    # a sensor that has dropped out, and the first one of a sensor that is frozen or on a course of its own.
+    telling = [k for k in chosen if evidence[k] is not mode_kernels.drops]
+    waiting = (mode_kernels.freezes, mode_kernels.goes_its_way)
+
+    def of_modes(text: str, of: Iterable[int] = chosen) -> list[str]:
+        return [
+            text.format(
+                k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings,
+                tells=_TELLS.format(k=k, healthy="told" if evidence[k] in waiting else "sound")
+                if k in telling
+                else "",
+                share=f"share_of(told{k}, most)" if k in telling else "share",
+                times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
+            )
+            for k in of
+        ]  # fmt: skip
+
+    def lines(text: str) -> str:
+        return "\n".join(of_modes(text))
+
+    names = _names(evidence)
+    passing = _PASS_TIME.format(modes=lines(_PASS_MODE))
+    weighing = _WEIGH.format(
+        modes=lines(_WEIGH_MODE),
+        most=_paired(["told", *of_modes("told{k}", telling)], "maximum({}, {})"),
+        weights=lines("weight{k} = memory[block{k} + WEIGHT] * factor{k} * {share}"),
+        total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
+        probabilities=lines("memory[block{k} + WEIGHT] = weight{k} * part + LEAST"),
+        trust=_paired(["healthy", *of_modes("weight{k} * memory[block{k} + TRUST]")], "({} + {})"),
+    )
+    return _function("pass_time", _OF_TIME, passing, names), _function("weigh", _OF_A_SAMPLE, weighing, names)
+
+
+@cache
+def learner_functions(
+    evidence: Evidence, chosen: tuple[int, ...], faults: tuple[int, ...], width: int, settings: int,
+    layout: Layout | None,
+) -> tuple[Callable[..., None], Callable[..., None]]:  # fmt: skip
+    """Return the learning and the reporting step function of the per-sensor form for these modes.
+
+    Parameters
+    ----------
+    evidence, chosen, width, settings
+        As of `sensor_functions`.
+    faults : tuple of int
+        For each mode whether it is a fault (1 or 0).
+    layout : Layout or None
+        Of the joint form's bank, where there is one: it has actuators and the process to report on.
+    """
+    modes = len(evidence)
+    pass_time, weigh = sensor_functions(evidence, chosen, width, settings)
+    names = _names(evidence) | {
+        "MODES": modes, "FAULTS": faults, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
+        "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
+    }  # fmt: skip
+    learn = _function("learn_switching", argument_names(keep_nominal), _LEARN, names)
+    report = _REPORT
+    if layout is not None and layout.actuator_modes:
+        report += _REPORT_ACTUATORS
+        names |= {
+            "report_actuators": report_actuators,
+            "ACTUATORS": layout.actuators,
+            "P": layout.p,
+            "ACTUATOR_MODES": layout.actuator_modes,
+        }
+    if layout is not None and layout.process_modes:
+        report += _REPORT_PROCESS
+        sensors = layout.m * (modes + 4) + 1
+        names |= {
+            "report_process": report_process,
+            "PROCESS": layout.first + layout.process * layout.length,
+            "STRIDE": layout.length,
+            "PROCESS_MODES": layout.process_modes,
+            "PROCESS_OUTPUTS": sensors + layout.p * (layout.actuator_modes + 4) * (layout.actuator_modes > 0),
+        }
+    return learn, _function("report_switching", argument_names(report_nothing), report, names)
+
+
+def _names(evidence: Evidence) -> dict[str, Any]:
+    """Return what the text finds as global names."""
+    known = {name: value for of in (mode_kernels, kernels, ops) for name, value in vars(of).items()}
+    own = {f"mode{k}": function for k, function in enumerate(evidence)}
+    return {name: value for name, value in known.items() if not name.startswith("__")} | own | {"__name__": __name__}
+
+
+def _function(name: str, arguments: Iterable[str], text: str, names: dict[str, Any]) -> Callable[..., Any]:
+    lines = [line for line in text.strip("\n").split("\n") if line]
+    return function_from_text(name, arguments, lines, names)
+
+
+def _paired(terms: list[str], joined: str) -> str:
+    """Return the terms joined in pairs, and these again: so the processor computes them side by side."""
+    while len(terms) > 1:
+        pairs = [joined.format(*terms[k : k + 2]) for k in range(0, len(terms) - 1, 2)]
+        terms = pairs + terms[len(terms) - len(terms) % 2 :]
+    return terms[0]

@@ -1,1 +1,0 @@
-"""Groups of coupled blocks: iterated, and with steps of their own."""

@@ -1,1 +1,0 @@
-"""FMUs for model exchange: their equations, and integrators with events that make blocks of them."""

@@ -1,1 +1,0 @@
-"""Reading and writing systems of FMUs in the SSP standard's form."""

@@ -1,0 +1,1 @@
+"""What everything else stands on: time, units, numbers, archives, caches, processes."""

@@ -1,0 +1,64 @@
+"""Values that devices send in place of a sample: -9999, 65535 and the like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.errors import ModelError
+
+Invalid = float | Sequence[float] | Sequence[Sequence[float]]
+"""A value, several for all sensors, or several for each sensor."""
+
+
+def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
+    """Return the values that are no samples of each sensor.
+
+    Parameters
+    ----------
+    who : str
+        Whose setting it is, for the error.
+    given : number, sequence of number, or sequence of these
+        As `Invalid` says; several lists are one for each sensor.
+    sensors : int
+        Their number m.
+
+    Returns
+    -------
+    ndarray, shape (m, k)
+        Rows filled up with NaN, to which no sample is equal; k is at least 1.
+
+    Raises
+    ------
+    ModelError
+        If a value is no finite number, or there are lists for some sensors only.
+    """
+    values = _listed(given)
+    each = [_listed(value) for value in values] if values and all(map(_is_list, values)) else [values] * sensors
+    if len(each) != sensors:
+        raise ModelError(
+            f"{who} has invalid={given!r}, a list for each of {len(each)} sensors, but there are {sensors}; give one list of "
+            "numbers for all sensors, or a list for each."
+        )
+    for value in (value for row in each for value in row):
+        if not np.isfinite(real(value)):
+            raise ModelError(
+                f"{who} has invalid={given!r}; its values must be finite numbers, such as [-9999, 65535] for all sensors, or a "
+                "list of them for each sensor (NaN and infinities are missing samples anyway)."
+            )
+    table = np.full((sensors, max(1, *map(len, each))), np.nan)
+    for row, own in zip(table, each, strict=True):
+        row[: len(own)] = own
+    return table
+
+
+def _is_list(value: object) -> bool:
+    return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
+
+
+def _listed(value: Any) -> list[Any]:
+    return list(value) if _is_list(value) else [value]

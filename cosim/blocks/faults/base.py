@@ -1,0 +1,198 @@
+"""What all faults have in common: the channel, when they are present, ports and state."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from fractions import Fraction
+from math import inf, isfinite
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.blocks.faults import kernels
+from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.ports import Port
+
+DRAWS: Mapping[str, Literal["uniform", "normal"]] = {
+    "transition": "uniform",
+    "pick": "uniform",
+    "chance": "uniform",
+    "noise": "normal",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault(Block):
+    """Base of all faults.
+
+    Input ``u``, outputs ``y`` (both of shape (channels,)) and ``active`` (1 while the fault is present, else 0). While
+    the fault is absent, ``y`` is ``u`` (a negative zero becomes a positive one); the other channels always are. A
+    missing sample (NaN) passes through like any other, and does not disturb when the fault comes and goes.
+
+    Parameters
+    ----------
+    sensor : int
+        Number of the channel, from 0; of a plant's input that is a scalar, 0.
+    start, stop : float
+        Seconds. The fault can be present while start <= t < stop.
+    mean_time_to_fault, mean_time_to_recovery : float, optional
+        Seconds, both or neither. If given, the fault comes and goes at random in that window: at every step with the
+        probabilities step / mean_time_to_fault and step / mean_time_to_recovery. Else it is present all the while.
+    channels : int, optional
+        Length of the signal; `closed_loop` fills it in.
+    name : str, optional
+        Name in the diagram, by default kind and channel (``freeze_0``). It decides the random numbers, so they depend
+        neither on the order of the faults nor on how many there are.
+
+    Raises
+    ------
+    ModelError
+        If a setting cannot be right.
+    """
+
+    value: ClassVar[Callable[..., Any]]
+    draws: ClassVar[tuple[str, ...]] = ()
+    remembers: ClassVar[bool] = False
+
+    sensor: int = 0
+    start: float = field(default=0.0, metadata={"unit": "s"})
+    stop: float = field(default=inf, metadata={"unit": "s"})
+    mean_time_to_fault: float | None = None
+    mean_time_to_recovery: float | None = None
+    channels: int | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        kind = type(self).__name__
+        if not (real(self.sensor) >= 0 and real(self.sensor).is_integer()):
+            raise ModelError(f"{kind} has sensor={brief(self.sensor)}; it must be the number of a channel, from 0.")
+        if self.channels is not None and not (real(self.channels) >= 1 and real(self.channels).is_integer()):
+            raise ModelError(f"{kind} has channels={brief(self.channels)}; it must be a whole number, at least 1.")
+        if self.channels is not None and self.sensor >= self.channels:
+            raise ModelError(
+                f"{kind} is to befall sensor {self.sensor}, but there are {self.channels}, numbered from 0; "
+                f"take a number up to {self.channels - 1}."
+            )
+        start = real(self.start)
+        if not isfinite(start) or not start < real(self.stop):
+            raise ModelError(
+                f"{kind} has start={brief(self.start)} and stop={brief(self.stop)}; it must start, at a finite time, "
+                "before it stops."
+            )
+        if (self.mean_time_to_fault is None) != (self.mean_time_to_recovery is None):
+            raise ModelError(
+                f"{kind} needs both mean_time_to_fault and mean_time_to_recovery, or neither; add the other."
+            )
+        for which in ("mean_time_to_fault", "mean_time_to_recovery"):
+            mean = getattr(self, which)
+            if mean is not None and not 0 < real(mean) < inf:
+                raise ModelError(f"{kind} has {which}={brief(mean)}; it must be a positive, finite number of seconds.")
+        self.check()
+
+    def check(self) -> None:
+        """Raise a ModelError if one of the kind's own settings cannot be right."""
+        own = [f.name for f in fields(self) if f.name not in COMMON]
+        for name, value in zip(own, self.settings, strict=True):
+            if not isfinite(value):
+                raise ModelError(
+                    f"{type(self).__name__} has {name}={brief(getattr(self, name))}; it must be a finite number."
+                )
+
+    @property
+    def settings(self) -> tuple[float, ...]:
+        """The kind's own settings in the order of its fields."""
+        own = (getattr(self, f.name) for f in fields(self) if f.name not in COMMON)
+        return tuple(float(value) if isinstance(value, bool) else real(value) for value in own)
+
+    def numbers(self, step: Fraction) -> tuple[float, ...]:
+        """Return the settings as the kind's function finds them, at a sample time of `step` seconds."""
+        return self.settings
+
+    def memory(self, step: Fraction) -> int:
+        """Return how many numbers the kind remembers, if it does."""
+        return 1
+
+    @classmethod
+    def kernel(cls) -> Callable[..., Any]:
+        """Return the kind's function, with a memory."""
+        return cls.value if cls.remembers else kernels.without_memory(cls.value)
+
+    @property
+    def default_name(self) -> str:
+        """The name that was given, else kind and channel, as ``noise_increase_1``."""
+        return self.name or re.sub(r"(?<!^)(?=[A-Z])", "_", type(self).__name__).lower() + f"_{self.sensor}"
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u``, and the random inputs that this fault uses."""
+        used = (*self.draws, *(() if self.mean_time_to_fault is None else ("transition",)))
+        return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+
+    @property
+    def signal(self) -> Port:
+        """Input ``u``."""
+        return Port("u", self.shape, description="The signal before the fault")
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Outputs ``y`` and ``active``."""
+        return (
+            Port("y", self.shape, description="The signal, one of its channels faulty while the fault is present"),
+            Port("active", description="1 while the fault is present, else 0"),
+        )
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        parameters: dict[str, ArrayLike] = {
+            **self.common_parameters(step),
+            "settings": [[*self.numbers(step), 0.0]],
+        }
+        memory = {"memory": np.zeros((1, self.memory(step)))}
+        if self.remembers:
+            return Definition(kernels.one_kind(self.kernel()), state={**STATE, **memory}, parameters=parameters)
+        return Definition(kernels.one_kind(self.kernel()), state=STATE, parameters={**parameters, **memory})
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of ``u`` and ``y``."""
+        if self.channels is None:
+            raise ModelError(
+                f"{type(self).__name__} does not know the length of its signal; give it channels=..., or put it "
+                "into the list of faults of closed_loop."
+            )
+        return (self.channels,)
+
+    def common_parameters(self, step: Fraction) -> dict[str, ArrayLike]:
+        """Return what the step functions of all faults need, at a sample time of `step` seconds."""
+        hazard = [1.0, 0.0]
+        if self.mean_time_to_fault is not None and self.mean_time_to_recovery is not None:
+            hazard = [float(step) / self.mean_time_to_fault, float(step) / self.mean_time_to_recovery]
+            if max(hazard) > 1.0:
+                raise ModelError(
+                    f"{type(self).__name__} has mean times of {self.mean_time_to_fault:g} s to the fault and "
+                    f"{self.mean_time_to_recovery:g} s to recovery; neither can be shorter than a step of "
+                    f"{show(step)} s."
+                )
+        inputs = {port.name for port in self.inputs}
+        return {
+            "channel": self.sensor,
+            "window": [self.start, self.stop],
+            "hazard": hazard,
+            "step": float(step),
+            **{name: 0.5 for name in DRAWS if name not in inputs},  # what is not drawn is a constant of the same name
+        }
+
+
+COMMON = frozenset(f.name for f in fields(Fault))
+STATE: Mapping[str, ArrayLike] = {"on": 0.0, "age": 0.0, "held": 0.0}

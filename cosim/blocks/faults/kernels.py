@@ -1,0 +1,204 @@
+"""Step functions of the faults: one gate for all, and for each kind the value that a faulty sensor shows.
+
+A kind is a function ``(sample, held, age, chance, noise, settings) -> value`` of scalars: the sample that comes in, the
+last one before the onset, seconds since the onset, a number uniform in (0, 1), a standard normal number, and the kind's
+own settings (an array in the order of its fields). A kind that remembers has a seventh argument, ``memory``: an array that is
+all zeros at first and its own to write to. Every kind is computed at every step, whether it is present or not,
+and ``select`` drops what is not wanted, even a NaN or infinity; so a kind may return anything, but never raises. ``age`` is 0 at
+the onset and while the fault is absent.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from math import tau
+from typing import Any
+
+from bayesftc.cosim.ops import both, floor, maximum, minimum, select, sin
+from bayesftc.cosim.types import Kernel
+
+Value = Callable[..., Any]
+
+NAN = float("nan")
+TAU = tau
+HALF = 0.5  # states that mean yes or no are 1.0 or 0.0; a comparison with the middle cannot be missed
+
+
+def frozen(sample, held, age, chance, noise, settings):
+    """Hold the last sample before the onset."""
+    return held
+
+
+def stuck(sample, held, age, chance, noise, settings):
+    """Show a given value; settings: at."""
+    return settings[0]
+
+
+def injected(sample, held, age, chance, noise, settings):
+    """Add a constant and a sine; settings: magnitude, amplitude, period, phase."""
+    return sample + (settings[0] + settings[1] * sin(TAU * age / settings[2] + settings[3]))
+
+
+def biased(sample, held, age, chance, noise, settings):
+    """Add a constant; settings: magnitude."""
+    return sample + settings[0]
+
+
+def drifted(sample, held, age, chance, noise, settings):
+    """Add what has grown since the onset; settings: slope."""
+    return sample + settings[0] * age
+
+
+def scaled(sample, held, age, chance, noise, settings):
+    """Multiply; settings: factor."""
+    return settings[0] * sample
+
+
+def dropped(sample, held, age, chance, noise, settings):
+    """Return no sample."""
+    return NAN
+
+
+def spiked(sample, held, age, chance, noise, settings):
+    """Add a jump now and then; settings: magnitude, probability, random_size."""
+    size = select(settings[2] > HALF, noise, select(noise < 0.0, -1.0, 1.0))
+    return select(chance < settings[1], sample + settings[0] * size, sample)
+
+
+def noisier(sample, held, age, chance, noise, settings):
+    """Add normal noise; settings: std."""
+    return sample + settings[0] * noise
+
+
+def ageing(sample, held, age, chance, noise, settings):
+    """Add normal noise that grows since the onset; settings: slope."""
+    return sample + settings[0] * age * noise
+
+
+def clipped(sample, held, age, chance, noise, settings):
+    """Keep within limits, a missing sample as it is; settings: low, high."""
+    return select(sample == sample, maximum(minimum(sample, settings[1]), settings[0]), sample)
+
+
+def rounded(sample, held, age, chance, noise, settings):
+    """Round to the nearest multiple, halves up; settings: resolution."""
+    return floor(sample / settings[0] + 0.5) * settings[0]
+
+
+def lagging(sample, held, age, chance, noise, settings, memory):
+    """Follow from the last sample before the onset; settings: share of the way in a step; memory: where it is, if finite."""
+    last = select(age == 0.0, held, memory[0])
+    last = select(last - last == 0.0, last, sample)
+    now = last + settings[0] * (sample - last)
+    memory[0] = select(now - now == 0.0, now, last)
+    return now
+
+
+def delayed(sample, held, age, chance, noise, settings, memory):
+    """Show an earlier sample; settings: steps; memory: whether it has begun, then samples, the newest last."""
+    newest = memory.shape[0] - 1
+    value = sample
+    for i in range(1, newest):
+        memory[i] = select(memory[0] > HALF, memory[i + 1], sample)
+    memory[newest] = sample
+    for i in range(1, newest):
+        value = select(newest - i == settings[0], memory[i], value)
+    memory[0] = 1.0
+    return value
+
+
+@cache
+def without_memory(kind: Value) -> Value:
+    """Return a kind that remembers nothing with the arguments of one that does."""
+
+    def value(sample, held, age, chance, noise, settings, memory):
+        return kind(sample, held, age, chance, noise, settings)
+
+    return value
+
+
+def gate(t, transition, window, hazard, on, age):
+    """Let the fault come and go.
+
+    Within the window (start <= t < stop) it comes with probability ``hazard[0]`` and goes with ``hazard[1]`` at each
+    step; a fault that is only scheduled has 1 and 0. ``age`` counts the steps since the onset.
+    """
+    stays = select(transition[0] < hazard[1], 0.0, 1.0)
+    comes = select(transition[0] < hazard[0], 1.0, 0.0)
+    present = select(both(t >= window[0], t < window[1]), select(on[0] > HALF, stays, comes), 0.0)
+    age[0] = select(both(present > HALF, on[0] > HALF), age[0] + 1.0, 0.0)
+    on[0] = present
+
+
+def element(u, channel):
+    """Return the element of `u` whose number is in ``channel[0]``; a NaN in another one does no harm."""
+    value = select(channel[0] == 0, u[0], 0.0)
+    for i in range(1, u.shape[0]):
+        value = select(channel[0] == i, u[i], value)
+    return value
+
+
+def replace(u, channel, value, y):
+    """Copy `u` to `y` with one element exchanged."""
+    for i in range(u.shape[0]):
+        y[i] = select(channel[0] == i, value, u[i])
+
+
+@cache
+def one_kind(kind: Value) -> Kernel:
+    """Return the step function of a fault of one kind, which takes a memory; ``settings`` and ``memory`` have one row."""
+
+    def fault(
+        t, k, u, transition, chance, noise, channel, window, hazard, step, settings, on, age, held, memory, y, active
+    ):  # fmt: skip
+        gate(t, transition, window, hazard, on, age)
+        sample = element(u, channel)
+        before = select(k == 0, sample, held[0])
+        value = kind(sample, before, age[0] * step[0], chance[0], noise[0], settings[0], memory[0])
+        replace(u, channel, select(on[0] > HALF, value, sample), y)
+        held[0] = select(on[0] > HALF, before, sample)
+        active[0] = on[0]
+
+    return fault
+
+
+@cache
+def several_kinds(kinds: tuple[Value, ...]) -> Kernel:
+    """Return the step function of a fault whose kind is drawn at every onset; ``settings`` and ``memory`` have a row for each."""
+    value_of = _numbered(kinds, len(kinds) - 1)
+
+    def fault(
+        t, k, u, transition, pick, chance, noise, channel, window, hazard, step, shares, settings, on, age, held,
+        chosen, memory, y, active, kind,
+    ):  # fmt: skip
+        gate(t, transition, window, hazard, on, age)
+        sample = element(u, channel)
+        before = select(k == 0, sample, held[0])
+        drawn = 0.0
+        for i in range(shares.shape[0] - 1):  # the last share is 1, which no draw reaches
+            drawn = drawn + select(pick[0] >= shares[i], 1.0, 0.0)
+        chosen[0] = select(age[0] == 0.0, drawn, chosen[0])
+        value = value_of(chosen[0], sample, before, age[0] * step[0], chance[0], noise[0], settings, memory)
+        replace(u, channel, select(on[0] > HALF, value, sample), y)
+        held[0] = select(on[0] > HALF, before, sample)
+        active[0] = on[0]
+        kind[0] = select(on[0] > HALF, chosen[0], -1.0)
+
+    return fault
+
+
+def _numbered(kinds: tuple[Value, ...], last: int) -> Value:
+    """Return a function that computes the kinds up to `last` and selects one by its number."""
+    this = kinds[last]
+    if last == 0:
+
+        def first(number, sample, held, age, chance, noise, settings, memory):
+            return this(sample, held, age, chance, noise, settings[0], memory[0])
+
+        return first
+    others = _numbered(kinds, last - 1)
+
+    def value(number, sample, held, age, chance, noise, settings, memory):
+        mine = this(sample, held, age, chance, noise, settings[last], memory[last])
+        return select(number == last, mine, others(number, sample, held, age, chance, noise, settings, memory))
+
+    return value

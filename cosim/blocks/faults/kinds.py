@@ -1,0 +1,423 @@
+"""Faults as modifiers of one channel of a signal: what reaches its reader is no longer what was said.
+
+A fault stands between a signal and its reader, and touches one channel: between sensors and controller it is a sensor's fault,
+between controller and plant an actuator's, between a disturbance and the plant one of the process (`closed_loop` has a place for
+each). What it stands behind knows nothing of it: a controller believes in the control that it sent. Several are chained. A
+fault is *scheduled* (present while ``start <= t < stop``) or comes and goes at *random* in that window, as a two-state Markov
+chain. Its output ``active`` is the ground truth that a detector is judged by.
+
+To add a kind of fault you must:
+
+1. write in ``_fault_kernels.py`` the value that a faulty channel shows, ``value(sample, held, age, chance, noise,
+   settings)``, by the rules for step functions (`Block`);
+2. write here a frozen, keyword-only dataclass derived from `Fault` whose fields, numbers all, are the settings in the
+   order in which the function finds them, with ``value = staticmethod(...)``; a field's metadata has its unit, ``{u}`` that
+   of the signal;
+3. name in its ``draws`` the random numbers that it uses: ``"chance"`` (uniform in (0, 1)), ``"noise"`` (standard
+   normal);
+4. if what it shows depends on earlier samples, set ``remembers = True``, return from ``memory(step)`` how many numbers it keeps,
+   and give the function a seventh argument ``memory``; override ``numbers`` if it wants its settings in steps;
+5. override ``check`` where a setting can be wrong in other ways than not being finite;
+6. put it into `FAULTS` and ``cosim/__init__.pyi``, and into the list of ``tests/test_faults.py`` with its formula in NumPy.
+
+Random, scheduled and mixed faults, both engines and scenario files then have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from fractions import Fraction
+from math import expm1, inf
+
+import numpy as np
+
+from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.block import Definition
+from bayesftc.cosim.blocks.faults import kernels
+from bayesftc.cosim.blocks.faults.base import DRAWS, STATE, Fault
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ports import Port
+
+MOST_DELAY = 10_000_000
+"""Samples that a `Delay` keeps: 80 MB."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Freeze(Fault):
+    """The channel keeps, to the bit, the last sample before the onset, also a missing one.
+
+    Present from the first step on, it keeps the first sample.
+    """
+
+    value = staticmethod(kernels.frozen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stuck(Fault):
+    """The channel shows the value `at`, whatever comes in: a sensor at the end of its range, an actuator that is shut (0).
+
+    Parameters
+    ----------
+    at : float
+        What the channel shows.
+    """
+
+    at: float = field(metadata={"unit": "{u}"})
+    value = staticmethod(kernels.stuck)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Injection(Fault):
+    """``magnitude + amplitude * sin(2 pi age / period + phase)`` is added.
+
+    The age is in seconds and counts from the onset, in whole steps.
+
+    Parameters
+    ----------
+    magnitude : float
+        The constant part of what is added.
+    amplitude : float
+        How far the rest of it swings to either side.
+    period : float
+        Seconds. From one crest to the next.
+    phase : float
+        Radians. Where in its swing it begins.
+    """
+
+    magnitude: float = field(default=0.0, metadata={"unit": "{u}"})
+    amplitude: float = field(default=0.0, metadata={"unit": "{u}"})
+    period: float = field(default=1.0, metadata={"unit": "s"})
+    phase: float = field(default=0.0, metadata={"unit": "rad"})
+    value = staticmethod(kernels.injected)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.period <= 0:
+            raise ModelError(f"Injection has period={self.period!r}; it must be positive.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bias(Fault):
+    """A sensor with a constant offset, `magnitude`: from the very beginning, unless it has a start.
+
+    Parameters
+    ----------
+    magnitude : float
+        What is added.
+    """
+
+    magnitude: float = field(metadata={"unit": "{u}"})
+    value = staticmethod(kernels.biased)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(Fault):
+    """An offset that grows by `slope` each second.
+
+    It is ``slope * age``; the age is the number of steps since the onset times the step, so the first faulty sample is
+    still right.
+
+    Parameters
+    ----------
+    slope : float
+        Per second. How fast the offset grows.
+    """
+
+    slope: float = field(metadata={"unit": "{u}/s"})
+    value = staticmethod(kernels.drifted)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainFault(Fault):
+    """The sample times `factor`; of an actuator, a loss of effectiveness (a factor below 1).
+
+    Parameters
+    ----------
+    factor : float
+        What the sample is multiplied with.
+    """
+
+    factor: float
+    value = staticmethod(kernels.scaled)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dropout(Fault):
+    """No sample: NaN."""
+
+    value = staticmethod(kernels.dropped)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spikes(Fault):
+    """Outliers: at each step, with `probability`, `magnitude` is added with a random sign.
+
+    With ``random_size`` each outlier is `magnitude` times a standard normal number instead. Two numbers are drawn a
+    step, a uniform and a normal one, whether there is an outlier or not. ``active`` is 1 between outliers as well.
+
+    Parameters
+    ----------
+    magnitude : float
+        Size of an outlier.
+    probability : float
+        Of an outlier at a step, from 0 to 1.
+    random_size : bool
+        Whether sizes are normal numbers.
+    """
+
+    magnitude: float = field(metadata={"unit": "{u}"})
+    probability: float = 0.1
+    random_size: bool = False
+    value = staticmethod(kernels.spiked)
+    draws = ("chance", "noise")
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if not 0 <= self.probability <= 1:
+            raise ModelError(f"Spikes has probability={self.probability!r}; it must lie between 0 and 1.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseIncrease(Fault):
+    """Normal noise of standard deviation `std` on top of the sensor's own: the variances add.
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation of what is added.
+    """
+
+    std: float = field(metadata={"unit": "{u}"})
+    value = staticmethod(kernels.noisier)
+    draws = ("noise",)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.std < 0:
+            raise ModelError(f"NoiseIncrease has std={self.std!r}; it must not be negative.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseGrowth(Fault):
+    """Normal noise on top of the sensor's own, whose standard deviation grows by `slope` each second: a sensor that ages.
+
+    The age counts from the onset, in whole steps; the variances add.
+
+    Parameters
+    ----------
+    slope : float
+        Per second. How fast the standard deviation grows.
+    """
+
+    slope: float = field(metadata={"unit": "{u}/s"})
+    value = staticmethod(kernels.ageing)
+    draws = ("noise",)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.slope < 0:
+            raise ModelError(f"NoiseGrowth has slope={self.slope!r}; it must not be negative.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clipping(Fault):
+    """The sample where it is within limits, else the nearer limit: a sensor that saturates.
+
+    Parameters
+    ----------
+    low, high : float
+        The limits; by default there is none.
+    """
+
+    low: float = field(default=-inf, metadata={"unit": "{u}"})
+    high: float = field(default=inf, metadata={"unit": "{u}"})
+    value = staticmethod(kernels.clipped)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        if not self.low <= self.high:
+            raise ModelError(f"Clipping has low={self.low!r} and high={self.high!r}; low must not be above high.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rounding(Fault):
+    """The nearest whole multiple of `resolution`, halves up, as of `Sensors`: a sensor that has become coarse.
+
+    Parameters
+    ----------
+    resolution : float
+        Positive.
+    """
+
+    resolution: float = field(metadata={"unit": "{u}"})
+    value = staticmethod(kernels.rounded)
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.resolution <= 0:
+            raise ModelError(f"Rounding has resolution={self.resolution!r}; it must be positive.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag(Fault):
+    """The channel follows slowly, as a low-pass filter of first order that begins at the last sample before the onset.
+
+    Each step it goes a share ``1 - exp(-step / time_constant)`` of the way to the sample. A sample that is
+    missing, or not finite, is shown as it is and does not move it.
+
+    Parameters
+    ----------
+    time_constant : float
+        Seconds, not negative; 0 for no lag.
+    """
+
+    time_constant: float = field(metadata={"unit": "s"})
+    value = staticmethod(kernels.lagging)
+    remembers = True
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.time_constant < 0:
+            raise ModelError(f"Lag has time_constant={self.time_constant!r}; it must not be negative.")
+
+    def numbers(self, step: Fraction) -> tuple[float, ...]:
+        """See `Fault.numbers`."""
+        return (-expm1(-float(step) / self.time_constant) if self.time_constant else 1.0,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delay(Fault):
+    """The channel shows an earlier sample; until there is one, the first.
+
+    Parameters
+    ----------
+    delay : float
+        Seconds, not negative; rounded to whole steps.
+    """
+
+    delay: float = field(metadata={"unit": "s"})
+    value = staticmethod(kernels.delayed)
+    remembers = True
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        super().check()
+        if self.delay < 0:
+            raise ModelError(f"Delay has delay={self.delay!r}; it must not be negative.")
+
+    def numbers(self, step: Fraction) -> tuple[float, ...]:
+        """See `Fault.numbers`."""
+        steps = self.delay / float(step)
+        if steps > MOST_DELAY:
+            raise ModelError(
+                f"Delay has delay={self.delay!r}, which is {steps:.3g} steps; it remembers {MOST_DELAY:,} at most. A fault that "
+                "shows the first sample for ever is a Freeze."
+            )
+        return (float(round(steps)),)
+
+    def memory(self, step: Fraction) -> int:
+        """See `Fault.memory`."""
+        return int(self.numbers(step)[0]) + 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomFaults(Fault):
+    """Faults of several kinds, one at a time: whenever the fault comes, its kind is drawn.
+
+    A further output ``kind`` is the number of the kind that is present, -1 for none.
+
+    Parameters
+    ----------
+    kinds : sequence of Fault
+        What can come. Only each kind's own settings count: sensor, window, mean times and name are those of the whole.
+    weights : sequence of float, optional
+        How often each kind comes, in any unit; by default all equally often.
+
+    Raises
+    ------
+    ModelError
+        If a setting cannot be right, or a kind has a window, mean times or name of its own.
+    """
+
+    kinds: Sequence[Fault] = (Freeze(), Injection(magnitude=3.0), Drift(slope=5.0))
+    weights: Sequence[float] | None = None
+    mean_time_to_fault: float | None = 2.8
+    mean_time_to_recovery: float | None = 0.4
+
+    def check(self) -> None:
+        """See `Fault.check`."""
+        object.__setattr__(self, "kinds", tuple(self.kinds))
+        if not self.kinds or not all(isinstance(k, Fault) and not isinstance(k, RandomFaults) for k in self.kinds):
+            raise ModelError("RandomFaults needs at least one kind of fault, as kinds=(Freeze(), Drift(slope=5.0)).")
+        for kind in self.kinds:
+            for own in fields(Fault):
+                allowed = {own.default, self.sensor} if own.name == "sensor" else {own.default}
+                if getattr(kind, own.name) not in allowed:
+                    raise ModelError(
+                        f"RandomFaults has a {type(kind).__name__} with {own.name}={getattr(kind, own.name)!r} "
+                        f"of its own; give {own.name} to RandomFaults itself, or use that {type(kind).__name__} alone."
+                    )
+        if self.weights is not None:
+            weights = reals(self.weights)
+            if (
+                weights.shape != (len(self.kinds),)
+                or not np.isfinite(weights).all()
+                or (weights < 0).any()
+                or not weights.any()
+            ):
+                raise ModelError(
+                    f"RandomFaults has weights={self.weights!r} for {len(self.kinds)} kinds; give each a number that "
+                    "is not negative, and one at least a positive one."
+                )
+            object.__setattr__(self, "weights", tuple(weights.tolist()))
+
+    @property
+    def settings(self) -> tuple[float, ...]:
+        """The settings of all kinds, one after the other."""
+        return tuple(value for kind in self.kinds for value in kind.settings)
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u``, and the random inputs that any of the kinds uses."""
+        used = {"pick", "transition"} if self.mean_time_to_fault is not None else {"pick"}
+        used |= {name for kind in self.kinds for name in kind.draws}
+        return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Outputs ``y``, ``active`` and ``kind``."""
+        return (*super().outputs, Port("kind", description="Number of the kind of fault that is present, -1 for none"))
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        settings = np.zeros((len(self.kinds), max(len(kind.settings) for kind in self.kinds) + 1))
+        for row, kind in zip(settings, self.kinds, strict=True):
+            row[: len(kind.settings)] = kind.numbers(step)
+        weights = np.ones(len(self.kinds)) if self.weights is None else np.asarray(self.weights)
+        parameters = {
+            **self.common_parameters(step),
+            "settings": settings,
+            "shares": np.cumsum(weights) / np.cumsum(weights)[-1],
+        }
+        memory = np.zeros((len(self.kinds), max(kind.memory(step) for kind in self.kinds)))
+        kernel = kernels.several_kinds(tuple(kind.kernel() for kind in self.kinds))
+        state = {**STATE, "chosen": 0.0}
+        if any(kind.remembers for kind in self.kinds):
+            return Definition(kernel, state={**state, "memory": memory}, parameters=parameters)
+        return Definition(kernel, state=state, parameters={**parameters, "memory": memory})
+
+
+FAULTS: tuple[type[Fault], ...] = (
+    Freeze, Stuck, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, NoiseGrowth, Clipping, Rounding, Lag,
+    Delay, RandomFaults,
+)  # fmt: skip
+"""All kinds; the last one mixes the others."""
+
+__all__ = ["FAULTS", "Fault", *(fault.__name__ for fault in FAULTS)]

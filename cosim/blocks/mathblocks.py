@@ -1,0 +1,215 @@
+"""Small blocks that wire others together: gain, sum, unit delay, saturation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from math import isfinite
+
+import numpy as np
+
+from bayesftc.cosim.base.numbers import real, reals
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.ops import isnan, maximum, minimum, select
+from bayesftc.cosim.ports import Port
+
+IN = "What comes in"
+
+
+def _gain(u, gain, offset, y):
+    for i in range(y.shape[0]):
+        total = offset[i]
+        for j in range(u.shape[0]):
+            total = total + gain[i, j] * u[j]
+        y[i] = total
+
+
+@dataclass(frozen=True)
+class Gain(Block):
+    """``y = gain @ u + offset``.
+
+    Parameters
+    ----------
+    gain : float or sequence of sequence of float
+        A number for a scalar signal, a matrix (rows x inputs) for a vector.
+    offset : float
+        What is added to each element.
+    input_unit, output_unit : str or None
+        Units of the ports, so that a Gain can convert between two.
+    """
+
+    gain: float | Sequence[Sequence[float]]
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    input_unit: str | None = None
+    output_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        gain = reals(self.gain)
+        if gain.ndim not in {0, 2} or not gain.size or not np.isfinite(gain).all():
+            raise ModelError(
+                f"Gain is {brief(self.gain)}; it must be a finite number, or a matrix with a row for each output."
+            )
+        if not isfinite(real(self.offset)):
+            raise ModelError(f"Gain has offset={brief(self.offset)}; it must be a finite number.")
+        object.__setattr__(self, "gain", tuple(tuple(row) for row in gain.tolist()) if gain.ndim else float(gain))
+
+    @property
+    def _matrix(self) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        return np.atleast_2d(np.asarray(self.gain, float))
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u``."""
+        return (
+            Port("u", () if np.ndim(self.gain) == 0 else (self._matrix.shape[1],), self.input_unit, description=IN),
+        )
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (
+            Port(
+                "y",
+                () if np.ndim(self.gain) == 0 else (self._matrix.shape[0],),
+                self.output_unit,
+                description="gain u + offset",
+            ),
+        )
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        matrix = self._matrix
+        return Definition(_gain, parameters={"gain": matrix, "offset": np.full(len(matrix), self.offset)})
+
+
+def _sum(u, signs, y):
+    total = signs[0] * u[0]
+    for i in range(1, u.shape[0]):
+        total = total + signs[i] * u[i]
+    y[0] = total
+
+
+@dataclass(frozen=True)
+class Sum(Block):
+    """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is a comparison of two signals."""
+
+    signs: str = "++"
+
+    def __post_init__(self) -> None:
+        if not self.signs or set(self.signs) - {"+", "-"}:
+            raise ModelError(f"Sum has signs={self.signs!r}; give a + or - for each element, as '+-'.")
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u``, an element for each sign."""
+        return (Port("u", (len(self.signs),), description="What is added or subtracted"),)
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (Port("y", description="The sum"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        return Definition(_sum, parameters={"signs": [1.0 if s == "+" else -1.0 for s in self.signs]})
+
+
+def _check_size(block: UnitDelay | Saturation) -> None:
+    if isinstance(block.size, bool) or not isinstance(block.size, int | np.integer) or block.size < 1:
+        raise ModelError(f"{type(block).__name__} has size={block.size!r}; it must be a whole number, at least 1.")
+
+
+def _delay_output(held, y):
+    for i in range(y.shape[0]):
+        y[i] = held[i]
+
+
+def _delay_update(u, held):
+    for i in range(u.shape[0]):
+        held[i] = u[i]
+
+
+@dataclass(frozen=True)
+class UnitDelay(Block):
+    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements: breaks algebraic loops, and shows a delay."""
+
+    size: int = 1
+    initial: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_size(self)
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u``, without direct feedthrough."""
+        return (Port("u", () if self.size == 1 else (self.size,), feedthrough=False, description=IN),)
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (Port("y", () if self.size == 1 else (self.size,), description="u of the step before"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        return Definition(_delay_output, _delay_update, state={"held": np.full(self.size, self.initial)})
+
+
+def _saturation(u, low, high, y):
+    for i in range(y.shape[0]):
+        y[i] = select(isnan(u[i]), u[i], maximum(minimum(u[i], high[0]), low[0]))
+
+
+@dataclass(frozen=True)
+class Saturation(Block):
+    """Limits each of the ``size`` elements of ``u`` to [low, high]; a missing sample (NaN) stays missing.
+
+    Parameters
+    ----------
+    low, high : float
+        Limits of each element.
+    size : int
+        Number of elements.
+    """
+
+    low: float = field(metadata={"unit": "{u}"})
+    high: float = field(metadata={"unit": "{u}"})
+    size: int = 1
+
+    def __post_init__(self) -> None:
+        _check_size(self)
+        if not self.low <= self.high:
+            raise ModelError(f"Saturation has low={self.low!r} and high={self.high!r}; low must not lie above high.")
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u``."""
+        return (Port("u", () if self.size == 1 else (self.size,), description=IN),)
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (Port("y", () if self.size == 1 else (self.size,), description="u within its limits"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        return Definition(_saturation, parameters={"low": self.low, "high": self.high})
+
+
+__all__ = ["Gain", "Saturation", "Sum", "UnitDelay"]

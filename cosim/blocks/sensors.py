@@ -1,0 +1,212 @@
+"""Sensors: what they read, and with which offset, noise and resolution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from fractions import Fraction
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.invalid import Invalid, invalid_values
+from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.blocks import sensor_kernels as kernels
+from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Floats, Kernel
+
+MOST = 10_000
+"""How many sensors, or signals, there may be: each has memory, and with a controller a matrix has a row for each."""
+
+
+@dataclass(frozen=True)
+class Sensors(Block):
+    """Redundant sensors: ``y = g(u) + bias + std * noise``, rounded to the resolution.
+
+    Input ``u`` (a scalar, or of shape (signals,)), output ``y`` of shape (count,), also for one sensor. A missing
+    sample (NaN) of a signal is a missing sample of every sensor that reads it. Each sensor has its own noise, which
+    does not change when further sensors are added.
+
+    Parameters
+    ----------
+    count : int
+        Number of sensors.
+    std : float or sequence of float
+        Standard deviation of the noise in the unit of the signal, for all sensors or for each.
+    signals : int
+        Number of signals that they read.
+    bias : float or sequence of float
+        Constant offset.
+    resolution : float or sequence of float
+        Readings are whole multiples of this (halves go up); 0 for no rounding.
+    matrix : sequence of sequence of float, shape (count, signals), optional
+        What each sensor measures of the signals.
+    function : function, optional
+        A step function ``function(u, clean)`` that keeps the rules of `Block` and writes what count ideal sensors read
+        into ``clean``. Without matrix and function all sensors read the one signal, or sensor i reads signal ``i %
+        signals``.
+    covariance : sequence of sequence of float, shape (count, count), optional
+        Of the noise, instead of `std`, where sensors are disturbed together.
+    unit : str, optional
+        Of the signal and of the readings.
+    invalid : sequence of float, or of one for each sensor
+        Values that the devices send in place of a sample, as ``[-9999, 65535]``. The samples stay as they are; `closed_loop`
+        gives the values to the controller, which takes such a sample as missing.
+
+    Raises
+    ------
+    ModelError
+        If sizes do not fit or a setting cannot be right.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> cosim.Sensors(count=2, std=(1.0, 0.5)).port("y").shape
+    (2,)
+    """
+
+    count: int = 1
+    std: float | Sequence[float] = field(default=0.0, metadata={"unit": "{y}"})
+    _: KW_ONLY
+    signals: int = 1
+    bias: float | Sequence[float] = field(default=0.0, metadata={"unit": "{y}"})
+    resolution: float | Sequence[float] = field(default=0.0, metadata={"unit": "{y}"})
+    matrix: Sequence[Sequence[float]] | None = None
+    function: Callable[..., None] | None = None
+    covariance: Sequence[Sequence[float]] | None = None
+    unit: str | None = None
+    invalid: Invalid = ()
+
+    def __post_init__(self) -> None:
+        for name in ("count", "signals"):
+            number = getattr(self, name)
+            if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= MOST:
+                raise ModelError(f"Sensors has {name}={brief(number)}; it must be a whole number from 1 to {MOST:,}.")
+        for name in ("std", "bias", "resolution"):
+            self._check_each(name, negative=name == "bias")
+        invalid_values("Sensors", self.invalid, self.count)
+        self._check_matrix("matrix", self.signals)
+        self._check_matrix("covariance", self.count)
+        if self.matrix is not None and self.function is not None:
+            raise ModelError("Sensors has a matrix and a function; give only the one that says what is measured.")
+        if self.function is not None:
+            _check_function(self.function)
+        elif self.matrix is None and self.count % self.signals:
+            raise ModelError(
+                f"{self.count} sensors cannot share {self.signals} signals evenly; say with matrix=... "
+                f"({self.count} x {self.signals}) or function=... what each of them reads."
+            )
+        if self.covariance is not None:
+            if np.any(self.std):
+                raise ModelError(
+                    "Sensors has both std and covariance; the diagonal of the covariance says the std already."
+                )
+            _semidefinite_factor(np.asarray(self.covariance))
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Input ``u`` and random input ``noise``."""
+        shape = () if self.signals == 1 else (self.signals,)
+        u = Port("u", shape, unit=self.unit, description="What is measured")
+        return (u, Port("noise", (self.count,), draw="normal"))
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (Port("y", (self.count,), unit=self.unit, description="Samples of the sensors; NaN for a missing one"),)
+
+    @property
+    def one_unit(self) -> tuple[str, ...]:
+        """See `Block.one_unit`."""
+        return ("u", "y") if self.matrix is None and self.function is None else ()
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        measure: Kernel = kernels.one_to_one
+        if self.function is not None:
+            measure = kernels.by_function(self.function)
+        elif self.matrix is not None:
+            measure = kernels.linear
+        disturbance: Callable[..., Any] = kernels.independent
+        factor = self._each("std")[:, np.newaxis]
+        if self.covariance is not None:
+            disturbance, factor = kernels.correlated, _semidefinite_factor(np.asarray(self.covariance))
+        return Definition(
+            kernels.sensors(measure, disturbance),
+            state={"clean": np.zeros(self.count)},
+            parameters={
+                "matrix": [[0.0]] if self.matrix is None else self.matrix,
+                "factor": factor,
+                "bias": self._each("bias"),
+                "resolution": self._each("resolution"),
+            },
+        )
+
+    def _each(self, name: str) -> Floats:
+        return np.broadcast_to(np.asarray(getattr(self, name), float), (self.count,))
+
+    def _check_each(self, name: str, negative: bool) -> None:
+        value = getattr(self, name)
+        numbers = reals(value)
+        if numbers.shape not in {(), (self.count,)}:
+            raise ModelError(
+                f"Sensors has {name}={brief(value)} for {self.count} sensors; give one number, or one for each."
+            )
+        if not np.isfinite(numbers).all() or (not negative and (numbers < 0).any()):
+            raise ModelError(
+                f"Sensors has {name}={brief(value)}; it must be finite{'' if negative else ' and not negative'}."
+            )
+        object.__setattr__(self, name, tuple(numbers.tolist()) if numbers.ndim else float(numbers))
+
+    def _check_matrix(self, name: str, columns: int) -> None:
+        value = getattr(self, name)
+        if value is None:
+            return
+        numbers = reals(value)
+        if numbers.shape != (self.count, columns) or not np.isfinite(numbers).all():
+            raise ModelError(
+                f"Sensors has {name}={value!r}; it must have a row of {columns} finite numbers for each of the "
+                f"{self.count} sensors."
+            )
+        object.__setattr__(self, name, tuple(tuple(row) for row in numbers.tolist()))
+
+
+def _check_function(function: Callable[..., None]) -> None:
+    if not isinstance(function, FunctionType) or function.__code__.co_argcount != 2:
+        raise ModelError(
+            f"Sensors has function={function!r}; it must be a plain Python function of two arguments, (u, clean), that "
+            "writes what ideal sensors read into clean."
+        )
+
+
+def _semidefinite_factor(covariance: Floats) -> Floats:
+    """Return the lower triangle L with L L' = covariance, which may be singular.
+
+    Row i depends on the first i sensors only, so the noise of a sensor stays as it is when others are added after it.
+    """
+    message = f"Sensors has covariance={covariance.tolist()}; "
+    if np.abs(covariance - covariance.T).max() > 1e-12 * np.abs(covariance).max():
+        raise ModelError(message + "it must be symmetric.")
+    variances = covariance.diagonal()
+    std = np.sqrt(np.where(variances > 0, variances, 1.0))  # correlations have no unit, so one tolerance fits all
+    correlation = covariance / np.outer(std, std)
+    if np.linalg.eigvalsh(correlation).min() < -1e-10:
+        raise ModelError(
+            message + "it must have no negative eigenvalue (a correlation beyond 1, or a negative variance)."
+        )
+    factor = np.zeros_like(correlation)
+    for i in range(len(factor)):
+        for j in range(i + 1):
+            rest = correlation[i, j] - factor[i, :j] @ factor[j, :j]
+            if i == j:
+                factor[i, i] = np.sqrt(rest) if rest > 1e-12 else 0.0
+            elif factor[j, j] > 0:
+                factor[i, j] = rest / factor[j, j]
+    scaled: Floats = std[:, np.newaxis] * factor
+    return scaled
+
+
+__all__ = ["Sensors"]

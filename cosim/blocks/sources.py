@@ -1,0 +1,281 @@
+"""Sources: signals that depend on time alone, and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from math import isfinite, tau
+
+import numpy as np
+
+from bayesftc.cosim.base.numbers import real, reals
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.ops import select, sin
+from bayesftc.cosim.ports import Port
+
+TAU = tau
+
+
+@dataclass(frozen=True)
+class Source(Block):
+    """Base of all sources: one scalar output ``y``, in the ``unit`` given (any, if None)."""
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (Port("y", unit=getattr(self, "unit", None), description="A signal that depends on time alone"),)
+
+    def _check(self, *names: str) -> None:
+        for name in names:
+            value = getattr(self, name)
+            if not isfinite(real(value)):
+                raise ModelError(f"{type(self).__name__} has {name}={brief(value)}; it must be a finite number.")
+
+
+def _constant(value, y):
+    y[0] = value[0]
+
+
+@dataclass(frozen=True)
+class Constant(Source):
+    """The same ``value`` at all times.
+
+    Parameters
+    ----------
+    value : float
+        What the output is.
+    unit : str or None
+        Unit of the output.
+    """
+
+    value: float = field(metadata={"unit": "{y}"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check("value")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        return Definition(_constant, parameters={"value": self.value})
+
+
+def _step(t, time, before, after, y):
+    y[0] = select(t >= time[0], after[0], before[0])
+
+
+@dataclass(frozen=True)
+class Step(Source):
+    """`before` until `time` seconds, then `after`.
+
+    Parameters
+    ----------
+    time : float
+        Seconds. When the output changes.
+    after, before : float
+        What the output is from then on, and until then.
+    unit : str or None
+        Unit of the output.
+    """
+
+    time: float = field(metadata={"unit": "s"})
+    after: float = field(metadata={"unit": "{y}"})
+    before: float = field(default=0.0, metadata={"unit": "{y}"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check("time", "after", "before")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        return Definition(_step, parameters={"time": self.time, "before": self.before, "after": self.after})
+
+
+def _ramp(t, slope, start, offset, y):
+    y[0] = offset[0] + slope[0] * select(t > start[0], t - start[0], 0.0)
+
+
+@dataclass(frozen=True)
+class Ramp(Source):
+    """`offset` until `start` seconds, then rising by `slope` each second.
+
+    Parameters
+    ----------
+    slope : float
+        Per second. How fast the output rises.
+    offset : float
+        What the output is at the beginning.
+    start : float
+        Seconds. When the output begins to rise.
+    unit : str or None
+        Unit of the output.
+    """
+
+    slope: float = field(metadata={"unit": "{y}/s"})
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    start: float = field(default=0.0, metadata={"unit": "s"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check("slope", "offset", "start")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        return Definition(_ramp, parameters={"slope": self.slope, "start": self.start, "offset": self.offset})
+
+
+def _sine(t, amplitude, period, phase, offset, y):
+    y[0] = offset[0] + amplitude[0] * sin(TAU / period[0] * t + phase[0])
+
+
+@dataclass(frozen=True)
+class Sine(Source):
+    """``offset + amplitude * sin(2 pi t / period + phase)``.
+
+    Parameters
+    ----------
+    amplitude : float
+        How far the output swings to either side.
+    period : float
+        Seconds. From one crest to the next.
+    offset : float
+        What the output swings about.
+    phase : float
+        Radians. Where in its swing the output is at t = 0.
+    unit : str or None
+        Unit of the output.
+    """
+
+    amplitude: float = field(metadata={"unit": "{y}"})
+    period: float = field(metadata={"unit": "s"})
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    phase: float = field(default=0.0, metadata={"unit": "rad"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check("amplitude", "period", "offset", "phase")
+        if self.period <= 0:
+            raise ModelError(f"Sine has period={self.period!r}; it must be positive.")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        parameters = {
+            "amplitude": self.amplitude,
+            "period": self.period,
+            "phase": self.phase,
+            "offset": self.offset,
+        }
+        return Definition(_sine, parameters=parameters)
+
+
+def _table(t, times, values, slopes, y):
+    # A sum of select() instead of a search: every entry is looked at, so the same text can be traced.
+    value = values[0]
+    for i in range(times.shape[0]):
+        value = select(t >= times[i], values[i] + slopes[i] * (t - times[i]), value)
+    y[0] = value
+
+
+@dataclass(frozen=True)
+class Table(Source):
+    """Values at given times: held or linearly interpolated in between, constant outside.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Seconds, strictly rising.
+    values : sequence of float
+        As many values.
+    interpolate : bool
+        True for straight lines, False to hold each value until the next.
+    unit : str or None
+        Unit of the output.
+    """
+
+    times: Sequence[float] = field(metadata={"unit": "s"})
+    values: Sequence[float] = field(metadata={"unit": "{y}"})
+    interpolate: bool = True
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        times, values = reals(self.times), reals(self.values)
+        if times.ndim != 1 or times.shape != values.shape or not len(times):
+            raise ModelError(
+                f"Table needs as many times as values, at least one; it has {times.shape} and {values.shape}."
+            )
+        if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
+            raise ModelError(
+                "Table needs finite values at strictly rising times; sort the data and drop what is missing."
+            )
+        object.__setattr__(self, "times", tuple(times.tolist()))
+        object.__setattr__(self, "values", tuple(values.tolist()))
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        times, values = np.array(self.times), np.array(self.values)
+        slopes = np.zeros(len(times))
+        if self.interpolate and len(times) > 1:
+            slopes[:-1] = np.diff(values) / np.diff(times)
+        return Definition(_table, parameters={"times": times, "values": values, "slopes": slopes})
+
+
+def _gaussian(noise, std, mean, y):
+    for i in range(y.shape[0]):
+        y[i] = mean[i] + std[i] * noise[i]
+
+
+@dataclass(frozen=True)
+class Gaussian(Block):
+    """White Gaussian noise: independent numbers at every step.
+
+    Parameters
+    ----------
+    std : float or sequence of float
+        Standard deviation of each step's number; a sequence gives as many channels.
+    mean : float
+        Mean of every channel.
+    unit : str or None
+        Unit of the output.
+    """
+
+    std: float | Sequence[float] = field(metadata={"unit": "{y}"})
+    mean: float = field(default=0.0, metadata={"unit": "{y}"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        std = reals(self.std)
+        if (
+            std.ndim > 1
+            or not std.size
+            or not np.isfinite(std).all()
+            or (std < 0).any()
+            or not isfinite(real(self.mean))
+        ):
+            raise ModelError(
+                f"Gaussian has std={brief(self.std)}, mean={brief(self.mean)}; they must be finite and std not negative."
+            )
+        object.__setattr__(self, "std", tuple(std.tolist()) if std.ndim else float(std))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the output: scalar for a single standard deviation."""
+        return (len(self.std),) if isinstance(self.std, tuple) else ()
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Random input ``noise``."""
+        return (Port("noise", self.shape, draw="normal"),)
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (Port("y", self.shape, unit=self.unit, description="Independent normal numbers at each step"),)
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        std = np.atleast_1d(np.asarray(self.std, float))
+        return Definition(_gaussian, parameters={"std": std, "mean": np.full(len(std), self.mean)})
+
+
+__all__ = ["Constant", "Gaussian", "Ramp", "Sine", "Source", "Step", "Table"]

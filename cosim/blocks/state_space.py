@@ -1,0 +1,296 @@
+"""Systems of python-control as blocks: linear ones compiled, nonlinear ones through their own Python functions."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.blocks.linear_system import LinearSystem, as_rows, held, normalised, signal_names
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Floats
+
+logger = logging.getLogger("bayesftc.state_space")
+logger.addHandler(logging.NullHandler())  # else logging prints warnings where nobody has set it up
+
+NOISE = "process_noise"
+
+if TYPE_CHECKING:
+    Vector = ArrayLike
+    Matrix = ArrayLike
+else:  # at run time the form that a scenario file is checked against
+    Vector, Matrix = Sequence[float], Sequence[Sequence[float]]
+
+
+# The names below begin with system_, as no one would name a signal: a port and a state of a block cannot share a name.
+
+
+def _plus_row(total, matrix, i, vector):
+    """Return `total` plus the product of row `i` of the matrix with the vector."""
+    for j in range(matrix.shape[1]):
+        total = total + matrix[i, j] * vector[j]
+    return total
+
+
+def _output_state(outputs, system_x, system_c):
+    for i in range(system_c.shape[0]):
+        outputs[i] = _plus_row(0.0, system_c, i, system_x)
+
+
+def _output_both(inputs, outputs, system_x, system_c, system_d):
+    for i in range(system_c.shape[0]):
+        outputs[i] = _plus_row(_plus_row(0.0, system_c, i, system_x), system_d, i, inputs)
+
+
+def _output_inputs(inputs, outputs, system_d):
+    for i in range(system_d.shape[0]):
+        outputs[i] = _plus_row(0.0, system_d, i, inputs)
+
+
+def _update(inputs, system_x, system_next, system_a, system_b):
+    for i in range(system_a.shape[0]):
+        system_next[i] = _plus_row(_plus_row(0.0, system_a, i, system_x), system_b, i, inputs)
+    for i in range(system_a.shape[0]):
+        system_x[i] = system_next[i]
+
+
+@dataclass(frozen=True)
+class StateSpace(Block):
+    """A system of python-control as a block: each of its signals becomes a scalar port.
+
+    A continuous linear system is discretised exactly at the block's step, its inputs held in between (zero-order hold); a
+    continuous nonlinear one is integrated over each step by ``scipy.integrate.solve_ivp``. A discrete system runs at its own
+    sample time only. Linear systems run in compiled code; nonlinear ones call back into Python, so that the whole diagram
+    runs interpreted.
+
+    Ports are called as the signals were named; signals without names are called ``u`` and ``y``, or ``u0``, ``u1`` and so on.
+
+    Parameters
+    ----------
+    system : control.StateSpace, control.TransferFunction, control.NonlinearIOSystem or LinearSystem
+        What to run; an ``InterconnectedSystem`` is one of these. After construction a linear one is a `LinearSystem`.
+    initial : sequence of float, optional
+        Initial state, n numbers; zeros by default.
+    process_noise : matrix of float, optional
+        Covariance, n x n, of Gaussian noise that is added to the state at every step (per step, whatever its length). The
+        block then has a random input ``process_noise`` of n independent standard normal numbers.
+    feedthrough : bool or sequence of str
+        Of a nonlinear system: whether its outputs depend on its inputs at the same instant; or the names of the inputs on
+        which they do. Linear systems say so themselves, in D.
+    params : mapping, optional
+        Of a nonlinear system: values handed to its functions.
+    method, rtol, atol : str, float, float
+        Of a continuous nonlinear system: solver and tolerances of ``solve_ivp``.
+
+    Raises
+    ------
+    ModelError
+        If the system is none of these, or sizes do not fit.
+    StepSizeError
+        When a discrete system is run at another step than its own.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import cosim
+    >>> car = cosim.StateSpace(control.tf([1], [100, 5], inputs=["force"], outputs=["v"]))
+    >>> [port.name for port in (*car.inputs, *car.outputs)]
+    ['force', 'v']
+    """
+
+    system: Any
+    initial: Vector | None = field(default=None, kw_only=True)
+    process_noise: Matrix | None = field(default=None, kw_only=True)
+    feedthrough: bool | Sequence[str] = field(default=True, kw_only=True)
+    params: Mapping[str, Any] | None = field(default=None, kw_only=True, hash=False)
+    method: str = field(default="RK45", kw_only=True)
+    rtol: float = field(default=1e-9, kw_only=True)
+    atol: float = field(default=1e-12, kw_only=True)
+
+    checks_finite: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        if not isinstance(self.system, LinearSystem):
+            set_(self, "system", normalised(self.system))
+        if isinstance(self.system, LinearSystem) and (self.feedthrough is not True or self.params is not None):
+            raise ModelError(
+                "StateSpace has feedthrough=... or params=... for a linear system, which has its feedthrough in D and no "
+                "parameters; leave them out."
+            )
+        if isinstance(self.feedthrough, bool):
+            names = self._names[0] if self.feedthrough else ()
+        else:
+            names = tuple([self.feedthrough] if isinstance(self.feedthrough, str) else self.feedthrough)
+            set_(self, "feedthrough", names)
+        for name in names:
+            if name not in self._names[0]:
+                raise UnknownNameError(f"StateSpace has no input {name!r}; {did_you_mean(name, self._names[0])}")
+        n = self._states
+        initial = np.zeros(n) if self.initial is None else reals(self.initial)
+        if initial.shape != (n,) or not np.isfinite(initial).all():
+            raise ModelError(
+                f"StateSpace has initial={self.initial!r}; it must be {n} finite numbers, one for each state."
+            )
+        set_(self, "initial", tuple(initial.tolist()))
+        if self.process_noise is not None:
+            covariance = reals(self.process_noise)
+            _factor(covariance, n)
+            set_(self, "process_noise", as_rows(covariance))
+        if not (self.rtol > 0 and self.atol > 0):
+            raise ModelError(f"StateSpace has rtol={self.rtol!r}, atol={self.atol!r}; both must be positive.")
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """A scalar port for each input signal, and ``process_noise`` if there is any."""
+        names = self._names[0]
+        if isinstance(self.system, LinearSystem):
+            feeds = [any(row[j] != 0.0 for row in self.system.D) for j in range(len(names))]
+        elif isinstance(self.feedthrough, bool):
+            feeds = [self.feedthrough] * len(names)
+        else:
+            feeds = [name in self.feedthrough for name in names]
+        said = "Input of the system"
+        ports = [
+            Port(name, feedthrough=feed, default=0.0, description=said) for name, feed in zip(names, feeds, strict=True)
+        ]
+        if self.process_noise is not None:
+            ports.append(Port(NOISE, (self._states,), feedthrough=False, draw="normal"))
+        return tuple(ports)
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """A scalar port for each output signal."""
+        return tuple(Port(name, description="Output of the system") for name in self._names[1])
+
+    @property
+    def sample_time(self) -> Fraction | None:
+        """The system's own sample time in seconds; None where it runs at any."""
+        dt = self.system.dt
+        return None if dt is None or dt is True or dt == 0 else rational_step(float(dt), "The system's sample time")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        own = self.sample_time
+        if own is not None and own != step:
+            raise StepSizeError(
+                f"The discrete system has a sample time of {show(own)} s and cannot run every {show(step)} s; change the "
+                "diagram's dt or the block's every=, or convert the system."
+            )
+        noise = None if self.process_noise is None else _factor(np.array(self.process_noise), self._states)
+        if isinstance(self.system, LinearSystem):
+            return self._define_linear(self.system, float(step), noise)
+        return self._define_nonlinear(float(step), noise)
+
+    @property
+    def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        if isinstance(self.system, LinearSystem):
+            return self.system.input_names, self.system.output_names
+        return signal_names(self.system)
+
+    @property
+    def _states(self) -> int:
+        return len(self.system.A) if isinstance(self.system, LinearSystem) else int(self.system.nstates or 0)
+
+    def _define_linear(self, system: LinearSystem, h: float, noise: Floats | None) -> Definition:
+        a, b, c, d = system.matrices()
+        if not len(a):
+            return Definition(_output_inputs, parameters={"system_d": d})
+        if system.dt == 0:
+            a, b = held(a, b, h)
+        if noise is not None:
+            b = np.hstack([b, noise])  # the noise is the last of the inputs
+        parameters = {"system_a": a, "system_b": b, "system_c": c, "system_d": d}
+        state = {"system_x": np.array(self.initial), "system_next": np.zeros(len(a))}
+        if d.any():
+            return Definition(_output_both, _update, state, parameters)
+        del parameters["system_d"]
+        return Definition(_output_state, _update, state, parameters)
+
+    def _define_nonlinear(self, h: float, noise: Floats | None) -> Definition:
+        system, params = self.system, None if self.params is None else dict(self.params)
+        feeds = np.array([port.feedthrough for port in self.inputs if port.name != NOISE], dtype=bool)
+        x0, m = np.array(self.initial), len(feeds)
+        _check_claim(system, x0, feeds, params)
+
+        def output(t, inputs, outputs, system_x):
+            # Inputs that do not feed through are not known yet; zeros keep a run the same in any order of blocks.
+            outputs[:] = system.output(t, system_x, np.where(feeds, inputs[:m], 0.0), params)
+
+        def update(t, inputs, system_x):
+            u = inputs[:m].copy()
+            if system.dt == 0:
+                x = self._integrate(float(t), h, system_x.copy(), u, params)
+            else:
+                x = np.asarray(system.dynamics(t, system_x, u, params), dtype=np.float64)
+            system_x[:] = x if noise is None else x + noise @ inputs[m:]
+
+        kernel = update if len(x0) else None
+        return Definition(output, kernel, {"system_x": x0} if len(x0) else {"system_x": np.zeros(0)}, compiled=False)
+
+    def _integrate(self, t: float, h: float, x: Floats, u: Floats, params: dict[str, Any] | None) -> Floats:
+        from scipy.integrate import solve_ivp
+
+        def rhs(time: float, state: Floats) -> Any:
+            return self.system.dynamics(time, state, u, params)
+
+        solution = solve_ivp(rhs, (t, t + h), x, method=self.method, rtol=self.rtol, atol=self.atol)
+        if not solution.success:
+            # NaN stops the run at the next instant, with the signals so far; the log says why.
+            logger.warning("The solver gave up between t = %g s and %g s: %s", t, t + h, solution.message)
+            return np.full(len(x), np.nan)
+        end: Floats = solution.y[:, -1]
+        return end
+
+
+def _factor(covariance: ArrayLike, n: int) -> Floats:
+    """Return the lower triangular L with ``L L' = covariance``, which may be singular.
+
+    Unlike an eigenvector, it has no sign to choose, so the noise is the same on every machine.
+    """
+    q = np.asarray(covariance, dtype=np.float64)
+    if n == 0 or q.shape != (n, n) or not np.isfinite(q).all():
+        raise ModelError(
+            f"StateSpace has a process_noise of shape {q.shape}; its {n} states take {n} x {n} finite numbers."
+        )
+    scale = float(np.abs(q).max(initial=0.0))
+    lower = np.zeros((n, n))
+    for j in range(n):
+        pivot = q[j, j] - lower[j, :j] @ lower[j, :j]
+        if pivot > 1e-14 * scale:
+            lower[j, j] = np.sqrt(pivot)
+            lower[j + 1 :, j] = (q[j + 1 :, j] - lower[j + 1 :, :j] @ lower[j, :j]) / lower[j, j]
+    if not np.allclose(lower @ lower.T, q, rtol=0.0, atol=1e-9 * scale):
+        raise ModelError(
+            "StateSpace has a process_noise that is no covariance; it must be symmetric, without negative eigenvalues."
+        )
+    return lower
+
+
+def _check_claim(
+    system: Any, x: Floats, feeds: np.ndarray[Any, np.dtype[np.bool_]], params: dict[str, Any] | None
+) -> None:
+    """Refuse a system that depends at once on an input of which it was said that it does not."""
+    at_rest = np.asarray(system.output(0.0, x, np.zeros(len(feeds)), params), dtype=np.float64)
+    if at_rest.shape != (system.noutputs,):
+        raise ModelError(
+            f"The system's output function returns {at_rest.shape} numbers, not one for each of {system.noutputs}."
+        )
+    moved = np.asarray(system.output(0.0, x, np.where(feeds, 0.0, 1.0), params), dtype=np.float64)
+    if not np.array_equal(at_rest, moved, equal_nan=True):
+        raise ModelError(
+            "StateSpace has a feedthrough=... that leaves out inputs on which the outputs depend at the same instant; "
+            "name these inputs, or leave it at True."
+        )
+
+
+__all__ = ["LinearSystem", "StateSpace"]

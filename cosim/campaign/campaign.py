@@ -1,0 +1,226 @@
+"""Campaigns: one loop at many points of a design with many seeds, on all cores or a cluster, resumable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.base.paths import expanded
+from bayesftc.cosim.base.timebase import whole_number, whole_steps
+from bayesftc.cosim.campaign.designs.design import Design, Grid
+from bayesftc.cosim.campaign.designs.plan import Plan
+from bayesftc.cosim.campaign.designs.seeds import seeds_of_points
+from bayesftc.cosim.campaign.outcomes import CampaignResult
+from bayesftc.cosim.campaign.runs.job import Job, Loop
+from bayesftc.cosim.campaign.runs.metrics import Metric, as_metrics
+from bayesftc.cosim.campaign.working import Progress, in_memory, in_store
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.run.interrupts import import_engine
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.campaign.executors.base import Executor
+    from bayesftc.cosim.run.result import Result
+
+STEPS = 2_000_000
+"""Steps of a piece at the most: half a second of computing if they are quick."""
+BYTES = 16_000_000
+"""Of the signals of a piece."""
+PIECES = 32
+"""Into which few runs are cut all the same, for all cores and for those who stop: nobody knows how slow an FMU is."""
+
+
+class Campaign:
+    """A loop x points x seeds.
+
+    Parameters
+    ----------
+    loop : Diagram or callable
+        What runs: a diagram, of which the factors change settings by their paths (`varied`), or a function that is called with
+        the factors of a point as keywords and returns a diagram. To run in other processes it must pickle.
+    duration : float, str or Fraction
+        Seconds of each run.
+    grid : mapping or Design, optional
+        Factor -> its values, of which all combinations are run; or another design: `Points`, `LatinHypercube`, `SobolSequence`,
+        products of designs. By default the loop as it is.
+    seeds : int or sequence of int
+        Number of runs at each point, or their seeds. All points have the same seeds, so comparisons between them are paired.
+    seed : int
+        From which the seeds are hashed.
+    independent : sequence of str
+        Factors of which each value has seeds, and so noise, of its own.
+    record : sequence of str
+        Names or patterns of the signals to keep.
+    metrics : sequence of Metric or callable, optional
+        Numbers of each run: metrics such as `RMSE`, or functions from a `Result` to a number.
+    decimation : int
+        Keep every how many steps of the signals; metrics see all.
+    time_limit : float, optional
+        Seconds of computing that a run may take; one that takes longer has failed.
+    piece : int, optional
+        Runs that are made, stored and resumed together; by default a 32nd of all, but no more than half a second's of quick
+        ones.
+
+    Raises
+    ------
+    BayesFTCError
+        If the loop cannot be built at the first point, or a name is none of it.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise, gain = diagram.add(cosim.Gaussian(std=1.0), "noise"), diagram.add(cosim.Gain(2.0), "gain")
+    >>> diagram.connect(noise["y"], gain["u"])
+    >>> campaign = cosim.Campaign(
+    ...     diagram, duration=10.0, grid={"gain.gain": [1.0, 2.0]}, seeds=3, metrics=[cosim.RMSE("gain.y", name="size")]
+    ... )
+    >>> table = campaign.run().table
+    >>> (table["size"][3:].to_numpy() / table["size"][:3].to_numpy()).round(12).tolist()
+    [2.0, 2.0, 2.0]
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        *,
+        duration: float | str | Fraction,
+        grid: Mapping[str, Sequence[Any] | Mapping[Any, Any]] | Design | None = None,
+        seeds: int | Sequence[int] = 1,
+        seed: int = 0,
+        independent: Sequence[str] = (),
+        record: Iterable[str] = (),
+        metrics: Iterable[Metric | Callable[[Result], float]] = (),
+        decimation: int = 1,
+        time_limit: float | None = None,
+        piece: int | None = None,
+    ):
+        import_engine()
+        if not isinstance(loop, Diagram) and not callable(loop):
+            raise ModelError(f"The loop of a campaign must be a Diagram, or a function that returns one, not {loop!r}.")
+        self.design = grid if isinstance(grid, Design) or grid is None else Grid(grid)
+        self.labels: list[dict[str, Any]] = self.design.labels() if self.design else [{}]
+        points = self.design.points() if self.design else [{}]
+        own = seeds_of_points(self.labels, seeds, seed, independent)
+        names = [record] if isinstance(record, str) or not isinstance(record, Iterable) else list(record)
+        whole_number(decimation, "decimation is ")
+        trial = Job(
+            loop,
+            Plan(tuple(points), own, 1),
+            duration,
+            names,
+            as_metrics(metrics),
+            decimation=decimation,
+            time_limit=time_limit,
+        )
+        size = _piece(trial) if piece is None else min(whole_number(piece, "piece is "), trial.plan.runs)
+        trial.plan = Plan(tuple(points), own, size)
+        self.job = trial
+
+    @property
+    def runs(self) -> int:
+        """Number of all runs."""
+        return self.job.plan.runs
+
+    def run(
+        self,
+        store: str | PathLike[str] | None = None,
+        *,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+        retry_failed: bool = False,
+        description: Mapping[str, Any] | None = None,
+    ) -> CampaignResult:
+        """Make all runs, or, of a store that has some already, those that are left.
+
+        Parameters
+        ----------
+        store : str or path, optional
+            Folder to keep the results in, made if need be; by default they are kept in memory. Whatever ends this call, a
+            further one goes on where it stopped.
+        executor : Executor, optional
+            `Threads`, `Processes` or `DaskCluster`; by default threads where every block and FMU allows that, else processes.
+            The result's ``metadata["executor"]`` says which, and why. The bits are the same on each.
+        progress : callable, optional
+            Called as ``progress(done, of, failed)`` when a piece is done.
+        retry_failed : bool
+            With a store: make the runs that have failed there again; what they come to now stands in their place.
+        description : mapping, optional
+            What else the store is to say of the campaign; a resumption must say the same.
+
+        Returns
+        -------
+        CampaignResult
+            The table of runs, and the signals.
+
+        Raises
+        ------
+        ModelError
+            If the executor is none.
+        StoreError
+            If the store is of another campaign, another process is writing it, or nothing more can be written to it.
+        ModelError
+            If the campaign cannot be sent to the processes of the executor.
+        """
+        if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "run", None))):
+            raise ModelError(
+                f"executor is {executor!r}; it must be Threads(), Processes() or DaskCluster(), or left out."
+            )
+        why = f"{executor!r}, as asked for."
+
+        def choose() -> Executor:
+            nonlocal executor, why
+            if executor is None:
+                from bayesftc.cosim.campaign.executors.choice import choose_executor
+
+                executor, why = choose_executor(self.job)
+            return executor
+
+        if store is None:
+            if retry_failed:
+                raise ModelError(
+                    "retry_failed=True needs a store: without one nothing is kept that could be made again."
+                )
+            result = in_memory(self.job, self.labels, choose(), progress)
+        else:
+            path = expanded(store).absolute()
+            said = description or {}
+            result = in_store(self.job, self.labels, path, said, choose, progress, retry_failed=retry_failed)
+        if executor is not None:
+            result.metadata["executor"] = why
+        return result
+
+    def replay(self, run: int, *, record: Iterable[str] | None = None, **options: Any) -> Result:
+        """Make one run again, alone, with full recording.
+
+        Parameters
+        ----------
+        run : int
+            Its number in the table.
+        record : iterable of str, optional
+            By default all outputs.
+        **options : object
+            Of `Diagram.simulate`.
+        """
+        points, seeds = self.job.plan.of_runs()
+        if isinstance(run, bool) or not isinstance(run, int | np.integer) or not 0 <= run < len(points):
+            raise ModelError(f"There is no run {run!r}; the campaign has the runs 0 to {len(points) - 1}.")
+        diagram = self.job.diagram(int(points[run]))
+        return diagram.simulate(self.job.duration, seed=int(seeds[run]), record=record, **options)
+
+    def __repr__(self) -> str:
+        return f"<Campaign: {len(self.labels)} points, {self.runs} runs>"
+
+
+def _piece(job: Job) -> int:
+    """Return how many runs make a piece."""
+    numbers = sum(int(np.prod(s.shape)) for s in job.signals.values()) * len(job.time)
+    steps = whole_steps(job.duration, job.step, "The duration")
+    return max(1, min(STEPS // max(steps, 1), BYTES // max(8 * numbers, 1), -(-job.plan.runs // PIECES)))
+
+
+__all__ = ["Campaign"]

@@ -1,0 +1,1 @@
+"""Which runs a campaign makes: points, ranges, seeds, factors."""

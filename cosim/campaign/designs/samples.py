@@ -1,0 +1,197 @@
+"""Designs that fill ranges evenly: a Latin hypercube, a Sobol sequence, and the points of Sobol indices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.extras import extra
+from bayesftc.cosim.campaign.designs.design import Design, Level, check_points
+from bayesftc.cosim.campaign.designs.ranges import checked, scaled
+from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.types import Floats
+
+
+@dataclass(frozen=True)
+class Sampled(Design):
+    """Base of the designs that fill ranges: points in the unit cube, scaled to the ranges of the factors.
+
+    Parameters
+    ----------
+    ranges : mapping
+        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
+        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+    count : int
+        Number of points.
+    seed : int
+        Of the random numbers; the same seed gives the same points.
+
+    Raises
+    ------
+    ModelError
+        If a range, the count or the seed cannot be one.
+    """
+
+    ranges: Mapping[str, Any]
+    count: int
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        checked(type(self).__name__, self.ranges)
+        for name, value, least in (("count", self.count, 1), ("seed", self.seed, 0)):
+            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+                raise ModelError(
+                    f"{type(self).__name__} has {name}={brief(value)}; it takes a whole number from {least} up."
+                )
+        check_points(self.count)
+
+    def unit_points(self) -> Floats:
+        """Return the points in the unit cube, of shape (points, factors)."""
+        raise NotImplementedError
+
+    def levels(self) -> list[dict[str, Level]]:
+        """Return for each point the value of each factor with its label."""
+        columns = [scaled(name, given, u) for (name, given), u in zip(self.ranges.items(), self.unit_points().T)]
+        return [
+            {name: Level(value, value) for name, value in zip(self.ranges, values, strict=True)}
+            for values in zip(*columns, strict=True)
+        ]
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """Names of the factors."""
+        return tuple(self.ranges)
+
+
+@dataclass(frozen=True)
+class LatinHypercube(Sampled):
+    """A Latin hypercube: of `count` equally probable slices of each factor's range each holds one point.
+
+    By `scipy.stats.qmc.LatinHypercube` (McKay, Beckman and Conover 1979). It suits any number of points; what `sensitivity`
+    asks for is `SaltelliDesign`.
+
+    Parameters
+    ----------
+    ranges : mapping
+        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
+        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+    count : int
+        Number of points.
+    seed : int
+        Of the random numbers; the same seed gives the same points.
+
+    Raises
+    ------
+    ModelError
+        If a range, the count or the seed cannot be one.
+    """
+
+    def unit_points(self) -> Floats:
+        """Return the points in the unit cube, of shape (points, factors)."""
+        from scipy.stats import qmc
+
+        sampler = qmc.LatinHypercube(d=len(self.ranges), seed=np.random.default_rng(self.seed))
+        return np.asarray(sampler.random(self.count))
+
+
+@dataclass(frozen=True)
+class SobolSequence(Sampled):
+    """The first points of a scrambled Sobol sequence, which fill the ranges more evenly than chance does.
+
+    By `scipy.stats.qmc.Sobol` (Owen's scrambling). A longer sequence of the same seed begins with the same points, so that a
+    design can be grown; it is balanced where `count` is a power of two. Not to be confused with the indices of the same name, for
+    which `SaltelliDesign` makes the points.
+
+    Parameters
+    ----------
+    ranges : mapping
+        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
+        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+    count : int
+        Number of points.
+    seed : int
+        Of the scrambling; the same seed gives the same points.
+
+    Raises
+    ------
+    ModelError
+        If a range, the count or the seed cannot be one.
+    """
+
+    def unit_points(self) -> Floats:
+        """Return the points in the unit cube, of shape (points, factors)."""
+        from scipy.stats import qmc
+
+        sampler = qmc.Sobol(d=len(self.ranges), seed=np.random.default_rng(self.seed))
+        whole = sampler.random_base2(max(int(self.count) - 1, 0).bit_length())
+        return np.asarray(whole[: self.count])
+
+
+@dataclass(frozen=True)
+class SaltelliDesign(Sampled):
+    """The points from which `sensitivity` finds Sobol indices: which factor drives a metric.
+
+    By SALib: `count` points of a scrambled Sobol sequence, and for each of them further ones in which one factor is changed
+    (Saltelli et al. 2010). There are ``count * (factors + 2)`` points, or ``count * (2 * factors + 2)`` with the indices of
+    pairs.
+
+    Parameters
+    ----------
+    ranges : mapping
+        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
+        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+    count : int
+        Number of base points, a power of two. Indices of a smooth metric want some hundreds.
+    seed : int
+        Of the scrambling; the same seed gives the same points.
+    second_order : bool
+        Whether the indices of pairs of factors are wanted as well.
+
+    Raises
+    ------
+    ModelError
+        If a range, the count or the seed cannot be one.
+    BayesFTCError
+        If SALib is not installed; when the points are asked for.
+    """
+
+    second_order: bool = field(default=False, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.count & (self.count - 1):
+            near = 1 << (int(self.count).bit_length() - 1)
+            raise ModelError(
+                f"SaltelliDesign has count={self.count}, with which its points are not balanced; take {near} or {2 * near}."
+            )
+
+    @property
+    def block(self) -> int:
+        """How many points belong together: a base point and those in which one factor is changed."""
+        return (2 if self.second_order else 1) * len(self.ranges) + 2
+
+    def __len__(self) -> int:
+        return self.count * self.block
+
+    def problem(self) -> dict[str, Any]:
+        """Return what SALib asks for of the factors: their names, in the unit cube."""
+        names = list(self.ranges)
+        return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+
+    def unit_points(self) -> Floats:
+        """Return the points in the unit cube, of shape (points, factors)."""
+        sobol = extra("SALib.sample.sobol", "SaltelliDesign")
+        return np.asarray(
+            sobol.sample(
+                self.problem(),
+                self.count,
+                calc_second_order=self.second_order,
+                seed=np.random.default_rng(self.seed),
+            )
+        )
+
+
+__all__ = ["LatinHypercube", "SaltelliDesign", "Sampled", "SobolSequence"]

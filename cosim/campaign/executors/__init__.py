@@ -1,0 +1,1 @@
+"""Who makes the runs: threads, processes, a cluster."""

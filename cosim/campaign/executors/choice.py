@@ -1,0 +1,67 @@
+"""Which executor a campaign runs on if nobody says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from bayesftc.cosim.block import Block
+from bayesftc.cosim.campaign.executors.base import Executor, Threads, cores
+from bayesftc.cosim.campaign.executors.processes import Processes
+from bayesftc.cosim.campaign.runs.job import Job
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.fmi.reading.archive import open_archive
+
+
+def choose_executor(job: Job) -> tuple[Executor, str]:
+    """Return the executor for a job, and the sentence that says why it is that one.
+
+    Threads where they use all cores: where all blocks are compiled, FMUs may be there more than once in a process, and none of
+    them computes in Python. Isolated FMUs have processes of their own, which threads keep busy as well as processes do. Looked at
+    are the first point, and the blocks that other points have in its place.
+
+    Parameters
+    ----------
+    job : Job
+        What is to run.
+    """
+    if cores() == 1:
+        return Threads(), "Threads: this process may use one core."
+    against = next(_against_threads(job), None)
+    if against is None:
+        return Threads(), "Threads: all blocks are compiled, and no FMU needs a process of its own."
+    executor = Processes()
+    try:
+        executor.check(job)
+    except ModelError as error:
+        return Threads(1), f"One thread: {against}, and processes are out of the question. {error}"
+    return executor, f"Processes: {against}."
+
+
+def _against_threads(job: Job) -> Iterator[str]:
+    """Yield what speaks against threads."""
+    diagram = job.diagram(0)
+    schedule = diagram.schedule
+    for node, definition in zip(schedule.nodes, schedule.definitions, strict=True):
+        if definition is not None and not definition.compiled:
+            yield f"the block {node.name!r} computes in Python, of which one thread runs at a time"
+    for name, block in _blocks(job, diagram):
+        if isinstance(block, FMU) and not block.isolate:
+            if block.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
+                yield f"the FMU {name!r} can be there only once in a process"
+            if "resources/slavemodule.txt" in open_archive(Path(block.path)).names:
+                yield f"the FMU {name!r} computes in Python, of which one thread runs at a time"
+
+
+def _blocks(job: Job, diagram: Diagram) -> Iterator[tuple[str, Block]]:
+    for node in diagram.nodes:
+        yield node.name, node.block
+    for point in job.plan.points:
+        for name, value in point.items():
+            if isinstance(value, Block):
+                yield name, value
+
+
+__all__ = ["choose_executor"]

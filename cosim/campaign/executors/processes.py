@@ -1,0 +1,43 @@
+"""Runs in processes of their own, on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass
+
+from bayesftc.cosim.campaign.designs.plan import Piece
+from bayesftc.cosim.campaign.executors.base import R, Threads, Work, check_jobs
+from bayesftc.cosim.campaign.executors.crew import Crew
+from bayesftc.cosim.campaign.runs.pickling import pickled
+
+
+@dataclass(frozen=True)
+class Processes:
+    """Runs in processes of their own: for FMUs of which a process may have only one, and for what Python computes.
+
+    The campaign is pickled, once for each process; with cloudpickle installed (the extra ``campaign`` brings it) also what a
+    script or notebook defines. A script needs no ``if __name__ == "__main__"``.
+
+    A run that ends its process, or that hangs in a step beyond the time limit, has failed; the others go on.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Number of processes; by default one for each core that this process may use.
+    """
+
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        check_jobs(self.jobs)
+
+    def check(self, job: object) -> None:
+        """Raise a `ModelError` if a job cannot go to other processes."""
+        pickled(job)
+
+    def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:
+        """See `Executor.run`."""
+        yield from Threads(self.jobs).run(Crew(pickled(job)), pieces)
+
+
+__all__ = ["Processes"]

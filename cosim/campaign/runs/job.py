@@ -1,0 +1,314 @@
+"""The runs of a piece: what an executor has done, in this thread, in another process or on another machine."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.timebase import whole_steps
+from bayesftc.cosim.campaign.designs.factors import varied
+from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Piece, Plan
+from bayesftc.cosim.campaign.runs.columns import OWN
+from bayesftc.cosim.campaign.runs.metrics import Metric, Runs, is_number
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.run.many import Aside, Block, ManyRuns, Wanted
+from bayesftc.cosim.run.raised import reason_of
+from bayesftc.cosim.run.recording import Selection, select_signals
+from bayesftc.cosim.run.result import Result
+from bayesftc.cosim.types import Floats
+
+Loop = Diagram | Callable[..., Diagram]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A signal that is kept: its shape and unit."""
+
+    shape: tuple[int, ...]
+    unit: str | None
+
+
+class Job:
+    """How the runs of a campaign are made; it pickles where the loop and the metrics do.
+
+    Parameters
+    ----------
+    loop : Diagram or callable
+        What is varied by paths, or called with the factors of a point.
+    plan : Plan
+        Points and seeds.
+    duration : Fraction
+        Of each run in seconds.
+    record : sequence of str
+        Names or patterns of the signals to keep.
+    metrics : sequence of Metric
+        What is computed of each run.
+    decimation : int
+        Every how many steps are kept of the signals; metrics see all.
+    time_limit : float, optional
+        Seconds of computing that a run may take.
+
+    Raises
+    ------
+    BayesFTCError
+        If the loop of the first point cannot be built, or lacks a signal.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        plan: Plan,
+        duration: float | str | Fraction,
+        record: Sequence[str],
+        metrics: Sequence[Metric],
+        *,
+        decimation: int = 1,
+        time_limit: float | None = None,
+    ):
+        self.loop, self.plan, self.duration = loop, plan, duration
+        self.record, self.metrics = tuple(record), tuple(metrics)
+        self.decimation, self.time_limit = decimation, time_limit
+        if time_limit is not None and not (is_number(time_limit) and 0 < time_limit < np.inf):
+            raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, above 0.")
+        first = self.diagram(0)
+        kept = select_signals(first.schedule, self.record)
+        self.signals = {name: Recorded(shape, kept.units.get(name)) for name, (_, shape) in kept.columns.items()}
+        select_signals(
+            first.schedule, [name for metric in self.metrics for name in metric.signals(first)]
+        )  # or it says so
+        for metric in self.metrics:
+            metric.check(first)
+        self.columns = tuple(name for metric in self.metrics for name in metric.columns(first))
+        if len(set(self.columns)) < len(self.columns):
+            twice = next(name for name in self.columns if self.columns.count(name) > 1)
+            raise ModelError(
+                f"Two metrics are called {twice!r}; give one of them another name=..., a function as OfResult(f, name=...)."
+            )
+        for name in self.columns:
+            if name in OWN or not name:
+                raise ModelError(f"A metric is called {name!r}, as no metric can be; give it another name=...")
+        self.step, self.steps = first.step, whole_steps(duration, first.step, "The duration")
+        self._prepare()
+
+    @property
+    def time(self) -> Floats:
+        """Time in seconds of each row of the signals that are kept."""
+        return _times(self.steps, self.decimation, self.step)
+
+    def diagram(self, point: int) -> Diagram:
+        """Return the loop at one point of the design.
+
+        Raises
+        ------
+        BayesFTCError
+            If it cannot be built so.
+        """
+        factors = self.plan.points[point]
+        diagram = varied(self.loop, factors) if isinstance(self.loop, Diagram) else self.loop(**factors)
+        if not isinstance(diagram, Diagram):
+            raise ModelError(
+                f"The loop of a campaign must be a Diagram, or a function that returns one, not {diagram!r}."
+            )
+        return diagram.watching(self.record).build()
+
+    def run(self, piece: Piece, wanted: Wanted = lambda: True, aside: Aside = lambda: None) -> Outcome:
+        """Make the runs of a piece.
+
+        Parameters
+        ----------
+        piece : Piece
+            Which.
+        wanted : callable
+            Asked now and then whether to go on.
+        aside : callable
+            Told before work of which no time limit is to count.
+
+        Raises
+        ------
+        StoppedFromOutside
+            If not.
+        """
+        began = time.perf_counter()
+        collected = _Collected(self, piece)
+        for point, seeds in self.plan.groups(piece):
+            aside()
+            try:
+                loop = self._prepared(point)
+            except MemoryError:
+                raise
+            except Exception as error:  # noqa: BLE001 - whatever a user's function or block raises
+                collected.fail(len(seeds), reason_of(error, "The loop of this point could not be built"))
+                continue
+            for block in loop.many.run(seeds, wanted, aside, len(self.plan.seeds[point])):
+                aside()
+                collected.add(loop, block)
+        return collected.outcome(time.perf_counter() - began)
+
+    def failed(self, piece: Piece, what: str) -> Outcome:
+        """Return what the runs of a piece have come to whose process is gone: nothing, but for the reason.
+
+        Parameters
+        ----------
+        piece : Piece
+            Which.
+        what : str
+            What has become of the process, as "was killed by ...".
+        """
+        collected = _Collected(self, piece)
+        for point, seeds in self.plan.groups(piece):
+            factors = "".join(f", {name} = {brief(value)}" for name, value in self.plan.points[point].items())
+            for seed in seeds:
+                reason = f"The process of this run (seed {seed}{factors}) {what}."
+                collected.fail(1, reason)
+        return collected.outcome(0.0)
+
+    def close(self) -> None:
+        """Free what all threads have prepared."""
+        with self._lock:
+            loops = list(self._everyones)
+            self._everyones.clear()
+        for loop in loops:
+            loop.many.close()
+        self._mine = threading.local()
+
+    def _prepare(self) -> None:
+        self._mine = threading.local()
+        self._lock: threading.Lock = threading.Lock()
+        self._everyones: list[_Loop] = []
+
+    def _prepared(self, point: int) -> _Loop:
+        """Return the loop of a point, ready to run in this thread, which keeps one at a time."""
+        known: _Loop | None = getattr(self._mine, "loop", None)
+        if known is not None and known.point == point:
+            return known
+        if known is not None:
+            self._mine.loop = None
+            with self._lock, suppress(ValueError):
+                self._everyones.remove(known)
+            known.many.close()
+        loop = _Loop(self, point)
+        with self._lock:
+            self._everyones.append(loop)
+        self._mine.loop = loop
+        return loop
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k not in {"_mine", "_lock", "_everyones"}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._prepare()
+
+
+class _Loop:
+    """The loop of one point, with what is recorded: signals to keep, and those that metrics need, at every step."""
+
+    def __init__(self, job: Job, point: int):
+        self.point, self.diagram = point, job.diagram(point)
+        schedule = self.diagram.schedule
+        kept = select_signals(schedule, job.record)
+        if {n: shape for n, (_, shape) in kept.columns.items()} != {n: s.shape for n, s in job.signals.items()}:
+            raise ModelError("The signals of this point have other shapes than those of the first one: record others.")
+        needed = [name for metric in job.metrics for name in metric.signals(self.diagram)]
+        self.decimation = 1 if job.metrics else job.decimation
+        self.selection: Selection = select_signals(schedule, [*kept.columns, *needed])
+        self.time = _times(job.steps, self.decimation, self.diagram.step)
+        self.many = ManyRuns(schedule, self.selection, job.steps, self.decimation, job.time_limit)
+
+    def views(self, recording: Floats) -> dict[str, Floats]:
+        """Return each recorded signal of some runs, of shape (runs, rows, ...), without copying."""
+        runs, rows = recording.shape[:2]
+        return {
+            name: recording[:, :, start : start + int(np.prod(shape))].reshape(runs, rows, *shape)
+            if shape
+            else recording[:, :, start]
+            for name, (start, shape) in self.selection.columns.items()
+        }
+
+    def results(self, recording: Floats) -> Iterator[Result]:
+        """Yield each run as a result."""
+        for rows in recording:
+            yield Result(
+                rows, self.selection.columns, self.diagram.step, decimation=self.decimation, units=self.selection.units
+            )
+
+
+class _Collected:
+    """What has come of a piece so far."""
+
+    def __init__(self, job: Job, piece: Piece):
+        self._job, self._piece, self._done = job, piece, 0
+        n, rows = len(piece), len(job.time)
+        self._signals = {name: np.empty((n, rows, *s.shape)) for name, s in job.signals.items()}
+        self._metrics = {name: np.full(n, np.nan) for name in job.columns}
+        self._steps = np.full(n, -1, dtype=np.int64)
+        self._reasons: list[str] = []
+
+    def add(self, loop: _Loop, block: Block) -> None:
+        job, begin, end = self._job, self._done, self._done + len(block.steps)
+        views = loop.views(block.recording)
+        thinned = slice(None, None, job.decimation // loop.decimation)
+        for name, array in self._signals.items():
+            array[begin:end] = views[name][:, thinned]
+        good = np.array([not reason for reason in block.reasons])
+        self._steps[begin:end] = block.steps
+        self._reasons += block.reasons
+        self._done = end
+        if job.metrics and good.any():
+            whole = block.recording if good.all() else block.recording[good]
+            with np.errstate(all="ignore"):
+                self._measure(loop, whole, begin + np.flatnonzero(good))
+
+    def _measure(self, loop: _Loop, recording: Floats, places: np.ndarray[Any, np.dtype[np.int64]]) -> None:
+        """Compute the metrics of runs; where one raises, run by run, so that only those have failed that it raises for."""
+        runs = Runs(loop.diagram, loop.time, loop.views(recording), lambda: loop.results(recording), len(recording))
+        for metric in self._job.metrics:
+            try:
+                for name, values in metric.evaluate(runs).items():
+                    if name in self._metrics:
+                        self._metrics[name][places] = values
+            except MemoryError:
+                raise
+            except Exception as error:  # noqa: BLE001 - whatever a user's metric raises
+                if len(places) > 1:
+                    for i in range(len(places)):
+                        self._measure(loop, recording[i : i + 1], places[i : i + 1])
+                    return
+                self._reasons[places[0]] = reason_of(
+                    error, f"The metric {_called(metric, loop.diagram)} could not be computed"
+                )
+                for numbers in self._metrics.values():
+                    numbers[places] = np.nan
+                return
+
+    def fail(self, runs: int, reason: str) -> None:
+        """Note runs that could not even begin."""
+        for array in self._signals.values():
+            array[self._done : self._done + runs] = np.nan
+        self._reasons += [reason] * runs
+        self._done += runs
+
+    def outcome(self, seconds: float) -> Outcome:
+        status = tuple(FAILED if reason else OK for reason in self._reasons)
+        return Outcome(self._piece, self._metrics, self._signals, status, tuple(self._reasons), self._steps, seconds)
+
+
+def _called(metric: Metric, diagram: Diagram) -> str:
+    return ", ".join(map(repr, metric.columns(diagram)[:1])) or type(metric).__name__
+
+
+def _times(steps: int, decimation: int, step: Fraction) -> Floats:
+    k = np.arange(steps // decimation + 1, dtype=np.int64) * (decimation * step.numerator)
+    times: Floats = k / step.denominator
+    return times
+
+
+__all__ = ["Job", "Loop", "Recorded"]

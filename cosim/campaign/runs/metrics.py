@@ -1,0 +1,412 @@
+"""Metrics of runs: numbers of each run, computed for many at once.
+
+To write a metric you must:
+
+1. derive from `Metric`, as a frozen dataclass; its fields are its settings, and what a campaign file may say;
+2. return from ``signals(diagram)`` the names of the signals that it needs, recorded at every step;
+3. return from ``columns(diagram)`` the names of its numbers, and refuse in ``check(diagram)`` settings that do not fit; both
+   are asked for the first point of a campaign, before anything runs;
+4. return from ``evaluate(runs)`` an array for each of these names, with a number for each run; NaN where it is not defined. It
+   sees runs that went to their end only, and may be called in several threads at once;
+5. name it in `METRICS`.
+
+Any other function from a `Result` to a number is a metric as well, by the name of the function; it is called run by run.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.run.recording import select_signals
+from bayesftc.cosim.run.result import Result
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram.diagram import Diagram
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs of one diagram, all recorded at every step.
+
+    Attributes
+    ----------
+    diagram : Diagram
+        What has run.
+    time : ndarray of shape (rows,)
+        In seconds.
+    signals : mapping of str to ndarray of shape (runs, rows, ...)
+        By name.
+    """
+
+    diagram: Diagram
+    time: Floats
+    signals: Mapping[str, Floats]
+    results: Callable[[], Iterable[Result]] = field(repr=False)
+    count: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def columns(self, name: str) -> Floats:
+        """Return a signal by name, or one of its elements (``"controller.x_hat[0]"``)."""
+        if name in self.signals:
+            return self.signals[name]
+        base, index = _element(name)
+        at: tuple[Any, ...] = (..., *index)
+        values: Floats = self.signals[base][at]
+        return values
+
+
+class Metric(ABC):
+    """A number, or several, of each run; see the module's text for how to write one."""
+
+    def signals(self, diagram: Diagram) -> tuple[str, ...]:
+        """Return the names of the signals that it needs."""
+        return ()
+
+    @abstractmethod
+    def columns(self, diagram: Diagram) -> tuple[str, ...]:
+        """Return the names of its numbers."""
+
+    def check(self, diagram: Diagram) -> None:  # noqa: B027 - few have something to refuse
+        """Refuse settings that do not fit the diagram, before anything runs."""
+
+    @abstractmethod
+    def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
+        """Return an array of shape (runs,) for each of its names."""
+
+
+@dataclass(frozen=True)
+class _OfSignal(Metric):
+    """What is computed from a signal, or from its difference to another one; NaN where one of the values is.
+
+    Parameters
+    ----------
+    signal : str
+        Its name, or that of one of its elements (``"controller.x_hat[0]"``). Of a vector or matrix all elements count alike.
+    reference : str or float, optional
+        What it is compared with; by default 0.
+    shift : int
+        Steps by which the signal is later than the reference: 1 for a controller that aims at the goal of t_k with the state of
+        t_k+1.
+    start, stop : float, optional
+        Only where start <= t < stop, in seconds, as of faults; t is the time of the signal, not of a reference that is earlier.
+        NaN if there is no such t.
+    name : str, optional
+        Of the number; by default the kind of the metric and the signal.
+
+    Raises
+    ------
+    ModelError
+        If a setting is none.
+    """
+
+    signal: str
+    reference: str | float | None = None
+    shift: int = 0
+    start: float | None = None
+    stop: float | None = None
+    name: str | None = None
+    _kind: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        kind = type(self).__name__
+        for name, text in {"signal": self.signal, "name": self.name}.items():
+            if not isinstance(text, str) and (text is not None or name == "signal"):
+                raise ModelError(f"{kind} has {name}={text!r}; it must be a text, such as 'plant.v'.")
+        for name, number in {"reference": self.reference, "start": self.start, "stop": self.stop}.items():
+            if number is not None and not (name == "reference" and isinstance(number, str)) and not is_number(number):
+                raise ModelError(
+                    f"{kind} has {name}={number!r}; it must be a number{', or a signal' * (name == 'reference')}."
+                )
+        if isinstance(self.shift, bool) or not isinstance(self.shift, int) or self.shift < 0:
+            raise ModelError(f"{kind} has shift={self.shift!r}; it must be a whole number of steps, at least 0.")
+
+    def check(self, diagram: Diagram) -> None:
+        """See `Metric.check`."""
+        shapes = [_shape(name, diagram) for name in (self.signal, self.reference) if isinstance(name, str)]
+        if len(shapes) == 2 and shapes[0] != shapes[1]:
+            raise ModelError(
+                f"{self.signal!r} has the shape {shapes[0]} and {self.reference!r} {shapes[1]}: their difference is none. Name "
+                "an element, as in 'controller.x_hat[0]'."
+            )
+
+    def signals(self, diagram: Diagram) -> tuple[str, ...]:
+        """See `Metric.signals`."""
+        named = [self.signal, *([self.reference] if isinstance(self.reference, str) else [])]
+        return tuple(_resolved(name, diagram)[0] for name in named)
+
+    def columns(self, diagram: Diagram) -> tuple[str, ...]:
+        """See `Metric.columns`."""
+        return (self.name or f"{self._kind}({self.signal})",)
+
+    def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
+        """See `Metric.evaluate`."""
+        values = runs.columns(self.signal)
+        rows = max(values.shape[1] - self.shift, 0)
+        # The times are those of the signal, not of the reference.
+        slack = 1e-6 * (runs.time[1] if len(runs.time) > 1 else 0.0)  # 3 * 0.1 s is to begin with the step at 0.3 s
+        first, last = np.searchsorted(runs.time, np.array([_or(self.start, -np.inf), _or(self.stop, np.inf)]) - slack)
+        keep = slice(max(first - self.shift, 0), max(last + (self.stop is None) - self.shift, 0))
+        values = values[:, self.shift :]
+        if self.reference is not None:
+            other = runs.columns(self.reference)[:, :rows] if isinstance(self.reference, str) else self.reference
+            values = values - other
+        values = values[:, keep].reshape(len(values), -1)
+        if not values.shape[1]:
+            return {self.columns(runs.diagram)[0]: np.full(len(values), np.nan)}
+        return {self.columns(runs.diagram)[0]: self._reduced(values)}
+
+    def _reduced(self, values: Floats) -> Floats:
+        raise NotImplementedError
+
+
+class RMSE(_OfSignal):
+    """Root mean square of a signal, or of its difference to another one."""
+
+    _kind = "rmse"
+
+    def _reduced(self, values: Floats) -> Floats:
+        return np.asarray(np.sqrt(np.mean(values * values, axis=1)))
+
+
+class MeanAbsoluteError(_OfSignal):
+    """Mean of the absolute value of a signal, or of its difference to another one."""
+
+    _kind = "mean_absolute"
+
+    def _reduced(self, values: Floats) -> Floats:
+        return np.asarray(np.abs(values).mean(axis=1))
+
+
+class MaxAbsoluteError(_OfSignal):
+    """Largest absolute value of a signal, or of its difference to another one."""
+
+    _kind = "max_absolute"
+
+    def _reduced(self, values: Floats) -> Floats:
+        return np.asarray(np.abs(values).max(axis=1))
+
+
+class Mean(_OfSignal):
+    """Mean of a signal, or of its difference to another one; of a flag the share of time in which it is set."""
+
+    _kind = "mean"
+
+    def _reduced(self, values: Floats) -> Floats:
+        return np.asarray(values.mean(axis=1))
+
+
+class Final(_OfSignal):
+    """Last value of a signal, or of its difference to another one; of a vector, name an element."""
+
+    _kind = "final"
+
+    def check(self, diagram: Diagram) -> None:
+        """See `Metric.check`."""
+        super().check(diagram)
+        if _shape(self.signal, diagram):
+            raise ModelError(
+                f"Final is of one number, and {self.signal!r} has several; name one, as in '{self.signal}[0]'."
+            )
+
+    def _reduced(self, values: Floats) -> Floats:
+        return values[:, -1]
+
+
+@dataclass(frozen=True)
+class LoopFigures(Metric):
+    """The figures of a closed loop, as ``bayesftc run`` prints them: errors of tracking and belief, and how faults were detected.
+
+    Of `bayesftc.cosim.judging.metrics.figures` all numbers, by names such as ``tracking.v.overall`` and ``sensors.0.delay``.
+
+    Parameters
+    ----------
+    only : sequence of str, optional
+        Patterns of the names that are kept, as ``("tracking.*", "*.delay")``.
+
+    Notes
+    -----
+    A campaign has the figures of its first point; where the loop of another point lacks one, there is NaN.
+    """
+
+    only: Sequence[str] | None = None
+
+    def signals(self, diagram: Diagram) -> tuple[str, ...]:
+        """See `Metric.signals`."""
+        asked = _Asked(diagram)
+        loop_signals(diagram, asked)
+        return tuple(dict.fromkeys(asked.names))
+
+    def columns(self, diagram: Diagram) -> tuple[str, ...]:
+        """See `Metric.columns`."""
+        return tuple(self._numbers(diagram, _Asked(diagram)))
+
+    def check(self, diagram: Diagram) -> None:
+        """See `Metric.check`."""
+        if not self.columns(diagram):
+            known = LoopFigures().columns(diagram)
+            raise ModelError(
+                f"LoopFigures has only={self.only!r}, which no figure is called; there are {', '.join(known)}."
+            )
+
+    def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
+        """See `Metric.evaluate`."""
+        rows = [self._numbers(runs.diagram, result) for result in runs.results()]
+        return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+    def _numbers(self, diagram: Diagram, result: Result) -> dict[str, float]:
+        numbers = dict(_flat(figures(loop_signals(diagram, result))))
+        if self.only is None:
+            return numbers
+        return {name: n for name, n in numbers.items() if any(fnmatchcase(name, pattern) for pattern in self.only)}
+
+
+class _Asked(Result):
+    """The result of a run of one row, of any numbers, which notes the signals that it is asked for."""
+
+    def __init__(self, diagram: Diagram):
+        selection = select_signals(diagram.schedule, None)
+        super().__init__(np.zeros((1, len(selection.places))), selection.columns, diagram.step)
+        self.names: list[str] = []
+
+    def __getitem__(self, name: str) -> Floats:
+        self.names.append(name)
+        return super().__getitem__(name)
+
+
+def _flat(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers in nested dataclasses, mappings and tuples, by their paths."""
+    if isinstance(value, float):
+        yield name, value
+        return
+    of_tuple = isinstance(value, tuple)
+    inner = enumerate(value) if of_tuple else (value if isinstance(value, Mapping) else vars(value)).items()
+    for key, item in inner:
+        if item is None or isinstance(item, str | int):
+            continue
+        called = getattr(item, "name", key) if of_tuple else key
+        yield from _flat(item, f"{name}.{called}" if name else str(called))
+
+
+@dataclass(frozen=True)
+class OfResult(Metric):
+    """A function from a `Result` to a number, as a metric by the name of the function.
+
+    Parameters
+    ----------
+    function : callable
+        Called with the result of each run.
+    needs : sequence of str, optional
+        Names or patterns of the signals that it needs; by default all outputs.
+    name : str, optional
+        Of the number.
+    """
+
+    function: Callable[[Result], float]
+    needs: Sequence[str] | None = None
+    name: str | None = None
+
+    def signals(self, diagram: Diagram) -> tuple[str, ...]:
+        """See `Metric.signals`."""
+        return ("*",) if self.needs is None else tuple(self.needs)
+
+    def columns(self, diagram: Diagram) -> tuple[str, ...]:
+        """See `Metric.columns`."""
+        return (self.name or str(getattr(self.function, "__name__", type(self.function).__name__)),)
+
+    def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
+        """See `Metric.evaluate`."""
+        return {self.columns(runs.diagram)[0]: np.array([float(self.function(r)) for r in runs.results()])}
+
+
+def _element(name: str) -> tuple[str, tuple[int, ...]]:
+    """Return the name of a signal and the place of the element that is named: ``"x_hat[0]"`` is ``"x_hat"``, (0,)."""
+    base, bracket, index = name.partition("[")
+    if not bracket:
+        return name, ()
+    if not re.fullmatch(r"\d+(, ?\d+)*\]", index):
+        raise ModelError(f"{name!r} is no signal and no element of one; write it as in 'controller.x_hat[0]'.")
+    return base, tuple(int(i) for i in index[:-1].split(","))
+
+
+def _resolved(name: str, diagram: Diagram) -> tuple[str, tuple[int, ...]]:
+    """Return signal and element as `_element` does, but for a signal of which brackets are part of the name."""
+    with suppress(UnknownNameError):
+        if name in select_signals(diagram.schedule, [name]).columns:
+            return name, ()
+    return _element(name)
+
+
+def _shape(name: str, diagram: Diagram) -> tuple[int, ...]:
+    """Return the shape of a signal, or of the element of one that is named.
+
+    Raises
+    ------
+    ModelError
+        If there is no such element.
+    UnknownNameError
+        If there is no such signal.
+    """
+    base, index = _resolved(name, diagram)
+    columns = select_signals(diagram.schedule, [base]).columns
+    if base not in columns:
+        raise ModelError(f"{base!r} is a pattern; a metric is of one signal, such as {next(iter(columns))!r}.")
+    shape = columns[base][1]
+    if index and (len(index) != len(shape) or any(i >= n for i, n in zip(index, shape, strict=True))):
+        raise ModelError(f"{base!r} has the shape {shape}, and so no element {name.removeprefix(base)}.")
+    return () if index else shape
+
+
+def is_number(value: object) -> bool:
+    """Return whether a setting is a number, and not NaN."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
+
+
+def _or(value: float | None, other: float) -> float:
+    return other if value is None else value
+
+
+METRICS = (RMSE, MeanAbsoluteError, MaxAbsoluteError, Mean, Final, LoopFigures)
+"""All metrics that a campaign file may name."""
+
+
+def as_metrics(given: object) -> tuple[Metric, ...]:
+    """Return metrics as such, functions wrapped.
+
+    Raises
+    ------
+    ModelError
+        If something else is among them.
+    """
+    items = [given] if isinstance(given, Metric) or callable(given) else given
+    if not isinstance(items, Iterable) or isinstance(items, str | Mapping):
+        raise ModelError(
+            f"metrics is {given!r}; it must be a list of metrics, such as [cosim.RMSE('plant.v', 'reference.y')]."
+        )
+    metrics = []
+    for item in items:
+        if not isinstance(item, Metric) and not callable(item):
+            raise ModelError(
+                f"{item!r} is no metric; give cosim.RMSE('plant.v', 'reference.y') or the like, or a function from a result to a "
+                "number."
+            )
+        metrics.append(item if isinstance(item, Metric) else OfResult(item))
+    return tuple(metrics)
+
+
+__all__ = [
+    *(cls.__name__ for cls in METRICS), "METRICS", "Metric", "OfResult", "Runs", "as_metrics", "is_number",
+]  # fmt: skip

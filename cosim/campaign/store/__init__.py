@@ -1,0 +1,1 @@
+"""A campaign in a folder, whole whatever happens to its writer."""

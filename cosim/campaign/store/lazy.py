@@ -1,0 +1,63 @@
+"""Signals of a stored campaign as xarray sees them: read when they are used, by chunk; NaN for pieces that are not done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from xarray.backends import BackendArray
+from xarray.core import indexing
+
+from bayesftc.cosim.campaign.designs.plan import Piece
+from bayesftc.cosim.campaign.store.chunks import Chunks
+from bayesftc.cosim.types import Floats
+
+
+class StoredSignal(BackendArray):
+    """A signal over run, time and its own axes.
+
+    What is read is what `Chunks` knows of the files, not what the group says of itself to other programs: that may be damaged.
+
+    Parameters
+    ----------
+    chunks : Chunks
+        Where its numbers are.
+    name : str
+        Of the signal.
+    pieces : iterable of Piece
+        Those that can be seen.
+    runs : int
+        Of the campaign.
+    read : callable
+        Returns the bytes of a file, by its name in the campaign's folder.
+    """
+
+    def __init__(self, chunks: Chunks, name: str, pieces: Iterable[Piece], runs: int, read: Callable[[str], bytes]):
+        self.shape = (runs, chunks.rows, *chunks.signals[name][0])
+        self.dtype = np.dtype(np.float64)
+        self._chunks, self._name, self._read = chunks, name, read
+        self._pieces = {piece.index: piece for piece in pieces}
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read_out)
+
+    def _read_out(self, key: tuple[Any, ...]) -> Floats:
+        """Return the product of an index for each axis: a number, a slice or an array."""
+        places = [np.atleast_1d(np.arange(size)[index]) for size, index in zip(self.shape, key, strict=True)]
+        found = np.full((len(places[0]), len(places[1]), *self.shape[2:]), np.nan)
+        sizes = self._chunks.shape(self._name)
+        pieces, blocks = places[0] // sizes[0], places[1] // sizes[1]
+        for piece in (self._pieces[i] for i in np.unique(pieces) if i in self._pieces):
+            for block in np.unique(blocks):
+                chunk = self._chunks.chunk(self._name, piece, int(block), self._read)
+                runs, rows = pieces == piece.index, blocks == block
+                found[np.ix_(runs, rows)] = chunk[np.ix_(places[0][runs] % sizes[0], places[1][rows] % sizes[1])]
+        for axis, place in enumerate(places[2:], start=2):
+            found = found.take(place, axis)
+        return found.squeeze(
+            tuple(axis for axis, index in enumerate(key) if np.ndim(index) == 0 and not isinstance(index, slice))
+        )
+
+
+__all__ = ["StoredSignal"]

@@ -1,0 +1,113 @@
+"""How the folder of a new campaign comes to be: beside its place, and moved there when it is whole."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.temporary import BESIDE, temporary_folder
+from bayesftc.cosim.campaign.designs.plan import Plan
+from bayesftc.cosim.campaign.store import chunks, parts
+from bayesftc.cosim.campaign.store.durable import sync_all, sync_folder
+from bayesftc.cosim.campaign.store.metadata import NAME, Metadata, Signal, hash_of
+from bayesftc.cosim.errors import StoreError
+from bayesftc.cosim.types import Floats
+
+FMUS = "fmus"
+
+
+def metadata_of(
+    description: Mapping[str, Any],
+    plan: Plan,
+    signals: Mapping[str, Signal],
+    time: Floats,
+    metrics: Iterable[str],
+    fmus: Mapping[str, str | os.PathLike[str]] | None,
+    labels: Iterable[Mapping[str, Any]] | None,
+) -> Metadata:
+    """Return what a campaign says of itself; the parameters are those of `CampaignStore.create`."""
+    shown = Plan(tuple(plan.points if labels is None else labels), plan.seeds, plan.size)
+    rows = len(time) if signals else 0
+    names = {digest: Path(path).name for digest, path in (fmus or {}).items()}
+    times = hash_of(time) if signals else ""
+    metrics = tuple(metrics)
+    for what, known in (("metric", metrics), ("signal", signals)):
+        own = next((name for name in known if name in parts.OWN), None)
+        if own is not None:
+            raise StoreError(
+                f"A {what} cannot be called {own!r}, as each campaign has a column of that name; name it otherwise."
+            )
+    return Metadata(description, shown, dict(signals), rows, times, metrics, names)
+
+
+def make(path: Path, metadata: Metadata, time: Floats, fmus: Mapping[str, str | os.PathLike[str]]) -> None:
+    """Make the folder of a campaign with nothing done.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Where.
+    metadata : Metadata
+        What it is.
+    time : ndarray of shape (rows,)
+        Of each row of the signals, in seconds.
+    fmus : mapping of str to path
+        The FMUs, by their SHA-256.
+
+    Raises
+    ------
+    StoreError
+        If the folder cannot be written, has something in it, or an FMU is not what its hash says.
+    """
+    runs = parts.Parts(metadata).runs
+    if (path / NAME).exists():
+        raise StoreError(f"There is a campaign in {path} already; resume it, or choose another folder.")
+    try:
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            what = "is not empty" if path.is_dir() else "is a file"
+            raise StoreError(f"A campaign cannot be stored in {path}: it {what}; choose another folder.")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(BESIDE, path.parent) as made:
+            made.chmod(0o777 & ~_umask())
+            _copy_fmus(made / FMUS, fmus)
+            (made / parts.FOLDER).mkdir()
+            if metadata.signals:
+                chunks.create(made, metadata, np.asarray(time, dtype=np.float64), runs)
+            metadata.write(made)
+            sync_all(made)
+            os.replace(made, path)  # over an empty folder too: whoever sees the folder sees all of it
+        sync_folder(path.parent)
+    except OSError as error:
+        raise StoreError(
+            f"A campaign cannot be stored in {path} ({error.strerror or error}); choose another folder."
+        ) from None
+
+
+def _copy_fmus(folder: Path, fmus: Mapping[str, str | os.PathLike[str]]) -> None:
+    folder.mkdir()
+    for digest, source in fmus.items():
+        copy = folder / f"{digest}.fmu"
+        shutil.copyfile(source, copy)
+        if digest_of(copy) != digest:
+            raise StoreError(f"The FMU {source} has changed since the campaign was made: its SHA-256 is not {digest}.")
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+__all__ = ["FMUS", "digest_of", "make", "metadata_of"]

@@ -1,0 +1,216 @@
+"""What a stored campaign says of itself: ``campaign.json``, by which a result is traced, resumed and repeated."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.paths import exists, is_file
+from bayesftc.cosim.campaign.designs.plan import Plan
+from bayesftc.cosim.campaign.store.durable import write_whole
+from bayesftc.cosim.campaign.store.environment import environment
+from bayesftc.cosim.errors import StoreError, brief
+from bayesftc.cosim.types import Floats
+
+NAME, FORMAT, VERSION = "campaign.json", "bayesftc-campaign", 1
+CHECK = "sha256"
+"""Of all else that the file says: a bit that flips makes another campaign of it."""
+FILES = "files"
+"""Of a description: texts of the files that say what the campaign is."""
+
+Signal = tuple[tuple[int, ...], str | None]
+"""Shape and unit."""
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """All that stands in ``campaign.json``.
+
+    Attributes
+    ----------
+    description : mapping
+        What the campaign is, in its author's words: whatever JSON can hold. Its ``files``, texts by their names, are for readers:
+        comments may change.
+    plan : Plan
+        With labels as the values of the points.
+    signals : mapping of str to (shape, unit)
+        What is recorded of each run.
+    rows : int
+        Of each signal.
+    times : str
+        Hash of the time of each row.
+    metrics : tuple of str
+        Their names.
+    fmus : mapping of str to str
+        By the SHA-256 of each FMU the name of its file.
+    environment : mapping
+        Versions and machine when it was made.
+    resumed : tuple of mapping
+        Of each resumption in another environment: the environment, and how many pieces were done.
+    """
+
+    description: Mapping[str, Any]
+    plan: Plan
+    signals: Mapping[str, Signal]
+    rows: int
+    times: str
+    metrics: tuple[str, ...]
+    fmus: Mapping[str, str]
+    environment: Mapping[str, Any] = field(default_factory=environment)
+    resumed: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def latest(self) -> Mapping[str, Any]:
+        """The environment in which it was worked on last."""
+        found: Mapping[str, Any] = self.resumed[-1]["environment"] if self.resumed else self.environment
+        return found
+
+    def again(self, environment: Mapping[str, Any], done: int) -> Metadata:
+        """Return these, with a resumption in another environment."""
+        return replace(self, resumed=(*self.resumed, {"environment": environment, "done": done}))
+
+    def identity(self) -> dict[str, Any]:
+        """Return what makes it this campaign and no other, as JSON has it.
+
+        The size of the pieces is not among it, nor are the texts of files.
+        """
+        said = self._content()
+        said["description"] = {name: part for name, part in said["description"].items() if name != FILES}
+        return said
+
+    def _content(self) -> dict[str, Any]:
+        seeds = list(dict.fromkeys(self.plan.seeds))  # most campaigns have the same ones at each point
+        place = {own: i for i, own in enumerate(seeds)}
+        found = {
+            "description": self.description,
+            "points": [dict(point) for point in self.plan.points],
+            "seeds": seeds,
+            "seeds_of_point": [place[own] for own in self.plan.seeds],
+            "signals": {name: {"shape": list(shape), "unit": unit} for name, (shape, unit) in self.signals.items()},
+            "rows": self.rows,
+            "times": self.times,
+            "metrics": list(self.metrics),
+            "fmus": dict(self.fmus),
+        }
+        plain: dict[str, Any] = json.loads(json.dumps(found, default=_plain))
+        return plain
+
+    def write(self, folder: Path) -> None:
+        """Write the file, whole."""
+        text = {
+            "format": FORMAT,
+            "version": VERSION,
+            **self._content(),
+            "piece": self.plan.size,
+            "environment": self.environment,
+            "resumed": self.resumed,
+        }
+        text = json.loads(json.dumps(text, default=_plain))  # as it will be read, by which the check is made
+        text[CHECK] = _check(text)
+        write_whole(folder / NAME, json.dumps(text, indent=1, ensure_ascii=False).encode())
+
+    @classmethod
+    def read(cls, folder: Path) -> Metadata:
+        """Read the file of a campaign's folder.
+
+        Raises
+        ------
+        StoreError
+            If there is none, or it is damaged or that of a later version.
+        """
+        if not exists(folder):
+            raise StoreError(f"There is no campaign {folder}; check the path.")
+        path = folder / NAME
+        if not is_file(path):
+            raise StoreError(f"{folder} is no stored campaign: it has no {NAME}; check the path.")
+        try:
+            text = json.loads(path.read_bytes())
+            if text["format"] != FORMAT:
+                raise ValueError(text["format"])
+            if text["version"] > VERSION:
+                raise StoreError(
+                    f"The campaign {folder} was written by a later version of bayesftc "
+                    f"({text['environment']['versions']['bayesftc']}); update bayesftc to read it."
+                )
+            if CHECK in text and text.pop(CHECK) != _check(text):  # stores of before this check have none
+                raise ValueError(CHECK)
+            seeds = [tuple(map(int, own)) for own in text["seeds"]]
+            plan = Plan(
+                tuple(map(dict, text["points"])), tuple(seeds[i] for i in text["seeds_of_point"]), text["piece"]
+            )
+            if len(plan.points) != len(plan.seeds) or plan.size < 1:
+                raise ValueError(plan.size)
+            return cls(
+                dict(text["description"]),
+                plan,
+                {name: (tuple(map(int, s["shape"])), s["unit"]) for name, s in text["signals"].items()},
+                int(text["rows"]),
+                str(text["times"]),
+                tuple(map(str, text["metrics"])),
+                dict(text["fmus"]),
+                dict(text["environment"]),
+                tuple(text["resumed"]),
+            )
+        except OSError as error:
+            raise StoreError(f"The campaign {folder} cannot be read: {error.strerror or error}.") from None
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            raise StoreError(
+                f"{path} is damaged, or that of another program; without it the campaign cannot be read: take a copy of it, "
+                "or run the campaign again."
+            ) from None
+
+
+def _check(text: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()
+
+
+def hash_of(times: Floats) -> str:
+    """Return the hash of the times of the rows."""
+    return hashlib.sha256(np.ascontiguousarray(times, dtype="<f8").tobytes()).hexdigest()
+
+
+def differences(stored: Any, given: Any, place: str = "") -> list[str]:
+    """Return in words where two JSON values differ: of which setting, what it was and what it is now."""
+    if isinstance(stored, dict) and isinstance(given, dict):
+        names = dict.fromkeys([*stored, *given])
+        within = [(f"{place}.{n}" if place else str(n), stored.get(n, _ABSENT), given.get(n, _ABSENT)) for n in names]
+        return [found for name, a, b in within for found in differences(a, b, name)]
+    if isinstance(stored, list) and isinstance(given, list) and len(stored) == len(given):
+        return [found for i, (a, b) in enumerate(zip(stored, given)) for found in differences(a, b, f"{place}[{i}]")]
+    if json.dumps(stored, default=repr) == json.dumps(given, default=repr):  # in which NaN equals NaN, and 1 is not 1.0
+        return []
+    return [f"{place} is {_said(stored)} in the store and {_said(given)} now"]
+
+
+class _Absent:
+    def __repr__(self) -> str:
+        return "absent"
+
+
+_ABSENT = _Absent()
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 4:
+        return f"a list of {len(value)}"
+    return brief(value)
+
+
+def _plain(value: Any) -> Any:
+    """Return what stands in JSON for a value that it does not know."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise StoreError(
+        f"The description of a campaign has {brief(value)} in it, which cannot be stored: numbers, texts, lists and dicts can."
+    )
+
+
+__all__ = ["FORMAT", "NAME", "VERSION", "Metadata", "Signal", "differences", "hash_of"]

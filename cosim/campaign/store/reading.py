@@ -1,0 +1,225 @@
+"""What can be read of a stored campaign, while it is written or after."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.campaign.designs.plan import FAILED, Piece, Plan
+from bayesftc.cosim.campaign.store import parts as run_parts
+from bayesftc.cosim.campaign.store.chunks import Chunks
+from bayesftc.cosim.campaign.store.making import FMUS, digest_of
+from bayesftc.cosim.campaign.store.metadata import Metadata
+from bayesftc.cosim.campaign.store.parts import Part, Parts
+from bayesftc.cosim.campaign.store.redo import Redo
+from bayesftc.cosim.errors import StoreError, UnknownNameError, did_you_mean
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+PENDING = "pending"
+"""What a dataset says of the status of runs that are not done."""
+
+
+class StoredCampaign:
+    """The folder of a campaign, for reading.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The folder.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        Its folder.
+    metadata : Metadata
+        What it says of itself.
+    plan : Plan
+        Its points (with labels as values), seeds and pieces.
+
+    Raises
+    ------
+    StoreError
+        If there is none, or it is damaged or that of a later version.
+    """
+
+    def __init__(self, path: Path):
+        self.path, self.metadata = path, Metadata.read(path)
+        self.plan: Plan = self.metadata.plan
+        self._parts, self._redo = Parts(self.metadata), Redo(path)
+        self._chunks = Chunks(self.metadata) if self.metadata.signals else None
+        self._pieces = self.plan.pieces
+
+    def done(self) -> set[int]:
+        """Return the numbers of the pieces that are done."""
+        found = self._found()  # first: parts are removed when the file of all is there
+        if (self.path / run_parts.WHOLE).exists():
+            return {piece.index for piece in self._pieces}
+        return set(found)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all pieces are done."""
+        return len(self.done()) == len(self._pieces)
+
+    @property
+    def time(self) -> Floats:
+        """Time in seconds of each row of the signals; empty if none were recorded."""
+        if self._chunks is None:
+            return np.empty(0)
+        return self._chunks.times(self.metadata.times, self._redo.read)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of computing that the runs took."""
+        return sum(self._read().seconds.values())
+
+    def table(self) -> pd.DataFrame:
+        """Return a table with a row for each run that is done: run, point, seed, factors, status, reason, steps, metrics.
+
+        Raises
+        ------
+        StoreError
+            If a file of it is damaged.
+        """
+        table: pd.DataFrame = self._read().rows.to_pandas()
+        return table
+
+    def failed(self) -> list[int]:
+        """Return the numbers of the runs that have failed."""
+        rows = self._read().rows
+        status = np.array(rows["status"].to_pylist(), dtype=object)
+        return [int(run) for run in rows["run"].to_numpy()[status == FAILED]]
+
+    def dataset(self) -> xr.Dataset:
+        """Return the signals over run and time, read from the disk each time they are used; NaN for runs that are not done.
+
+        Coordinates are run, time (s), point, seed, each factor, and status: ``"ok"``, ``"failed"`` or ``"pending"``. What is
+        done later is not seen: ask again.
+
+        Raises
+        ------
+        StoreError
+            If a file of it is damaged.
+        """
+        import xarray as xr
+
+        rows = self._read().rows
+        runs = rows["run"].to_numpy()
+        status = np.full(self.plan.runs, PENDING, dtype=object)
+        status[runs] = np.array(rows["status"].to_pylist(), dtype=object)
+        columns = {**self._parts.runs, "status": status.astype(str)}
+        coordinates: dict[str, Any] = {name: ("run", column) for name, column in columns.items()}
+        if self._chunks is None:
+            return xr.Dataset(coords=coordinates)
+        from xarray.core.indexing import LazilyIndexedArray
+
+        from bayesftc.cosim.campaign.store.lazy import StoredSignal
+
+        pieces = [self._pieces[i] for i in np.unique(runs // self.plan.size)]
+        signals = {}
+        for name, (shape, unit) in self.metadata.signals.items():
+            stored = LazilyIndexedArray(StoredSignal(self._chunks, name, pieces, self.plan.runs, self._redo.read))
+            axes = ("run", "time", *(f"{name}_{axis}" for axis in range(len(shape))))
+            signals[name] = xr.Variable(axes, stored, {"units": unit} if unit else None)
+        coordinates["time"] = ("time", self.time, {"units": "s"})
+        said = {"description": json.dumps(self.metadata.description, ensure_ascii=False)}
+        return xr.Dataset(signals, coordinates, said)
+
+    def pieces_of_signals(self, names: Iterable[str] | None = None) -> Iterator[tuple[Piece, dict[str, Floats]]]:
+        """Yield each piece that is done with some signals of its runs, of shape (runs, rows, ...).
+
+        Parameters
+        ----------
+        names : iterable of str, optional
+            Which signals; all by default.
+
+        Raises
+        ------
+        UnknownNameError
+            If one was not recorded.
+        StoreError
+            If a file is damaged.
+        """
+        chosen = list(self.metadata.signals if names is None else names)
+        for name in chosen:
+            if name not in self.metadata.signals:
+                raise UnknownNameError(
+                    f"The campaign has no signal {name!r}; {did_you_mean(name, self.metadata.signals)}"
+                )
+        for index in sorted(self.done()):
+            piece = self._pieces[index]
+            yield piece, {name: self._signal(name, piece) for name in chosen}
+
+    def fmu(self, digest: str) -> Path:
+        """Return the copy of the FMU with that SHA-256.
+
+        Raises
+        ------
+        StoreError
+            If there is none, or it is not the one any more.
+        """
+        if digest not in self.metadata.fmus:
+            raise StoreError(f"The campaign {self.path} has no FMU {digest}.")
+        path = self.path / FMUS / f"{digest}.fmu"
+        try:
+            if digest_of(path) == digest:
+                return path
+        except OSError:
+            pass
+        raise StoreError(
+            f"{path}, the copy of {self.metadata.fmus[digest]}, is missing or damaged; put the FMU there that the campaign was "
+            "made with."
+        )
+
+    def _found(self) -> list[int]:
+        """Return the numbers of the pieces that have a part, in order."""
+        try:
+            numbers = map(self._parts.piece, self._redo.names(run_parts.FOLDER))
+        except OSError as error:
+            raise StoreError(
+                f"The folder {self.path / run_parts.FOLDER} cannot be read ({error.strerror or error}); without it the "
+                "campaign is damaged: run it again in another folder."
+            ) from None
+        return sorted(i for i in numbers if i is not None and i < len(self._pieces))
+
+    def _read(self) -> Part:
+        """Return all rows as one part; parts are newer than the file of all."""
+        for _ in range(20):  # a writer may be putting the parts together, and removes them after that
+            try:
+                found = self._found()
+                parts = [self._part(self._pieces[i]) for i in found]
+                if (self.path / run_parts.WHOLE).exists():
+                    whole = self._whole()
+                    older = self._parts.without(whole.rows, (self._pieces[i] for i in found))
+                    parts.insert(0, replace(whole, rows=older))
+                rows = self._parts.joined(part.rows for part in parts)
+                seconds = {piece: taken for part in parts for piece, taken in part.seconds.items()}
+                return Part(rows, seconds, {piece: sizes for part in parts for piece, sizes in part.sizes.items()})
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise StoreError(f"The campaign {self.path} cannot be read: {error.strerror or error}.") from None
+        raise StoreError(f"The campaign {self.path} cannot be read: its files come and go; is someone removing it?")
+
+    def _part(self, piece: Piece) -> Part:
+        name = self._parts.name(piece.index)
+        return self._parts.decode(self._redo.read(name), name, piece)
+
+    def _whole(self) -> Part:
+        return self._parts.decode((self.path / run_parts.WHOLE).read_bytes(), run_parts.WHOLE)
+
+    def _signal(self, name: str, piece: Piece) -> Floats:
+        assert self._chunks is not None
+        return self._chunks.decode(name, piece, self._redo.read)
+
+
+__all__ = ["PENDING", "StoredCampaign"]

@@ -1,0 +1,133 @@
+"""What is left to do of a campaign is done: outcomes go to where they are kept as they come, and it is told how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.cosim.campaign.describing import described
+from bayesftc.cosim.campaign.designs.plan import FAILED, Outcome, Piece
+from bayesftc.cosim.campaign.outcomes import CampaignResult, InMemory
+from bayesftc.cosim.campaign.runs.fmus import fmus_of
+from bayesftc.cosim.campaign.runs.job import Job
+from bayesftc.cosim.campaign.store.durable import written_to
+from bayesftc.cosim.campaign.store.folder import CampaignStore
+from bayesftc.cosim.campaign.store.metadata import NAME
+from bayesftc.cosim.campaign.store.repeating import keep_job
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.campaign.executors.base import Executor
+
+Progress = Callable[[int, int, int], None]
+"""Called as ``progress(done, of, failed)``, numbers of runs."""
+Labels = list[dict[str, Any]]
+
+
+def work(
+    job: Job, pieces: list[Piece], executor: Executor, keep: Callable[[Outcome], None], done: int, failed: int,
+    progress: Progress | None,
+) -> None:  # fmt: skip
+    """Have pieces done, and their outcomes kept.
+
+    Parameters
+    ----------
+    job : Job
+        Whose pieces.
+    pieces : list of Piece
+        Those that are left.
+    executor : Executor
+        By whom.
+    keep : callable
+        Is called with each outcome.
+    done, failed : int
+        Numbers of runs that were done, and that have failed, before.
+    progress : callable, optional
+        Is told how far it is.
+    """
+    if progress:
+        progress(done, job.plan.runs, failed)
+    with closing(executor.run(job, pieces)) as outcomes:
+        for outcome in outcomes:
+            keep(outcome)
+            done, failed = done + len(outcome.piece), failed + outcome.status.count(FAILED)
+            if progress:
+                progress(done, job.plan.runs, failed)
+
+
+def in_memory(job: Job, labels: Labels, executor: Executor, progress: Progress | None) -> CampaignResult:
+    """Make all runs and keep their outcomes in memory."""
+    kept = InMemory(job, labels)
+    work(job, list(job.plan.pieces), executor, kept.write, 0, 0, progress)
+    return kept.result()
+
+
+def in_store(
+    job: Job, labels: Labels, path: Path, description: Mapping[str, Any], choose: Callable[[], Executor],
+    progress: Progress | None, *, retry_failed: bool,
+) -> CampaignResult:  # fmt: skip
+    """Make the runs that a store lacks; with `retry_failed` also those that have failed there.
+
+    Raises
+    ------
+    StoreError
+        If it is the store of another campaign, or cannot be written.
+    """
+    signals = {name: (signal.shape, signal.unit) for name, signal in job.signals.items()}
+    begin = CampaignStore.resume if (path / NAME).exists() else CampaignStore.create
+    with begin(
+        path, {**described(job), **description}, job.plan, signals, job.time, job.columns, fmus_of(job), labels
+    ) as store:
+        with written_to(path):
+            keep_job(path, job)
+        done = store.done()
+        left = [piece for piece in store.plan.pieces if piece.index not in done]
+        runs = sum(len(piece) for piece in store.plan.pieces) - sum(map(len, left))
+        bad = store.failed()
+        again = list(_stretches(bad, store.plan.size)) if retry_failed else []
+        if left or again:
+            executor = choose()
+            gathered = _Replacing(store, again)
+            redone = sum(map(len, again))
+
+            def keep(outcome: Outcome) -> None:
+                gathered.write(outcome) if outcome.piece in gathered else store.write(outcome)
+
+            work(job, left + again, executor, keep, runs - redone, len(bad) - redone, progress)
+        elif progress:
+            progress(runs, job.plan.runs, len(bad))
+        store.finish()
+    kept = CampaignStore.open(path)
+    return CampaignResult(kept.table, kept.dataset)
+
+
+class _Replacing:
+    """Runs that are made again, put into the store piece by piece: when all of a piece are there."""
+
+    def __init__(self, store: CampaignStore, stretches: list[Piece]):
+        self._store, self._come = store, dict[int, list[Outcome]]()
+        self._awaited: dict[int, set[Piece]] = {}
+        for stretch in stretches:
+            self._awaited.setdefault(stretch.index, set()).add(stretch)
+
+    def __contains__(self, piece: Piece) -> bool:
+        return piece in self._awaited.get(piece.index, ())
+
+    def write(self, outcome: Outcome) -> None:
+        index = outcome.piece.index
+        self._come.setdefault(index, []).append(outcome)
+        self._awaited[index].remove(outcome.piece)
+        if not self._awaited[index]:
+            self._store.replace(self._come.pop(index))
+
+
+def _stretches(runs: list[int], size: int) -> Iterator[Piece]:
+    """Yield runs as pieces of consecutive ones, none beyond a piece of the campaign."""
+    for (index, _), group in groupby(enumerate(runs), key=lambda pair: (pair[1] // size, pair[1] - pair[0])):
+        members = [run for _, run in group]
+        yield Piece(index, members[0], members[-1] + 1)
+
+
+__all__ = ["Progress", "in_memory", "in_store"]

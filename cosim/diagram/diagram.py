@@ -1,0 +1,431 @@
+"""Block diagrams: add blocks, connect ports, build, simulate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Literal
+
+from bayesftc.cosim.base.timebase import rational_step, whole_number
+from bayesftc.cosim.base.units import difference
+from bayesftc.cosim.block import Block, ExternalBlock
+from bayesftc.cosim.diagram.coupling import Coupling, Method
+from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.run.interrupts import import_engine
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from bayesftc.cosim.control.control_system import ControlSystem
+    from bayesftc.cosim.diagram.schedule import Schedule
+    from bayesftc.cosim.run.result import Result
+    from bayesftc.cosim.run.running import Progress
+    from bayesftc.cosim.run.session import RunState, Session
+
+
+class Diagram:
+    """A closed diagram of blocks that run at multiples of one base step.
+
+    Parameters
+    ----------
+    dt : float, str or Fraction
+        The base step in seconds; ``"1/30"`` is exact.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> source = diagram.add(cosim.Constant(1.0), name="one")
+    >>> gain = diagram.add(cosim.Gain(2.0))
+    >>> diagram.connect(source["y"], gain["u"])
+    >>> float(diagram.simulate(1.0)["gain.y"][-1])
+    2.0
+    """
+
+    def __init__(self, dt: float | str | Fraction):
+        self.step = rational_step(dt, "The diagram's step size")
+        self._nodes: dict[str, Node] = {}
+        self._sources: dict[tuple[str, str, int], tuple[PortRef, int]] = {}
+        self._coupling: Coupling | None = None
+        self._schedule: Schedule | None = None
+        self._session: Session | None = None
+
+    def add(self, block: Block, name: str | None = None, every: int = 1) -> Node:
+        """Add a block and return its node, whose ports can be connected.
+
+        Parameters
+        ----------
+        block : Block
+            What to add.
+        name : str, optional
+            Unique name in this diagram; by default the block's kind in small letters.
+        every : int
+            The block runs at every `every`-th base step.
+        """
+        self._refuse_if_built("add a block")
+        if not isinstance(block, Block):
+            raise ModelError(
+                f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace, "
+                "make a trained classifier one by its method block()."
+            )
+        name = block.default_name if name is None else name
+        if not isinstance(name, str) or not name or any(c.isspace() for c in name):
+            raise ModelError(f"{name!r} cannot be a block's name: it must not be empty or contain spaces.")
+        if name in self._nodes:
+            raise ModelError(
+                f"The diagram has a block {name!r} already; give this {type(block).__name__} another name=..."
+            )
+        node = Node(name, block, whole_number(every, f"Block {name!r} has every="))
+        self._nodes[name] = node
+        return node
+
+    def connect(self, source: PortRef | Sequence[PortRef], target: PortRef) -> None:
+        """Connect an output (or several, one after the other) to an input of the same size and unit.
+
+        Raises
+        ------
+        ConnectionError
+            If sizes or units differ, the direction is wrong, or the input has a source already.
+        """
+        self._refuse_if_built("connect ports")
+        sources: list[Any] = list(source) if isinstance(source, list | tuple) else [source]
+        for reference, wanted, role in [*((s, "output", "source") for s in sources), (target, "input", "target")]:
+            if not isinstance(reference, PortRef):
+                raise ConnectionError(f"The {role} of a connection must be a port, as node['y'], not {reference!r}.")
+            if self._nodes.get(reference.node.name) is not reference.node:
+                raise ConnectionError(
+                    f"{reference.name} belongs to a block of another diagram; add the block to this one."
+                )
+            if reference.direction != wanted:
+                raise ConnectionError(
+                    f"{reference.name} is an {reference.direction}, but the {role} must be an {wanted}."
+                )
+        size = sum(len(s) for s in sources)
+        if size != len(target):
+            names = " + ".join(f"{s.name} (size {len(s)})" for s in sources)
+            raise ConnectionError(
+                f"{names} cannot be connected to {target.name} (size {len(target)}): the sizes differ; "
+                "choose elements with [i], or change the block's size."
+            )
+        for s in sources:
+            ours, theirs = s.port, target.port
+            if ours.unit and theirs.unit and (gap := difference(ours.unit, theirs.unit, ours.meaning, theirs.meaning)):
+                raise ConnectionError(f"{s.name} is in {ours.unit}, but {target.name} is in {theirs.unit}{gap}")
+        # All or nothing: a connection that is refused leaves the diagram as it was.
+        origins = [(s, element) for s in sources for element in s.elements]
+        new = {
+            (target.node.name, target.port.name, e): origin for e, origin in zip(target.elements, origins, strict=True)
+        }
+        for (block, port, element), (s, _) in new.items():
+            if (block, port, element) in self._sources:
+                where = f"{block}.{port}" + (f"[{element}]" if target.port.size > 1 else "")
+                before = self._sources[block, port, element][0].name
+                raise ConnectionError(f"{where} has a source already ({before}); it cannot also take {s.name}.")
+        self._sources.update(new)
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """The blocks in the order in which they were added."""
+        return tuple(self._nodes.values())
+
+    def __getitem__(self, name: str) -> Node:
+        if name not in self._nodes:
+            raise UnknownNameError(f"The diagram has no block {name!r}; {did_you_mean(name, self._nodes)}")
+        return self._nodes[name]
+
+    def source_of(self, node: Node, port: Port, element: int) -> tuple[PortRef, int] | None:
+        """Return what feeds one element of an input: the output and its element, or None."""
+        return self._sources.get((node.name, port.name, element))
+
+    def rewired(self, blocks: Mapping[str, Block]) -> Diagram:
+        """Return a diagram of the same names, rates, connections and coupling, made of these blocks; built if this one is.
+
+        Parameters
+        ----------
+        blocks : mapping of str to Block
+            A block for each name; ports that are connected must be there with the same sizes.
+
+        Raises
+        ------
+        ConnectionError
+            If a block does not fit where the one of its name was.
+        """
+        other = Diagram(self.step)
+        for name, node in self._nodes.items():
+            other.add(blocks[name], name, node.every)
+        sizes = {name: {p.name: p.size for p in node.inputs} for name, node in self._nodes.items()}
+        inputs = {name: {p.name: p for p in node.inputs} for name, node in other._nodes.items()}
+        outputs = {name: {p.name: p for p in node.outputs} for name, node in other._nodes.items()}
+        for (target, port, element), (source, taken) in self._sources.items():
+            feeder = source.node.name
+            for name, there, known, size in (
+                (feeder, source.port.name, outputs[feeder], source.port.size),
+                (target, port, inputs[target], sizes[target][port]),
+            ):
+                new = known.get(there)
+                if new is None or new.size != size:
+                    raise ConnectionError(
+                        f"{type(blocks[name]).__name__} cannot stand where {name!r} does: the port {there!r} of size "
+                        f"{size}, which is connected, {'is not there' if new is None else f'has size {new.size}'}. "
+                        "Where sizes are to change, let a function of the factors make the loop."
+                    )
+            origin = outputs[feeder][source.port.name]
+            whole = PortRef(other._nodes[feeder], origin, "output", tuple(range(origin.size)))
+            other._sources[target, port, element] = whole, taken
+        if self._coupling is not None:
+            other.build(self._coupling)
+        return other
+
+    def watching(self, names: Iterable[object] | None) -> Diagram:
+        """Return the diagram with what is named besides outputs, as local variables of FMUs; itself if nothing is.
+
+        Parameters
+        ----------
+        names : iterable of str, optional
+            Signals as results are to have them: ``"plant.mass.s"``. What is no such name is left alone.
+        """
+        blocks = {name: node.block for name, node in self._nodes.items()}
+        asked: dict[str, list[str]] = {}
+        for name in names or ():
+            nodes = [node for node in blocks if isinstance(name, str) and name.startswith(f"{node}.")]
+            if nodes:
+                node = max(nodes, key=len)
+                asked.setdefault(node, []).append(str(name)[len(node) + 1 :])
+        watching = {node: blocks[node].watching(variables, only_recorded=True) for node, variables in asked.items()}
+        if all(block is blocks[node] for node, block in watching.items()):
+            return self
+        return self.rewired(blocks | watching)
+
+    def build(self, coupling: Coupling | Method | None = None, **settings: Any) -> Diagram:
+        """Check the diagram, fix the order of its blocks and freeze it; `simulate` does this by itself.
+
+        Parameters
+        ----------
+        coupling : {"gauss-seidel", "jacobi", "iterated"} or Coupling
+            Which values an FMU sees of those that feed it. Gauss-Seidel, the default: one that is fed directly by an FMU of the
+            same rate added before it sees that one's output after its step; Jacobi: before its step. With a block between the
+            two (a `Gain` that converts units, say), or where their ``every`` differs, it sees the output before the step in
+            both cases. Iterated: steps are repeated until values agree, and algebraic loops are solved.
+            ``diagram.schedule.describe()`` says in words what comes out.
+        **settings : object
+            Further settings of `Coupling`: ``tolerance``, ``acceleration``, ``iterations``, ``hold``, ``step_error``.
+        """
+        from bayesftc.cosim.diagram.schedule import Schedule
+
+        if coupling is None and not settings:
+            wanted = self._coupling or Coupling()
+        elif isinstance(coupling, Coupling):
+            wanted = replace(coupling, **settings)
+        else:
+            wanted = Coupling(coupling or "gauss-seidel", **settings)
+        if self._coupling is not None and wanted != self._coupling:
+            raise ModelError(
+                f"The diagram is built with {self._coupling.method} coupling already; it cannot be built anew with "
+                f"{wanted.method if wanted.method != self._coupling.method else 'other settings'}."
+            )
+        if self._schedule is None:
+            self._schedule = Schedule(self, wanted)
+            self._coupling = wanted
+        return self
+
+    @property
+    def schedule(self) -> Schedule:
+        """The order of calls and the layout of memory; building it freezes the diagram."""
+        self.build()
+        assert self._schedule is not None
+        return self._schedule
+
+    def simulate(
+        self,
+        duration: float | str | Fraction,
+        *,
+        seed: int = 0,
+        record: Iterable[str] | None = None,
+        decimation: int = 1,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+        progress: Progress | None = None,
+        time_limit: float | None = None,
+        pace: float | None = None,
+    ) -> Result:
+        """Run the diagram from its initial state; `bayesftc.cosim.run.simulation.simulate` describes every option.
+
+        Parameters
+        ----------
+        duration : float, str or Fraction
+            Length of the run in seconds, a whole number of base steps.
+        seed : int
+            Seed of all random streams.
+        record : iterable of str, optional
+            Names or patterns of the signals to keep; by default all outputs.
+        decimation : int
+            Keep every `decimation`-th step.
+        engine : {"auto", "compiled", "interpreted"}
+            Both give the same bits.
+        progress : callable, optional
+            Called as ``progress(step, steps)`` now and then.
+        time_limit : float, optional
+            Seconds of computing after which the run is stopped.
+        pace : float, optional
+            Simulated seconds for each second of the clock, 1.0 for real time; ``result.metadata["pace"]`` reports overruns.
+
+        Returns
+        -------
+        Result
+            Signals by name (``"plant.v"``) at t_0 ... t_N.
+        """
+        import_engine()
+        from bayesftc.cosim.run.simulation import simulate
+
+        return simulate(
+            self,
+            duration,
+            seed=seed,
+            record=record,
+            decimation=decimation,
+            engine=engine,
+            progress=progress,
+            time_limit=time_limit,
+            pace=pace,
+        )
+
+    def start(
+        self,
+        *,
+        seed: int = 0,
+        record: Iterable[str | PortRef] | None = None,
+        decimation: int = 1,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+    ) -> Session:
+        """Start a live run, which goes on piece by piece; the diagram keeps it for `advance` and the methods after it.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of all random streams.
+        record : iterable of str, optional
+            Names or patterns of the signals that results hold; by default all outputs.
+        decimation : int
+            Keep every `decimation`-th step.
+        engine : {"auto", "compiled", "interpreted"}
+            Both give the same bits.
+
+        Returns
+        -------
+        Session
+            At its beginning, before the first outputs are computed.
+        """
+        import_engine()
+        from bayesftc.cosim.run.session import Session
+
+        self._session = Session(self, seed=seed, record=record, decimation=decimation, engine=engine)
+        return self._session
+
+    def advance(self, duration: float | str | Fraction, *, pace: float | None = None) -> Result:
+        """Go on with the live run, from its beginning where `start` was not called; see `Session.advance`.
+
+        Parameters
+        ----------
+        duration : float, str or Fraction
+            Seconds, a whole number of base steps.
+        pace : float, optional
+            Simulated seconds for each second of the clock.
+        """
+        return self._live().advance(duration, pace=pace)
+
+    def set(self, name: str | PortRef, value: ArrayLike) -> None:
+        """Give an input of the live run that nothing feeds a value; see `Session.set`.
+
+        Parameters
+        ----------
+        name : str or port
+            Name of the input, ``"plant.force"``.
+        value : float or array
+            One number for each element, or one for all.
+        """
+        self._live().set(name, value)
+
+    def save_state(self) -> RunState:
+        """Return all that the live run remembers, FMUs included; see `Session.save_state`."""
+        return self._live().save_state()
+
+    def restore(self, state: RunState) -> None:
+        """Put the live run back to a saved state; see `Session.restore`.
+
+        Parameters
+        ----------
+        state : RunState
+            What `save_state` has returned.
+        """
+        self._live().restore(state)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Put the live run back to its beginning without loading FMUs anew; see `Session.reset`.
+
+        Parameters
+        ----------
+        seed : int, optional
+            A new seed; by default that of the run before.
+        """
+        self._live().reset(seed)
+
+    def _live(self) -> Session:
+        if self._session is None or self._session.closed:
+            self.start()
+        assert self._session is not None
+        return self._session
+
+    def to_control(
+        self,
+        *,
+        inputs: Sequence[str] | Mapping[str, str] | str | None = None,
+        outputs: Sequence[str] | Mapping[str, str] | str | None = None,
+        seed: int | None = 0,
+        engine: Literal["auto", "compiled", "interpreted"] = "auto",
+        name: str | None = None,
+    ) -> ControlSystem:
+        """Return the diagram as one discrete-time system of python-control; `Block.to_control` says what holds for its state.
+
+        Parameters
+        ----------
+        inputs : sequence of str or mapping of str to str, optional
+            What comes from outside: inputs of blocks (``"plant.disturbance"``), whatever feeds them in the diagram, or outputs
+            (``"reference.y"``, ``"controller.u"``), whose place it then takes in all that they feed. By default the inputs
+            that have neither a source nor a start value. Called ``plant_disturbance``, or as the mapping says.
+        outputs : sequence of str or mapping of str to str, optional
+            Outputs of blocks; by default all.
+        seed : int or None
+            Of the random streams, which give the same numbers as in `simulate`; None for no noise.
+        engine : {"auto", "compiled", "interpreted"}
+            As in `simulate`.
+        name : str, optional
+            Of the system.
+
+        Returns
+        -------
+        control.NonlinearIOSystem
+            With the attribute ``initial_state``, for ``X0``. The diagram itself stays as it is; it is not frozen.
+        """
+        from bayesftc.cosim.control.control_system import diagram_to_control
+
+        return diagram_to_control(self, inputs, outputs, seed, engine, name)
+
+    def __repr__(self) -> str:
+        blocks = ", ".join(self._nodes)
+        return f"<Diagram of {len(self._nodes)} blocks at {float(self.step):g} s: {blocks}>"
+
+    def _refuse_if_built(self, what: str) -> None:
+        if self._coupling is not None:
+            raise ModelError(f"The diagram is built and frozen; to {what}, do so before build() or simulate().")
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The schedule is built anew where it is needed; a copy shares no table and no live run with the original.
+        own = {"_nodes": dict(self._nodes), "_sources": dict(self._sources), "_schedule": None, "_session": None}
+        return {**self.__dict__, **own}
+
+
+def is_external(node: Node) -> bool:
+    """Return whether the node's block is an FMU or another block with step functions in C."""
+    return isinstance(node.block, ExternalBlock)

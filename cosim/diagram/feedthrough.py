@@ -1,0 +1,99 @@
+"""The order in which blocks compute their outputs at t_k: each after those whose outputs it feeds through."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from itertools import pairwise
+
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.groups import components
+from bayesftc.cosim.errors import AlgebraicLoopError
+
+
+class Feedthrough:
+    """Which blocks need which others' outputs to compute their own.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        With all its connections.
+    computing : container of int
+        The places, in the diagram's order, of the blocks that compute outputs.
+    """
+
+    def __init__(self, diagram: Diagram, computing: Container[int]):
+        self._nodes = diagram.nodes
+        place = {node: i for i, node in enumerate(self._nodes)}
+        #: For each block those that need it, with the names of the first output and input between the two.
+        self._edges: dict[int, dict[int, tuple[str, str]]] = {i: {} for i in range(len(self._nodes))}
+        for i, node in enumerate(self._nodes):
+            if i not in computing:
+                continue
+            for port in node.inputs:
+                for element in range(port.size if port.feedthrough else 0):
+                    source = diagram.source_of(node, port, element)
+                    if source is not None:
+                        output, j = source[0], place[source[0].node]
+                        self._edges[j].setdefault(
+                            i, (f"{output.node.name}.{output.port.name}", f"{node.name}.{port.name}")
+                        )
+
+    def is_loop(self, unit: list[int]) -> bool:
+        """Return whether blocks that stand together in the order are an algebraic loop."""
+        return len(unit) > 1 or unit[0] in self._edges[unit[0]]
+
+    def order(self, *, solved: bool) -> list[list[int]]:
+        """Return the blocks in an order in which each finds its inputs; those of an algebraic loop stand together.
+
+        Parameters
+        ----------
+        solved : bool
+            Whether algebraic loops will be solved.
+
+        Raises
+        ------
+        AlgebraicLoopError
+            If there is one and it will not.
+        """
+        waiting = dict.fromkeys(range(len(self._nodes)), 0)
+        for targets in self._edges.values():
+            for target in targets:
+                waiting[target] += 1
+        order: list[list[int]] = []
+        while waiting:
+            ready = next(([i] for i, count in waiting.items() if count == 0), None)
+            if ready is None:
+                if not solved:
+                    raise AlgebraicLoopError(self._loop_sentence(set(waiting)))
+                needs = {i: {j for j in waiting if i in self._edges[j]} for i in waiting}
+                ready = components(list(waiting), needs)[0]
+            for i in ready:
+                del waiting[i]
+            order.append(ready)
+            for target in [target for i in ready for target in self._edges[i] if target in waiting]:
+                waiting[target] -= 1
+        return order
+
+    def _loop_sentence(self, stuck: set[int]) -> str:
+        # Walk backwards: each stuck block has a stuck predecessor, so the walk must close.
+        path = [min(stuck)]
+        while True:
+            before = next(j for j in sorted(stuck) if path[-1] in self._edges[j])
+            if before in path:
+                loop = [*path[path.index(before) :], before][::-1]
+                break
+            path.append(before)
+        lines = [
+            f"  {self._edges[a][b][0]} -> {self._edges[a][b][1]}  ({self._nodes[b].name} feeds it through)"
+            for a, b in pairwise(loop)
+        ]
+        direct = [
+            self._nodes[i].name for i in sorted(set(loop)) if getattr(self._nodes[i].block, "timing", "") == "direct"
+        ]
+        return (
+            "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
+            + "\n".join(lines)
+            + "\nPut a UnitDelay into one of these connections, declare the input feedthrough=False where that is true, or let "
+            "the loop be solved at each step with build(coupling='iterated')."
+            + (f" {direct[0]!r} with timing='plant' shows the inputs of the step before." if direct else "")
+        )

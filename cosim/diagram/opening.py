@@ -1,0 +1,144 @@
+"""Parts of a diagram from outside: its signals by name, and a copy of it in which some of them come from elsewhere."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from fractions import Fraction
+
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.errors import ModelError, UnconnectedInputError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port, labels
+
+Names = Sequence[str] | Mapping[str, str] | str
+"""Signals, by their names; a mapping gives each a new one."""
+
+Signals = Mapping[str, tuple[Node, Port]]
+Element = tuple[str, str, int]
+"""Block, port and element of a scalar signal."""
+
+OUTSIDE = "<outside>"
+"""The name of the block that stands for all that comes from outside."""
+
+
+def signals_of(diagram: Diagram) -> tuple[Signals, Signals]:
+    """Return all inputs and all outputs of a diagram's blocks by name, as ``plant.v``."""
+    inputs, outputs = (
+        {f"{node.name}.{port.name}": (node, port) for node in diagram.nodes for port in getattr(node.block, side)}
+        for side in ("inputs", "outputs")
+    )
+    return inputs, outputs
+
+
+def chosen(
+    known: Signals, names: Names, what: str, who: str, allowed: Callable[[str], str]
+) -> dict[str, tuple[Node, Port, int]]:
+    """Return the scalar signals that are meant, each by its label: ``y[0]``, ``y[1]`` for a vector ``y`` or an element of it.
+
+    Parameters
+    ----------
+    known : mapping of str to (Node, Port)
+        The signals by name.
+    names : sequence or mapping of str
+        Those that are meant.
+    what, who : str
+        What they are, and who asks for them, as errors call them.
+    allowed : callable
+        Returns a label as it may be called there.
+    """
+    listed = [names] if isinstance(names, str) else names
+    renamed = names if isinstance(names, Mapping) else {name: name for name in listed}
+    if len(renamed) < len(listed):
+        raise ModelError(f"{who} has one of its {what}s twice: {', '.join(listed)}; name each once.")
+    found: dict[str, tuple[Node, Port, int]] = {}
+    for signal, label in renamed.items():
+        label = allowed(label)
+        if signal in known:
+            node, port = known[signal]
+            scalars = {scalar: (node, port, i) for i, scalar in enumerate(labels(label, port.shape))}
+        else:
+            scalars = {label: _one(known, signal, what)}
+        for scalar, place in scalars.items():
+            if scalar in found or place in found.values():
+                raise ModelError(
+                    f"{who} has two {what}s {scalar!r}, or one of them twice; name each once, and give one of them another "
+                    f"name, as in {what}s={{{signal!r}: 'other'}}."
+                )
+            found[scalar] = place
+    return found
+
+
+def _one(known: Signals, signal: str, what: str) -> tuple[Node, Port, int]:
+    match = re.fullmatch(r"(.+)\[([\d,]+)\]", signal)
+    if match and match[1] in known:
+        node, port = known[match[1]]
+        elements = labels(match[1], port.shape)
+        if signal in elements:
+            return node, port, elements.index(signal)
+    raise UnknownNameError(f"There is no {what} {signal!r}; {did_you_mean(signal, known)}")
+
+
+def _hand_on(u, y):
+    for i in range(y.shape[0]):
+        y[i] = u[i]
+
+
+@dataclass(frozen=True)
+class HandOn(Block):
+    """Hands on numbers: ``y`` is ``u``. It stands in a diagram for all that comes from outside, or between FMUs."""
+
+    size: int
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        return (Port("u", (self.size,), default=0.0),)
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        return (Port("y", (self.size,)),)
+
+    def define(self, step: Fraction) -> Definition:
+        return Definition(_hand_on)
+
+
+def needed(diagram: Diagram) -> dict[str, tuple[Node, Port, int]]:
+    """Return the scalar inputs that have neither a source nor a start value."""
+    return {
+        label: (node, port, i)
+        for node in diagram.nodes
+        for port in node.block.inputs
+        for i, label in enumerate(labels(f"{node.name}.{port.name}", port.shape))
+        if port.draw is None and port.default is None and diagram.source_of(node, port, i) is None
+    }
+
+
+def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) -> tuple[Diagram, list[Element]]:
+    """Return a copy of the diagram in which the given signals come from outside, and where they are put in.
+
+    An output that comes from outside is no longer heard: all that it feeds is fed from outside.
+    """
+    whole = copy(diagram)
+    coupling, whole._coupling = whole._coupling, None
+    outside = whole.add(HandOn(len(given)), OUTSIDE)["y"] if given else None
+    for j, (node, port, i) in enumerate(given):
+        assert outside is not None
+        targets = [(node.name, port.name, i)]
+        if any(port.name == output.name for output in node.block.outputs):
+            targets = [
+                target
+                for target, (source, element) in diagram._sources.items()
+                if source.node is node and source.port.name == port.name and element == i
+            ]
+        for target in targets:
+            whole._sources[target] = outside, j
+    for name, (node, _, _) in needed(whole).items():
+        raise UnconnectedInputError(
+            f"The input {name} of {type(node.block).__name__} has neither a source nor a start value; name it among the inputs "
+            f"of {who}, as it is by default."
+        )
+    whole.build(coupling)
+    return whole, [(OUTSIDE, "u", j) for j in range(len(given))]

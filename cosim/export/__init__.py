@@ -1,0 +1,1 @@
+"""Blocks and diagrams as FMUs and as C."""

@@ -1,0 +1,302 @@
+"""The C of a program: a file and its header, which need the mathematics of the C library and nothing else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import prod
+from types import FunctionType
+
+from bayesftc.cosim.diagram.opening import OUTSIDE
+from bayesftc.cosim.diagram.schedule import Call
+from bayesftc.cosim.export.layout import Layout, member
+from bayesftc.cosim.export.program import Program
+from bayesftc.cosim.export.signals import Signal, Tunable
+from bayesftc.cosim.export.translate.functions import Functions, Written, words, wrapped
+from bayesftc.cosim.export.translate.kinds import FLOAT, NATURAL, Array
+from bayesftc.cosim.export.translate.values import literal
+from bayesftc.cosim.types import argument_names
+
+_PARTS = ("inputs", "outputs", "parameters", "init", "step", "evaluate", "advance")
+_VARIABLES = ("c", "u", "y", "m", "k", "t", "i", "j", "initial")
+_FILL = (
+    "for (size_t i = 0; i < sizeof initial / sizeof *initial; ++i) {",
+    "    for (int j = 0; j < initial[i].count; ++j) {",
+    "        c->memory[initial[i].begin + j] = initial[i].value;",
+    "    }",
+    "}",
+)
+_CAREFUL = """\
+#if defined __FAST_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__) || defined __ASSOCIATIVE_MATH__ \\
+    || defined __RECIPROCAL_MATH__ || defined _M_FP_FAST
+#error "Compile without -ffast-math or part of it: a NaN is a missing sample, and sums are made in the order that is written."
+#endif
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+/* Every product and sum is rounded by itself; and gcc 12 takes 0.0 - n for -n where n cannot be a negative zero. */
+#pragma GCC optimize("fp-contract=off", "rounding-math")
+#ifndef __OPTIMIZE_SIZE__
+#pragma GCC optimize("peel-loops") /* short loops are unrolled: a fifth faster, and a fifth longer */
+#endif
+#endif"""
+_OF_LIBRARY = ("cos", "exp", "log", "sin")
+_BY_LIBRARY = """\
+static double op_{name}(double x)
+{{
+    const volatile double told = x;
+
+    return {name}(told);
+}}
+#define {name} op_{name}"""
+_HOW = """\
+/* {name}: a step every {step} s.
+ *
+ *     static {name} c;
+ *     {name}_inputs u;
+ *     {name}_outputs y;
+ *
+ *     {name}_init(&c);
+ *     every {step} s: fill u, then {name}_step(&c, &u, &y), then use y
+ *
+ * A step computes the outputs at this time from the inputs at this time, and moves on. Where the outputs are needed before
+ * the state may move on, call {name}_evaluate and then {name}_advance, which are the two halves of a step.
+ * All memory is in the structure: nothing is allocated, there are no global variables, and several can run side by side.
+ * A NaN among the inputs is a missing sample. Arrays lie row by row.
+ * For the digits of the original the compiler must not fuse products and sums (-ffp-contract=off; gcc and clang are told
+ * so in the file itself) nor reorder them (never -ffast-math), and doubles must be computed as such.
+ */"""
+
+
+@dataclass(frozen=True)
+class CFile:
+    """The C of a program.
+
+    Parameters
+    ----------
+    name : str
+        What types and functions begin with, and both files are called.
+    header, source : str
+        Their texts.
+    memory, constants : int
+        How many doubles are kept from a step to the next, scratch included, and how many stand in tables.
+    changes_state : bool
+        Whether computing outputs changes the state of a block: it must then be done once a step.
+    """
+
+    name: str
+    header: str
+    source: str
+    memory: int
+    constants: int
+    changes_state: bool
+
+
+def write_c(program: Program) -> CFile:
+    """Return the C of a program."""
+    name = Functions.allowed(program.name)
+    functions = Functions([name, *(f"{name}_{part}" for part in _PARTS), *_VARIABLES])
+    layout = Layout(program, functions)
+    runs = layout.runs()
+    evaluate = [
+        *layout.tuned(),
+        *_phase(program, layout, functions, program.schedule.evaluate),
+        *_shown(program, layout),
+    ]
+    if "u" not in words("\n".join(evaluate)):
+        evaluate.append("(void)u;")
+    advance = [*_phase(program, layout, functions, program.schedule.advance), "c->step += 1.0;"]
+    read = words("\n".join([*evaluate, *advance]))
+    tables = [table for name, table in layout.tables.items() if name in read]
+    parts = [*(text for text, _ in tables), *_initial(runs), functions.text([*evaluate, *advance])]
+    size = len(layout.initial)
+    return CFile(
+        name,
+        _header(program, name, size),
+        _source(program, name, parts, _beginning(program, runs), evaluate, advance),
+        size,
+        2 * len(runs) + sum(count for _, count in tables),
+        _changes_state(program, functions),
+    )
+
+
+def _shown(program: Program, layout: Layout) -> list[str]:
+    """Return the lines that hand the outputs to the caller."""
+    return [f"y->{member(s)}[{e}] = {layout.element(at)};" for s in program.outputs for e, at in enumerate(s.places)]
+
+
+def _beginning(program: Program, runs: Sequence[tuple[int, int, float]]) -> list[str]:
+    """Return the lines that put state and parameters to the beginning."""
+    return [
+        "for (size_t i = 0; i < sizeof c->memory / sizeof *c->memory; ++i) {",
+        "    c->memory[i] = 0.0;",
+        "}",
+        *(_FILL if runs else ()),
+        *(f"c->parameters.{member(t)}[{e}] = {literal(v)};" for t in program.tunables for e, v in enumerate(t.start)),
+        "c->start = 0.0;",
+        "c->step = 0.0;",
+    ]
+
+
+def _changes_state(program: Program, functions: Functions) -> bool:
+    """Return whether computing outputs changes the state of a block."""
+    for call in program.schedule.evaluate:
+        written, definition = _written(program, functions, call), program.schedule.definitions[call.node]
+        if written is not None and definition is not None and written.stored & set(definition.state):
+            return True
+    return False
+
+
+def _source(
+    program: Program,
+    name: str,
+    parts: Sequence[str],
+    init: Sequence[str],
+    evaluate: Sequence[str],
+    advance: Sequence[str],
+) -> str:
+    """Return the C file: tables and functions, and below them what the header declares, of which the lines are given."""
+    step = program.step
+    known = {
+        "m": "double *const m = c->memory;",
+        "k": "const int64_t k = (int64_t)c->step;",
+        # The quotient of two whole numbers: the double nearest to the time, as in the engines.
+        "t": f"const double t = c->start + c->step * {step.numerator}.0 / {step.denominator}.0;",
+    }
+    body = "\n\n".join(parts)
+    library = [_BY_LIBRARY.format(name=each) for each in _OF_LIBRARY if re.search(rf"\b{each}\(", body)]
+    if library:
+        who = "#if !defined __GNUC__ || defined __clang__ /* who compute those of constants themselves, unlike the library */"
+        library = [who, *library, "#endif", ""]
+    signature = f"({name} *c, const {name}_inputs *u, {name}_outputs *y)"
+    lines = [
+        f"/* {name}: {name}.h says how to use it. */",
+        "#if defined _MSC_VER && !defined _UCRT_NOISY_NAN",
+        "#define _UCRT_NOISY_NAN /* else NAN is no constant in the Windows SDK 10.0.26100 */",
+        "#endif",
+        "#include <math.h>",
+        "#include <stddef.h>",
+        "#include <stdint.h>",
+        "",
+        f'#include "{name}.h"',
+        "",
+        _CAREFUL,
+        "",
+        *library,
+        body,
+        "",
+        *_function(f"void {name}_init({name} *c)", {}, init),
+        *_function(f"void {name}_evaluate{signature}", known, evaluate),
+        *_function(f"void {name}_advance({name} *c)", known, advance),
+        *_function(f"void {name}_step{signature}", {}, [f"{name}_evaluate(c, u, y);", f"{name}_advance(c);"]),
+    ]
+    return "\n".join(lines)
+
+
+def _initial(runs: Sequence[tuple[int, int, float]]) -> list[str]:
+    """Return the table of what memory is at the beginning where it is not zero."""
+    if not runs:
+        return []
+    rows = ", ".join(f"{{ {begin}, {count}, {literal(value)} }}" for begin, count, value in runs)
+    text = "static const struct { int begin, count; double value; } initial[] = " + f"{{ {rows} }};"
+    return ["\n".join(wrapped(text))]
+
+
+def _written(program: Program, functions: Functions, call: Call) -> Written | None:
+    """Return the C of a call's step function; None where only inputs are brought."""
+    kernel = program.schedule.kernel(call)
+    if kernel is None:
+        return None
+    assert isinstance(kernel, FunctionType)
+    sections = program.schedule.slots[call.node].sections
+    kinds = [FLOAT if n == "t" else NATURAL if n == "k" else Array(sections[n][2]) for n in argument_names(kernel)]
+    return functions.require(kernel, kinds)
+
+
+def _phase(program: Program, layout: Layout, functions: Functions, calls: Iterable[Call]) -> list[str]:
+    """Return the lines that make calls, and bring what they need before each."""
+    lines: list[str] = []
+    for call in calls:
+        if program.schedule.nodes[call.node].name == OUTSIDE:
+            continue
+        own = [f"{layout.element(to)} = {layout.element(origin)};" for to, origin in call.gathers]
+        written, every = _written(program, functions, call), program.schedule.every(call)
+        if written is not None:
+            known = {"t": "t", "k": "k" if every == 1 else f"k / {every}"}
+            given = [known.get(n) or layout.pointer(call.node, n) for n in written.arguments if n in written.passed]
+            own.append(f"{written.name}({', '.join(given)});")
+        lines += own if every == 1 else [f"if (k % {every} == 0) {{", *(f"    {line}" for line in own), "}"]
+    return lines
+
+
+def _function(head: str, known: dict[str, str], lines: Sequence[str]) -> list[str]:
+    """Return a function that begins with what it needs of what is known."""
+    first = [line for name, line in known.items() if name in words("\n".join(lines))]
+    body = [*first, *([""] if first else []), *lines]
+    return [head, "{", *(piece for line in body for piece in wrapped(f"    {line}" if line else "")), "}", ""]
+
+
+def _header(program: Program, name: str, memory: int) -> str:
+    guard = f"{name.upper()}_H"
+    lines = [
+        _HOW.format(name=name, step=program.step),
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *_sizes(program, name, memory),
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
+        *_structure(f"{name}_inputs", program.inputs),
+        *_structure(f"{name}_outputs", program.outputs),
+        *(_structure(f"{name}_parameters", program.tunables) if program.tunables else []),
+        "typedef struct {",
+        f"    double memory[{name.upper()}_MEMORY];",
+        *([f"    {name}_parameters parameters; /* may be changed between steps */"] if program.tunables else []),
+        "    double start; /* time of the first step in seconds */",
+        "    double step;  /* how many have been made */",
+        f"}} {name};",
+        "",
+        f"void {name}_init({name} *c);",
+        f"void {name}_step({name} *c, const {name}_inputs *u, {name}_outputs *y);",
+        f"void {name}_evaluate({name} *c, const {name}_inputs *u, {name}_outputs *y);",
+        f"void {name}_advance({name} *c);",
+        "",
+        "#ifdef __cplusplus",
+        "}",
+        "#endif",
+        "",
+        "#endif",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _sizes(program: Program, name: str, memory: int) -> list[str]:
+    """Return how many numbers each array has, and the step, as constants."""
+    groups = (("IN", program.inputs), ("OUT", program.outputs), ("PARAMETER", program.tunables))
+    sizes = [(f"{what}_{member(s)}", len(s.start)) for what, group in groups for s in group]
+    if len({title.upper() for title, _ in sizes}) == len(sizes):  # y and Y may be two
+        sizes = [(title.upper(), size) for title, size in sizes]
+    step = program.step
+    return [
+        f"#define {name.upper()}_SECONDS ({step.numerator}.0 / {step.denominator}.0) /* from step to step */",
+        "",
+        "enum {",
+        *(f"    {name.upper()}_{title} = {size}," for title, size in sizes),
+        f"    {name.upper()}_MEMORY = {memory}",
+        "};",
+        "",
+    ]
+
+
+def _structure(title: str, members: Sequence[Signal | Tunable]) -> list[str]:
+    lines = [f"    double {member(s)}[{max(int(prod(s.shape)), 1)}];{_remark(s)}" for s in members]
+    return ["typedef struct {", *(lines or ["    double none; /* C has no empty structures */"]), f"}} {title};", ""]
+
+
+def _remark(signal: Signal | Tunable) -> str:
+    parts = [f"{signal.shape[0]} row{'s' * (signal.shape[0] != 1)}"] if len(signal.shape) > 1 else []
+    parts += [signal.unit] if signal.unit else []
+    return f" /* {', '.join(parts)} */" if parts else ""

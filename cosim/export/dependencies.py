@@ -1,0 +1,77 @@
+"""Which inputs and parameters an output depends on at the same time, element by element."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesftc.cosim.diagram.opening import OUTSIDE
+from bayesftc.cosim.export.program import Program
+from bayesftc.cosim.export.signals import Signal, Tunable
+from bayesftc.cosim.export.translate.sets import Memory, Origins, origins, run
+from bayesftc.cosim.ports import labels
+
+Elements = dict[str, tuple[frozenset[str], ...]]
+"""For each element of each output, the elements of inputs and parameters."""
+
+
+def feeding(program: Program, elements: Elements) -> dict[str, frozenset[str]]:
+    """Return, for each output, the names of the inputs and parameters that its value at t_k is computed from."""
+    given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
+    whole = {element: signal.name for signal in given for element in labels(signal.name, signal.shape)}
+    return {output: frozenset(whole[name] for of in each for name in of) for output, each in elements.items()}
+
+
+def feeding_elements(program: Program) -> Elements:
+    """Return, for each element of each output, the elements of inputs and parameters that its value at t_k is computed from.
+
+    Step functions are run on sets. Of one that branches on data, each output is taken to depend on all that it reads. What
+    a number is multiplied with that is always zero, it does not depend on.
+    """
+    schedule = program.schedule
+    memory, names = _memory(program)
+    for call in schedule.evaluate:
+        kernel = schedule.kernel(call)
+        if schedule.nodes[call.node].name == OUTSIDE or kernel is None:
+            continue
+        for to, origin in call.gathers:
+            memory[to] = memory[origin]
+        run(kernel, schedule.slots[call.node], memory)
+    return {signal.name: tuple(_named(memory[at], names) for at in signal.places) for signal in program.outputs}
+
+
+def _memory(program: Program) -> tuple[Memory, list[str]]:
+    """Return the schedule's memory before a step, in which inputs and parameters are their own origins, and their names."""
+    schedule = program.schedule
+    memory: Memory = np.array([*map(np.float64, schedule.initial.tolist()), None], dtype=object)[:-1]
+    names: list[str] = []
+    Origins.made = 0  # by another program
+    nothing = Origins(0)
+
+    def known(name: str, shape: tuple[int, ...]) -> list[Origins]:
+        before = len(names)
+        names.extend(labels(name, shape))
+        return [Origins(1 << i) for i in range(before, len(names))]
+
+    for node, slots in zip(schedule.nodes, schedule.slots, strict=True):
+        for section, offset, shape in slots.sections.values():
+            if section in {"state", "outputs"}:
+                begin = slots.start[section] + offset
+                memory[begin : begin + int(np.prod(shape, dtype=int))] = nothing
+        if node.name == OUTSIDE:
+            given = [element for signal in program.inputs for element in known(signal.name, signal.shape)]
+            for place, element in enumerate(given, slots.start["outputs"]):
+                memory[place] = element
+    for tunable in program.tunables:
+        for element, places in zip(known(tunable.name, tunable.shape), tunable.places, strict=True):
+            for parameter, j in places:
+                memory[schedule.slots[tunable.node].offset(parameter) + j] = element
+    return memory, names
+
+
+def _named(number: object, names: list[str]) -> frozenset[str]:
+    of, found = origins(number), []
+    while of:
+        lowest = of & -of
+        found.append(names[lowest.bit_length() - 1])
+        of ^= lowest
+    return frozenset(found)

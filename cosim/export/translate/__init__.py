@@ -1,0 +1,1 @@
+"""From step functions in Python to functions in C."""

@@ -1,0 +1,50 @@
+"""Calls of other step functions, each in a line of C of its own, in the order in which Python makes them."""
+
+from __future__ import annotations
+
+import ast
+from types import FunctionType
+
+from bayesftc.cosim.export.translate.conditions import Conditions
+from bayesftc.cosim.export.translate.context import OPERATIONS
+from bayesftc.cosim.export.translate.kinds import Array, Constant, as_number
+from bayesftc.cosim.export.translate.values import Value, constant
+
+
+class Expressions(Conditions):
+    """All expressions."""
+
+    def get_Call(self, node: ast.Call) -> Value:
+        value = self.call(node)
+        if value is None:
+            self.refuse(node, f"uses what {ast.unparse(node.func)!r} returns, which is nothing")
+        return value
+
+    def call(self, node: ast.Call, *, wanted: bool = True) -> Value | None:
+        """Return what a call returns; None for nothing. It is made in a line of its own, here, but for operations."""
+        target = self.value(node.func).kind
+        function = target.value if isinstance(target, Constant) else None
+        if function is len and len(node.args) == 1:
+            owner = self.value(node.args[0]).kind
+            if isinstance(owner, Array):
+                return constant(owner.shape[0])
+            if isinstance(owner, Constant) and isinstance(owner.value, tuple):
+                return constant(len(owner.value))
+        if callable(function) and function in OPERATIONS:
+            return self.operation(node, OPERATIONS[function])
+        if not isinstance(function, FunctionType):
+            self.refuse(node, f"calls {ast.unparse(node.func)!r}, which is no step function")
+        arguments = self.in_order(node, function)
+        written = self.functions.require(function, [as_number(a.kind) or a.kind for a in arguments])
+        self.called.add(written.name)
+        texts = []
+        for argument, name in zip(arguments, written.arguments, strict=True):
+            if name in written.passed:
+                texts.append(argument.text)
+            if name in written.stored:
+                self.stored |= argument.roots
+        text = f"{written.name}({', '.join(texts)})"
+        if written.returns is None or not wanted:
+            self.emit(f"{text};")
+            return None
+        return self.temporary(Value(text, written.returns))

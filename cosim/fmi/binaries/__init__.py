@@ -1,0 +1,1 @@
+"""The binary of an FMU: loaded, its functions called, memory lent to them."""

@@ -1,0 +1,355 @@
+"""The binary of an FMU: its functions, bound by fmpy."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.fmi.binaries.addresses import Addresses
+from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Value, flattened
+from bayesftc.cosim.fmi.reading.embedded import in_this_python
+from bayesftc.cosim.fmi.reading.messages import ENDS, Messages, callback3, callbacks2, status_word
+
+_STATUS_CATEGORIES = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+
+C_TYPES: dict[str, Any] = {
+    "Real": ctypes.c_double,
+    "Float64": ctypes.c_double,
+    "Float32": ctypes.c_float,
+    "Integer": ctypes.c_int,
+    "Int8": ctypes.c_int8,
+    "UInt8": ctypes.c_uint8,
+    "Int16": ctypes.c_int16,
+    "UInt16": ctypes.c_uint16,
+    "Int32": ctypes.c_int32,
+    "UInt32": ctypes.c_uint32,
+    "Int64": ctypes.c_int64,
+    "UInt64": ctypes.c_uint64,
+    "String": ctypes.c_char_p,
+}
+
+
+class CallError(Exception):
+    """A call of an FMI function that did not return OK or Warning."""
+
+    def __init__(self, function: str, status: int):
+        super().__init__(function, status)
+        self.function, self.status = function, status
+
+    def sentence(self) -> str:
+        """Return what happened in FMI's words."""
+        return f"{self.function} returned {status_word(self.status)}"
+
+
+class Library(ABC):
+    """The loaded binary of one FMU; the parts that FMI 2 and 3 have in common.
+
+    Several instances may live at a time. fmpy's own ``freeInstance`` would unload the binary under the feet of the others,
+    so instances are made and freed through the bound C functions, and the binary stays until the process ends.
+    """
+
+    #: Names of the functions of saved states: get, set, free.
+    state_functions: tuple[str, str, str]
+    #: Names of the functions that make bytes of them: how many, to bytes, from bytes.
+    serial_functions: tuple[str, str, str]
+    #: What fmpy takes for one of these bytes.
+    byte: Any
+
+    def __init__(self, description: FMUDescription, slave: Any, keep: Any):
+        self.description = description
+        from fmpy.fmi1 import FMICallException
+
+        self._slave = slave
+        self._refused = FMICallException  # here, for what is freed as Python ends can import nothing
+        self._keep = keep  # a handle of our own: the binary stays even if someone closes fmpy's
+        self.alive = 0
+        self._addresses: dict[str, int] = {}
+
+    def function_address(self, name: str) -> int:
+        """Return the address of an FMI function."""
+        if name not in self._addresses:
+            self._addresses[name] = ctypes.cast(getattr(self._slave.dll, name), ctypes.c_void_p).value or 0
+        return self._addresses[name]
+
+    @cached_property
+    def state_addresses(self) -> tuple[int, int, int]:
+        """Addresses of the functions of saved states."""
+        save, restore, free = (self.function_address(name) for name in self.state_functions)
+        return save, restore, free
+
+    @abstractmethod
+    def step_addresses(self) -> Addresses:
+        """Return the addresses of the functions that a step of co-simulation may call."""
+
+    def begin(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """Return what `create` does; if it is a model in Python, of its own Python files."""
+        with in_this_python(Path(self._slave.unzipDirectory, "resources"), self._keep):
+            return self.create(name, messages)
+
+    @abstractmethod
+    def create(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """Return a new instance (None if refused) and what must be kept alive with it."""
+
+    @abstractmethod
+    def initialize(
+        self,
+        component: int,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
+        tolerance: float = 0.0,
+        time: float = 0.0,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Set the start values, go through initialization mode, and leave it ready for the first step.
+
+        Inputs whose value is None keep what the FMU gives them. The FMU is told a `tolerance` above 0: it solves its equations
+        as well as that needs. `time` is when it begins. `meanwhile` is called in initialization mode, when all is set.
+        """
+
+    @abstractmethod
+    def terminate(self, component: int) -> None:
+        """Tell a healthy instance that the run is over."""
+
+    @abstractmethod
+    def free(self, component: int) -> None:
+        """Free an instance."""
+
+    def release(self, component: int, forget_states: Callable[[], None], *, healthy: bool, fatal: bool) -> None:
+        """End and free an instance, which is over whatever that says.
+
+        Parameters
+        ----------
+        component : int
+            The instance.
+        forget_states : callable
+            Frees its saved states.
+        healthy : bool
+            Whether it stands where it may be told that the run is over.
+        fatal : bool
+            Whether it has returned Fatal, after which the standard allows no call at all.
+        """
+        self.alive -= 1
+        with suppress(CallError, FMUError):
+            forget_states()
+            if healthy:
+                self.terminate(component)
+            if not fatal:
+                self.free(component)
+
+    def last_words(self, component: int) -> tuple[str, bool]:
+        """Return what more is known of a discarded step, as a sentence or nothing, and whether the FMU ends the simulation."""
+        return "", False
+
+    def call(self, function: str, *arguments: Any) -> Any:
+        """Call an FMI function through fmpy.
+
+        Raises
+        ------
+        CallError
+            If it returns neither OK nor Warning.
+        """
+        try:
+            return getattr(self._slave, function)(*arguments)
+        except self._refused as error:
+            raise CallError(function, int(error.status)) from None
+
+    def set_values(self, component: int, values: dict[FMUVariable, Value]) -> None:
+        """Set variables of any type, one at a time, so that a refusal names one."""
+        for variable, value in values.items():
+            function, c_type = self._setter(variable.type)
+            reference = (ctypes.c_uint * 1)(variable.reference)
+            flat = [v.encode() if isinstance(v, str) else -v if variable.negated else v for v in flattened(value)]
+            array = (c_type * len(flat))(*flat)
+            try:
+                self._set(function, component, reference, array)
+            except CallError as error:
+                raise CallError(f"{error.function} of {variable.name!r}", error.status) from None
+
+    @abstractmethod
+    def _setter(self, kind: str) -> tuple[str, Any]: ...
+
+    @abstractmethod
+    def _set(self, function: str, component: int, reference: Any, array: Any) -> None: ...
+
+    def _narrow_log(self, function: str, component: int) -> None:
+        # The log is on while the instance is made, so that a refusal says why. Afterwards only problems are wanted:
+        # a message costs more than a thousand steps.
+        wanted = [c.encode() for c in _STATUS_CATEGORIES if c in self.description.log_categories]
+        if (self.description.generation_tool or "").startswith("PythonFMU"):
+            wanted = [b""]  # it declares categories, but its own errors are of none of them
+        with suppress(CallError):  # it then says more or less than asked for, which harms nothing
+            self.call(function, component, bool(wanted), len(wanted), (ctypes.c_char_p * len(wanted))(*wanted))
+
+
+class Library2(Library):
+    """A binary of FMI 2."""
+
+    #: fmi2Type: co-simulation here.
+    interface = 1
+    state_functions = ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate")
+    serial_functions = ("fmi2SerializedFMUstateSize", "fmi2SerializeFMUstate", "fmi2DeSerializeFMUstate")
+    byte = ctypes.c_char
+
+    @cached_property
+    def _resources(self) -> bytes:
+        return Path(self._slave.unzipDirectory, "resources").as_uri().encode()
+
+    def create(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """See `Library.create`."""
+        callbacks = callbacks2(messages)
+        token = self.description.token.encode()
+        component = self.call(
+            "fmi2Instantiate", name.encode(), self.interface, token, self._resources, ctypes.byref(callbacks), 0, 1
+        )
+        if component:
+            self._narrow_log("fmi2SetDebugLogging", component)
+        return component or 0, callbacks
+
+    def initialize(
+        self,
+        component: int,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
+        tolerance: float = 0.0,
+        time: float = 0.0,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> None:
+        """See `Library.initialize`."""
+        self.call("fmi2SetupExperiment", component, int(tolerance > 0.0), tolerance, time, 0, 0.0)
+        before, during = _in_their_modes(start, inputs)
+        self.set_values(component, before)
+        self.call("fmi2EnterInitializationMode", component)
+        self.set_values(component, during)
+        meanwhile()
+        self.call("fmi2ExitInitializationMode", component)
+
+    def step_addresses(self) -> Addresses:
+        """See `Library.step_addresses`."""
+        asks: tuple[int, ...] = ()
+        if self.description.capabilities.get("canHandleVariableCommunicationStepSize"):
+            asks = self.function_address("fmi2GetRealStatus"), self.function_address("fmi2GetBooleanStatus")
+        return Addresses(self.function_address("fmi2DoStep"), *asks)
+
+    def terminate(self, component: int) -> None:
+        """See `Library.terminate`."""
+        self.call("fmi2Terminate", component)
+
+    def free(self, component: int) -> None:
+        """See `Library.free`."""
+        self.call("fmi2FreeInstance", component)
+
+    def last_words(self, component: int) -> tuple[str, bool]:
+        """See `Library.last_words`."""
+        ended, reached = ctypes.c_int(0), ctypes.c_double(0.0)
+        try:
+            self.call("fmi2GetBooleanStatus", component, 3, ctypes.byref(ended))
+            if ended.value:
+                return f"{ENDS} (terminated).", True
+            self.call("fmi2GetRealStatus", component, 2, ctypes.byref(reached))
+        except CallError:
+            return "", False
+        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do.", False
+
+    def _setter(self, kind: str) -> tuple[str, Any]:
+        name = "Integer" if kind == "Enumeration" else kind
+        return f"fmi2Set{name}", ctypes.c_int if kind == "Boolean" else C_TYPES[name]
+
+    def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
+        self.call(function, component, reference, 1, array)
+
+
+class Library3(Library):
+    """A binary of FMI 3."""
+
+    state_functions = ("fmi3GetFMUState", "fmi3SetFMUState", "fmi3FreeFMUState")
+    serial_functions = ("fmi3SerializedFMUStateSize", "fmi3SerializeFMUState", "fmi3DeserializeFMUState")
+    byte = ctypes.c_ubyte
+
+    def create(self, name: str, messages: Messages) -> tuple[int, Any]:
+        """See `Library.create`."""
+        from fmpy.fmi3 import fmi3IntermediateUpdateCallback
+
+        callback = callback3()
+        resources = os.path.join(self._slave.unzipDirectory, "resources") + os.path.sep
+        token = self.description.token.encode()
+        component = self.call(
+            "fmi3InstantiateCoSimulation", name.encode(), token, resources.encode(),
+            False, True, self._events, self._events or self._may_return_early, (ctypes.c_uint * 0)(), 0, messages.key,
+            callback, fmi3IntermediateUpdateCallback(),
+        )  # fmt: skip
+        if component:
+            self._narrow_log("fmi3SetDebugLogging", component)
+        return component or 0, callback
+
+    def initialize(
+        self,
+        component: int,
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
+        tolerance: float = 0.0,
+        time: float = 0.0,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> None:
+        """See `Library.initialize`."""
+        before, during = _in_their_modes(start, inputs)
+        structure = {v: value for v, value in before.items() if v.causality == "structuralParameter"}
+        if structure:
+            self.call("fmi3EnterConfigurationMode", component)
+            self.set_values(component, structure)
+            self.call("fmi3ExitConfigurationMode", component)
+        self.set_values(component, {v: value for v, value in before.items() if v not in structure})
+        self.call("fmi3EnterInitializationMode", component, tolerance > 0.0, tolerance, time, False, 0.0)
+        self.set_values(component, during)
+        meanwhile()
+        self.call("fmi3ExitInitializationMode", component)
+
+    @property
+    def _events(self) -> bool:
+        return bool(self.description.capabilities.get("hasEventMode"))
+
+    @property
+    def _may_return_early(self) -> bool:
+        return bool(self.description.capabilities.get("mightReturnEarlyFromDoStep"))
+
+    def step_addresses(self) -> Addresses:
+        """See `Library.step_addresses`."""
+        names = ["fmi3DoStep"]
+        if self._events:
+            names += ["fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode"]
+        do_step, *events = (self.function_address(name) for name in names)
+        return Addresses(do_step, 0, 0, *events)
+
+    def terminate(self, component: int) -> None:
+        """See `Library.terminate`."""
+        self.call("fmi3Terminate", component)
+
+    def free(self, component: int) -> None:
+        """See `Library.free`."""
+        self.call("fmi3FreeInstance", component)
+
+    def last_words(self, component: int) -> tuple[str, bool]:
+        """See `Library.last_words`."""
+        return "It has stayed where it was; a smaller step may do.", False
+
+    def _setter(self, kind: str) -> tuple[str, Any]:
+        name = "Int64" if kind == "Enumeration" else kind
+        return f"fmi3Set{name}", ctypes.c_bool if kind == "Boolean" else C_TYPES[name]
+
+    def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
+        self.call(function, component, reference, 1, array, len(array))
+
+
+def _in_their_modes(
+    start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value | None]
+) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value]]:
+    """Return what is set before initialization mode, and in it: inputs, also those that are no ports."""
+    before = {v: value for v, value in start.items() if v.causality != "input"}
+    known = {v: value for v, value in inputs.items() if value is not None}
+    return before, {**{v: value for v, value in start.items() if v not in before}, **known}

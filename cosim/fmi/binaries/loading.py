@@ -1,0 +1,139 @@
+"""Binaries of FMUs: found, or compiled; loaded once per process, and kept."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import threading
+from pathlib import Path, PurePosixPath
+
+from bayesftc.cosim.errors import FMUError, FMUPlatformError
+from bayesftc.cosim.fmi.binaries.library import Library, Library2, Library3
+from bayesftc.cosim.fmi.binaries.surroundings import kept
+from bayesftc.cosim.fmi.reading.archive import Archive, extract
+from bayesftc.cosim.fmi.reading.description import FMUDescription
+from bayesftc.cosim.fmi.reading.messages import logger
+from bayesftc.cosim.fmi.reading.sources import compiled, read_sources
+
+_SHOWN = 3
+
+_lock = threading.RLock()
+_loaded: dict[tuple[str, bool], Library] = {}
+
+
+def binary_entry(archive: Archive, description: FMUDescription) -> tuple[str, str]:
+    """Return the platform's name in the FMU's version of FMI, and the entry where its binary lies, or would have to lie.
+
+    On ARM, FMI 2.0.4 has the folders of FMI 3.0; many exporters use those of x86, and so they are looked at, too. A
+    binary that is not called after the model's identifier is taken where it is the only one.
+    """
+    import fmpy
+
+    usual, exact = fmpy.platform, fmpy.platform_tuple
+    folders = (exact,) if description.fmi_major == 3 else (exact, usual) if fmpy.architecture == "aarch64" else (usual,)
+    file = f"{description.identifier}{fmpy.sharedLibraryExtension}"
+    platform = next((folder for folder in folders if f"binaries/{folder}/{file}" in archive.names), "")
+    if platform:
+        return platform, f"binaries/{platform}/{file}"
+    for folder in folders:
+        others = _binaries(archive, folder)
+        if len(others) == 1:
+            return folder, f"binaries/{folder}/{others[0]}"
+    return folders[-1], f"binaries/{folders[-1]}/{file}"
+
+
+def _binaries(archive: Archive, platform: str) -> list[str]:
+    """Return the names of the libraries in the folder of a platform."""
+    import fmpy
+
+    paths = [PurePosixPath(name) for name in archive.names]
+    folder = PurePosixPath("binaries", platform)
+    return sorted({p.name for p in paths if p.parent == folder and p.suffix == fmpy.sharedLibraryExtension})
+
+
+def misnamed(description: FMUDescription, entry: str) -> str:
+    """Return, as the rest of a sentence, that a binary is not called after the model's identifier; nothing where it is."""
+    name = PurePosixPath(entry)
+    if name.stem == description.identifier:
+        return ""
+    return f"is called {name.name}, and not {description.identifier}{name.suffix} as its modelIdentifier says; it is the only one"
+
+
+def load_library(archive: Archive, description: FMUDescription, *, exchange: bool = False) -> Library:
+    """Unpack an FMU and load its binary, both only once; `exchange` for model exchange, else co-simulation.
+
+    Raises
+    ------
+    FMUError
+        If there is no binary for this platform and its sources cannot be compiled, or the binary cannot be loaded.
+    """
+    with _lock:
+        if (archive.digest, exchange) not in _loaded:
+            platform, entry = binary_entry(archive, description)
+            if entry in archive.names:
+                if other := misnamed(description, entry):
+                    logger.warning(
+                        "The binary of the FMU %s for %s %s, and is used.", archive.path.name, platform, other
+                    )
+                folder = extract(archive, entry)
+            else:
+                sources = read_sources(archive, description, exchange=exchange)
+                if sources is None:
+                    have = ", ".join(archive.platforms()) or "no binaries at all"
+                    what = f"binary for this platform, {platform} (it has: {have})"
+                    if platform in archive.platforms():
+                        others = " and ".join(_binaries(archive, platform)[:_SHOWN]) or "no binary at all"
+                        what = f"binary {PurePosixPath(entry).name} for this platform, {platform} (but {others} there)"
+                    raise FMUPlatformError(
+                        f"The FMU {archive.path} has no {what}, and no C sources that could be compiled here; export it for "
+                        f"{platform}, or with its sources."
+                    )
+                folder = compiled(archive, sources, platform, entry)
+            _loaded[archive.digest, exchange] = _load(archive, description, folder, entry, exchange)
+        return _loaded[archive.digest, exchange]
+
+
+def _load(archive: Archive, description: FMUDescription, folder: Path, entry: str, exchange: bool) -> Library:
+    from fmpy.fmi1 import FMU1Model, FMU1Slave
+    from fmpy.fmi2 import FMU2Model, FMU2Slave
+    from fmpy.fmi3 import FMU3Model, FMU3Slave
+
+    from bayesftc.cosim.fmi.binaries.library1 import Library1
+    from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary2, ModelLibrary3
+    from bayesftc.cosim.fmi.binaries.model_library1 import ModelLibrary1
+
+    binding, made = {
+        (1, False): (FMU1Slave, Library1),
+        (1, True): (FMU1Model, ModelLibrary1),
+        (2, False): (FMU2Slave, Library2),
+        (2, True): (FMU2Model, ModelLibrary2),
+        (3, False): (FMU3Slave, Library3),
+        (3, True): (FMU3Model, ModelLibrary3),
+    }[description.fmi_major, exchange]
+    settings = {
+        "guid": description.token,
+        "modelIdentifier": description.identifier,
+        "unzipDirectory": str(folder),
+        "instanceName": description.name,
+        "libraryPath": str(folder / entry),
+    }
+    if description.fmi_major == 3:  # there fmpy takes no path, and the identifier for nothing but the path
+        settings["modelIdentifier"] = PurePosixPath(entry).stem
+    here = os.getcwd()
+    try:
+        with kept():
+            slave = binding(**settings)
+            keep = ctypes.CDLL(str(folder / entry))
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError where a function lacks
+        raise FMUError(
+            f"The binary of the FMU {archive.path} cannot be loaded: {_reason(error, folder)}. Install the libraries that it "
+            "needs, or ask its maker for a binary that fits this system."
+        ) from None
+    finally:
+        os.chdir(here)  # fmpy goes to the binary's folder, and stays there if loading fails
+    return made(description, slave, keep)
+
+
+def _reason(error: Exception, folder: Path) -> str:
+    text = str(error).replace(str(folder), "<fmu>").strip().removesuffix(".")
+    return text.removeprefix("Failed to load shared library ") or type(error).__name__

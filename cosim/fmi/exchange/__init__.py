@@ -1,0 +1,1 @@
+"""FMUs for model exchange: their equations and events."""

@@ -1,0 +1,1 @@
+"""Integrators with events that make blocks of model exchange FMUs."""

@@ -1,0 +1,124 @@
+"""What integrates by CVODE in compiled code: from where the FMU is to a time, or to an event before it."""
+
+# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
+
+from bayesftc.cosim.fmi.exchange.calls import at_time, integrate, restart
+from bayesftc.cosim.fmi.exchange.right import indicators, place, slope, step_is_completed
+from bayesftc.cosim.fmi.exchange.words import (
+    CALL,
+    FLAG,
+    GET_INDICATORS,
+    GIVES_UP,
+    INDICATORS,
+    INTEGRATE,
+    LIMIT,
+    MEMORY,
+    NAN_INDICATOR,
+    PRECISION,
+    REACHED,
+    REASON,
+    RESTART,
+    ROLE,
+    SET_STOP,
+    STATES,
+    STATUS,
+    STEPS,
+    TOO_MANY,
+    VECTOR,
+    WANTS_STEPS,
+    WHEN,
+    WORK,
+    X,
+)  # fmt: skip
+from bayesftc.cosim.fmi.running.kernels import number, put_number, put_word, word
+from bayesftc.cosim.stepping.numba_called import callee, inlined
+
+_NORMAL, _ONE_STEP = 1, 2
+_ROOT, _ROOTS_FAILED = 2, -12
+_BELOW_ZERO = -1e-100
+
+
+def cvode_slope(t, y, values, table):
+    """CVRhsFn; the third word of a vector's content points to its numbers."""
+    return slope(table, t, word(word(y, 0), 2), word(word(values, 0), 2))
+
+
+def cvode_roots(t, y, values, table):
+    """CVRootFn.
+
+    To FMI a zero is on the side of what is negative. CVODE would leave an indicator that begins at zero out, so that it never
+    saw it rise.
+    """
+    status = indicators(table, t, word(word(y, 0), 2), values)
+    for i in range(word(table, INDICATORS)):
+        if number(values, i) == 0.0:
+            put_number(values, i, _BELOW_ZERO)
+    return status
+
+
+@inlined
+def _cvode_from(table, t, stop):
+    """Begin anew at the present states, to go as far as `stop`; return CVODE's flag."""
+    memory = word(table, MEMORY)
+    flag = restart(word(table, RESTART), memory, t, word(table, VECTOR))
+    return at_time(word(table, SET_STOP), memory, stop) if flag == 0 else flag
+
+
+@inlined
+def _copy(source, target, count):
+    for i in range(count):
+        put_word(target, i, word(source, i))
+
+
+@callee
+def cvode(table, t, end):
+    """Do what `runge_kutta` does, by CVODE."""
+    memory, y, x, size = word(table, MEMORY), word(table, VECTOR), word(table, X), word(table, STATES)
+    wants = word(table, WANTS_STEPS) != 0
+    put_number(table, REACHED, t)
+    good, copy, stop = t, word(table, WORK), end
+    _copy(x, copy, size)
+    flag = _cvode_from(table, t, end)
+    for steps in range(word(table, LIMIT)):
+        if flag == 0:
+            task = _ONE_STEP if wants else _NORMAL
+            flag = integrate(word(table, INTEGRATE), memory, stop, y, table + 8 * REACHED, task)
+        put_word(table, STEPS, steps + 1)
+        if flag == _ROOTS_FAILED and _may_do_with_less(table):
+            # The step went where the event indicators cannot be had: a part of it, from where they could.
+            half = good + 0.5 * (number(table, WHEN) - good)
+            if half - good > PRECISION * max(abs(good), abs(end)):
+                stop = half
+                put_word(table, ROLE, 0)
+                _copy(copy, x, size)
+                flag = _cvode_from(table, good, stop)
+                continue
+        if flag < 0:
+            put_word(table, FLAG, flag)
+            put_word(table, REASON, GIVES_UP)
+            return -1
+        now = number(table, REACHED)
+        if place(table, now, word(table, X)) != 0:
+            put_word(table, REASON, CALL)
+            return -1
+        asks = step_is_completed(table, now) if wants else 0
+        if asks < 0:
+            return -1
+        if flag == _ROOT or asks > 0:
+            return 1
+        good = now
+        _copy(x, copy, size)
+        if flag != 0 or not wants:
+            if stop == end:
+                return 0
+            stop = end
+            flag = at_time(word(table, SET_STOP), memory, end)
+    put_word(table, REASON, TOO_MANY)
+    return -1
+
+
+@inlined
+def _may_do_with_less(table):
+    role = word(table, ROLE)
+    return word(table, STATUS) == 2 and role in (GET_INDICATORS, NAN_INDICATOR)

@@ -1,0 +1,131 @@
+"""Integrators of scipy for one model exchange FMU: restarted at each stretch, roots found by bisection."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.fmi.exchange.model import ExchangeModel
+from bayesftc.cosim.fmi.exchange.port_values import EndError, StopError
+from bayesftc.cosim.fmi.exchange.reasons import REMEDY, nan_derivative
+from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS
+from bayesftc.cosim.fmi.exchange.words import PRECISION
+from bayesftc.cosim.fmi.reading.messages import ENDS
+from bayesftc.cosim.types import Floats
+
+
+class ScipySolver:
+    """One of the methods of ``scipy.integrate.solve_ivp``.
+
+    Parameters
+    ----------
+    model : ExchangeModel
+        The instance; `integrate` begins at its states ``model.x``.
+    method : str
+        Name of the method.
+    rtol : float
+        Relative tolerance.
+    atol : float or None
+        Absolute tolerance; None for rtol times nominal values.
+    """
+
+    def __init__(self, model: ExchangeModel, method: str, rtol: float, atol: float | None):
+        from scipy import integrate
+
+        self._method: Any = getattr(integrate, method)
+        self._model, self._rtol, self._atol = model, max(rtol, PRECISION), atol
+        self._slope, self._roots = np.zeros(model.nx), np.zeros(model.nz)
+        self._enter, self._terminate = ctypes.c_int(0), ctypes.c_int(0)
+        self.set_tolerances()
+
+    def set_tolerances(self) -> None:
+        """Set the tolerances anew, as the nominal values are now."""
+        atol = self._rtol * self._model.nominals() if self._atol is None else np.full(self._model.nx, self._atol)
+        self._absolute = atol if self._model.nx else np.ones(1)
+
+    def integrate(self, t: float, end: float) -> bool:
+        """Integrate from time `t` to `end`, or to an event before it, and bring the FMU there; return whether there is one.
+
+        Raises
+        ------
+        StopError
+            If the method or the FMU gives up.
+        CallError
+            If a call fails.
+        """
+        model = self._model
+        start = model.x.copy() if model.nx else np.ones(1)
+        signs = self._signs(t, start)
+        solver = self._method(self._derivatives, t, start, end, rtol=self._rtol, atol=self._absolute)
+        for _ in range(INTERNAL_STEPS):
+            said = solver.step()
+            if solver.status == "failed":
+                raise StopError(f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: {said}; {REMEDY}")
+            now, x = float(solver.t), solver.y
+            root = model.nz > 0 and not np.array_equal(self._signs(now, x), signs)
+            if root:
+                now, x = self._locate(solver, signs)
+            self._place(now, x)
+            if model.nx:
+                model.x[:] = x
+            wants = self._completed_step() if model.info.needs_completed_step else False
+            if root or wants or solver.status == "finished":
+                return bool(root or wants)
+        raise StopError(
+            f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: it needed more than {INTERNAL_STEPS} steps of its "
+            f"own; {REMEDY}"
+        )
+
+    def _locate(self, solver: Any, signs: Floats) -> tuple[float, Floats]:
+        """Return the time and the states just after the first crossing in the last step."""
+        between = solver.dense_output()
+        low, high = float(solver.t_old), float(solver.t)
+        x = solver.y
+        while high - low > PRECISION * (abs(high) + (solver.t - solver.t_old)):
+            middle = 0.5 * (low + high)
+            if not low < middle < high:
+                break
+            there = between(middle)
+            if np.array_equal(self._signs(middle, there), signs):
+                low = middle
+            else:
+                high, x = middle, there
+        return high, x
+
+    def _place(self, t: float, x: Floats) -> None:
+        model = self._model
+        model.set_time(t)
+        if model.nx:
+            x = np.ascontiguousarray(x)
+            model.call("set_states", x.ctypes.data, model.nx)
+
+    def _derivatives(self, t: float, x: Floats) -> Floats:
+        model = self._model
+        if not model.nx:
+            return np.zeros(1)
+        self._place(float(t), x)
+        model.read("get_derivatives", self._slope)
+        if not np.isfinite(self._slope).all():
+            raise StopError(f"{nan_derivative(model)} at t = {t:g} s")
+        return self._slope.copy()
+
+    def _signs(self, t: float, x: Floats) -> Any:
+        model = self._model
+        if not model.nz:
+            return self._roots
+        self._place(t, x)
+        model.read("get_indicators", self._roots)
+        if not np.isfinite(self._roots).all():
+            raise StopError(f"An event indicator came out NaN or infinite at t = {t:g} s")
+        return self._roots > 0.0
+
+    def _completed_step(self) -> bool:
+        model = self._model
+        self._enter.value = self._terminate.value = 0
+        status = model.library.completed_step(model.component, not model.info.can_save, self._enter, self._terminate)
+        model.check("completed_step", status)
+        if self._terminate.value:
+            raise EndError(f"{ENDS} (terminateSimulation, after a step of the integrator)")
+        return bool(self._enter.value)

@@ -1,0 +1,426 @@
+"""FMUs as blocks: plants from any tool, or controllers that were exported, of FMI 1.0, 2.0 or 3.0, of either kind."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from os import PathLike
+from pathlib import Path
+from typing import Literal, cast
+
+from bayesftc.cosim.base.units import UnitDefinition
+from bayesftc.cosim.block import External, ExternalBlock
+from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.fmi.exchange.settings import checked_settings
+from bayesftc.cosim.fmi.reading.archive import Archive, absolute, open_archive
+from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Given, Value, read_description
+from bayesftc.cosim.fmi.reading.ports import WATCHED, choose, choose_tunable, late_outputs, ticking_clocks
+from bayesftc.cosim.fmi.running.values import as_floats, resolved, start_values, value_of
+from bayesftc.cosim.isolation.settings import check_isolation
+from bayesftc.cosim.ports import Port, listed
+
+
+@dataclass(frozen=True)
+class FMU(ExternalBlock):
+    """An FMU of FMI 1.0, 2.0 or 3.0; its inputs and outputs that are numbers become ports.
+
+    The file is read and checked when the block is made; it is unpacked (once per machine) and its binary loaded (once per
+    process) when a run begins, and each run has a new instance. Time starts at 0 and has no end.
+
+    Parameters
+    ----------
+    path : str or path
+        The ``.fmu`` file.
+    parameters : mapping, optional
+        Start values by name: parameters, and whatever else may be set before initialization (an input's start value is its
+        value while nothing is connected to it). Numbers are in the variables' own units, or have one: ``"100 km/h"`` or
+        ``(30, "deg")``, with the FMU's own units and those of pint. Arrays are nested sequences, row by row; structural
+        parameters say how large arrays are; enumerations are names or numbers. After construction: plain values in the
+        variables' own units.
+    inputs, outputs : sequence of str, optional
+        Names of the variables that become ports; by default all inputs and outputs that are numbers. Local variables and
+        parameters may be outputs as well. Arrays are vector and matrix ports; whole numbers,
+        Booleans (0 or 1) and enumerations are converted exactly, and an input that its type does not hold stops the run. An
+        input that is left out keeps its start value. After construction these hold the ports.
+    tunable : sequence of str, optional
+        Names of tunable parameters that become inputs, with their start value while nothing is connected: a source can change
+        them while the FMU runs.
+    timing : {"plant", "direct", "sampled"}, optional
+        ``"plant"``: the outputs at t_k are read before the step that the inputs at t_k take to t_k+1. ``"sampled"``: the FMU
+        makes its step with the inputs at t_k and its outputs count at t_k, as a controller's do. ``"direct"``, for model
+        exchange only: the outputs at t_k are computed from the inputs at t_k, before the step; inputs on which an output
+        depends feed through. By default what the FMU says of itself (exports of this package do); else ``"direct"`` for
+        model exchange where an output depends on an input or nothing is said of that, and ``"plant"`` otherwise; for
+        co-simulation a ``"plant"`` that was not asked for warns where outputs depend at once on inputs.
+    name : str, optional
+        Name under which a diagram adds it; the model's name in small letters by default.
+    validate : bool
+        False to accept a model description that breaks the rules of FMI, at your own risk.
+    kind : {"co-simulation", "model exchange"}, optional
+        As what to use it: by default for co-simulation where it can, else for model exchange, as an ordinary differential
+        equation that is integrated here, with its events.
+    solver : str, optional
+        For model exchange: ``"cvode"`` (by default), for any plant; ``"rk45"`` (Runge-Kutta), faster and more accurate for one
+        that is not stiff; or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as ``"scipy:LSODA"``.
+    rtol : float, optional
+        Relative tolerance, by default the FMU's own: of the integrator for model exchange (else 1e-6); for co-simulation the
+        FMU is told it, and does with it what it does (else it is told none).
+    atol : float, optional
+        For model exchange: absolute tolerance of all states, by default rtol times each state's nominal value.
+    isolate : bool
+        Run each instance in a process of its own: what would take this process down becomes `FMUCrashed`.
+    time_limit : float, optional
+        With `isolate`: seconds that a call of the FMU, its initialization or one step, may take before its process is ended;
+        10 by default, ``math.inf`` for no end.
+
+    Raises
+    ------
+    FMUError
+        If the file is missing or damaged, no FMU of FMI 1.0, 2.0 or 3.0 of that kind, has no binary for this platform, or a
+        variable cannot be what it was asked to be.
+    ModelError
+        If a solver or tolerance is none, or a solver or absolute tolerance is given for co-simulation.
+    UnknownNameError
+        If it has no variable of that name.
+
+    Warns
+    -----
+    UserWarning
+        If outputs depend at once on inputs by the FMU's own account (or for lack of one), and `timing` is not given: as a
+        plant's, these outputs show the inputs of the step before.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim, fmus
+    >>> car = cosim.FMU(fmus.path("CruiseControl"), parameters={"m": 120.0})
+    >>> [port.name for port in car.inputs], [port.name for port in car.outputs]
+    (['force', 'disturbance'], ['v'])
+    """
+
+    path: str | PathLike[str]
+    parameters: Mapping[str, Given] | None = field(default=None, kw_only=True, hash=False)
+    inputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
+    outputs: Sequence[str | Port] | None = field(default=None, kw_only=True)  # type: ignore[assignment]
+    timing: Literal["plant", "direct", "sampled"] | None = field(default=None, kw_only=True)
+    name: str | None = field(default=None, kw_only=True)
+    tunable: Sequence[str] = field(default=(), kw_only=True)
+    validate: bool = field(default=True, kw_only=True)
+    kind: Literal["co-simulation", "model exchange"] | None = field(default=None, kw_only=True)
+    solver: str | None = field(default=None, kw_only=True)
+    rtol: float | None = field(default=None, kw_only=True)
+    atol: float | None = field(default=None, kw_only=True)
+    isolate: bool = field(default=False, kw_only=True)
+    time_limit: float | None = field(default=None, kw_only=True)
+
+    @property
+    def checks_finite(self) -> bool:  # type: ignore[override]
+        """Whether a NaN in the outputs stops the run: not of what was exported, but for plants; there it is a missing sample."""
+        return self.description.timing != "sampled" and self.description.finite
+
+    def __post_init__(self) -> None:
+        if self.timing not in (None, "plant", "direct", "sampled"):
+            raise ModelError(f"FMU has timing={self.timing!r}; it must be 'plant', 'direct' or 'sampled'.")
+        check_isolation(self.isolate, self.time_limit)
+        path = absolute(self.path, "FMU", "an .fmu file", ModelError)
+        if self.name is not None and not isinstance(self.name, str):
+            raise ModelError(f"FMU has name={self.name!r}; it must be a text, as 'plant'.")
+        if not isinstance(self.validate, bool):
+            raise ModelError(f"FMU has validate={self.validate!r}; it must be True or False.")
+        set_ = object.__setattr__
+        set_(self, "path", path)
+        archive, description = self._read()
+        if description.lax:
+            warnings.warn(description.lax, stacklevel=3)  # at the line that makes the block
+        kind = _chosen_kind(archive, description, self.kind)
+        exchange = kind == "model exchange"
+        set_(self, "kind", kind)
+        if exchange:
+            _check_clocks(archive, description)
+        settings = checked_settings(archive, description, exchange, self.solver, self.rtol, self.atol)
+        for name, value in settings.items():
+            set_(self, name, value)
+        asked = self.timing
+        if asked == "direct" and not exchange:
+            raise ModelError(
+                f"FMU has timing='direct', but {archive.path.name} is used for co-simulation, where an output cannot show the "
+                "inputs of the same instant without a step: give timing='plant' or 'sampled', or kind='model exchange'."
+            )
+        own = "direct" if exchange else "plant"
+        set_(self, "timing", asked or description.timing or own)
+        set_(self, "name", self.name or "".join(description.name.lower().split()))
+        set_(self, "parameters", start_values(archive, description, self.parameters or {}, validate=self.validate))
+        set_(self, "tunable", tuple(self.tunable) if isinstance(self.tunable, list | tuple) else self.tunable)
+        variables = resolved(archive, description, self._given)
+        chosen = {
+            side: choose(
+                archive,
+                variables,
+                side,
+                self._without_tunable(f"{side}s"),
+                ticking_clocks(description, side, exchange=exchange),
+            )
+            for side in ("input", "output")
+        }
+        chosen["input"] += choose_tunable(archive, variables, self.tunable)
+        states = {v.name for v in description.exchange.states} if exchange and description.exchange else set()
+        # A state, or a parameter, depends on no input of the same instant.
+        still = states | {v.name for v in chosen["output"] if "arameter" in v.causality}
+        through = [() if v.name in still else description.feedthrough.get(v.name) for v in chosen["output"]]
+        reaching = {
+            # The model structure names inputs alone: an output may depend on any tunable parameter.
+            v.name
+            for v in chosen["input"]
+            if any(names is None or v.name in names or v.causality == "parameter" for names in through)
+        }
+        if asked is None and self.timing == "direct" and not reaching:
+            set_(self, "timing", "plant")  # there it is the same
+        resized = {v.name for v in description.variables if v.start is not None}
+        for side, ports in chosen.items():
+            set_(self, f"{side}s", tuple(self._port(v, side, reaching, description.units, resized) for v in ports))
+        if asked is None and self.timing == "plant" and not exchange:
+            late = late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
+            if late:
+                warnings.warn(late, stacklevel=3)  # at the line that makes the block
+
+    def __repr__(self) -> str:
+        settings = [
+            Path(self.path).name,
+            str(self.kind),
+            f"timing={self.timing!r}",
+            *(["isolated"] if self.isolate else []),
+        ]
+        if self.parameters:
+            settings.append(f"parameters={dict(self.parameters)!r}")
+        into, out = (listed(ports) for ports in (self._ports[: self._count], self._ports[self._count :]))
+        return f"<FMU {', '.join(settings)}: {into} -> {out}>"
+
+    @property
+    def default_name(self) -> str:
+        """See `Block.default_name`."""
+        return str(self.name)
+
+    @property
+    def description(self) -> FMUDescription:
+        """What the FMU says of itself."""
+        return self._read()[1]
+
+    def start_value(self, name: str) -> Value | None:
+        """Return the value of a variable before initialization: what `parameters` gives it, else what the FMU says.
+
+        Parameters
+        ----------
+        name : str
+            Name of the variable.
+
+        Returns
+        -------
+        float, int, bool, str or tuple, or None
+            In the variable's own unit; of an array, tuples of tuples; None where the FMU computes it, and of an array whose
+            size structural parameters have changed.
+
+        Raises
+        ------
+        UnknownNameError
+            If the FMU has no variable of that name.
+
+        Examples
+        --------
+        >>> from bayesftc import cosim, fmus
+        >>> arm = cosim.FMU(fmus.path("TwoLinkArm"), parameters={"L2": 0.8})
+        >>> arm.start_value("L1"), arm.start_value("L2")
+        (1.0446, 0.8)
+        """
+        variables = resolved(*self._read(), self._given)
+        starts: dict[str, Value | None] = {v.name: v.start for v in variables.values()} | dict(self._given)
+        if name not in starts:
+            raise UnknownNameError(
+                f"The FMU {Path(self.path).name} has no variable {name!r}; {did_you_mean(name, starts)}"
+            )
+        return starts[name]
+
+    @property
+    def only_recorded(self) -> int:
+        """See `Block.only_recorded`."""
+        found: int = vars(self).get("_only_recorded", 0)
+        return found
+
+    def watching(self, names: Iterable[str], *, only_recorded: bool = False) -> FMU:
+        """See `Block.watching`: an FMU has local variables and parameters."""
+        variables = {v.name: v for v in self.description.variables}
+        there = {port.name for port in self._ports}
+        # In FMI 2 ``body.r[1]`` is the name of a variable; in FMI 3 it may be an element of ``body.r``.
+        whole = [name if name in variables else re.sub(r"\[[\d,]+\]$", "", name) for name in names]
+        further = [
+            n for n in whole if n in variables and n not in there and variables[n].causality in ("output", *WATCHED)
+        ]
+        if not further:
+            return self
+        outputs = [port.name for port in self._ports[self._count :]]
+        watching = replace(self, outputs=[*outputs, *dict.fromkeys(further)])
+        # What is looked at changes nothing: inputs feed through to whom they fed through before.
+        object.__setattr__(watching, "inputs", self.inputs)
+        if only_recorded:
+            more = sum(port.size for port in watching._ports) - sum(port.size for port in self._ports)
+            object.__setattr__(watching, "_only_recorded", self.only_recorded + more)
+        return watching
+
+    def instantiate(self, step: Fraction, name: str) -> External:
+        """Return a new initialized instance that makes steps of `step` seconds; close it in the end.
+
+        Raises
+        ------
+        FMUError
+            If the binary cannot be loaded, or the FMU refuses to be instantiated or initialized.
+        StepSizeError
+            If the FMU makes steps of a fixed size, and `step` is no multiple of it.
+        FMUCrashed
+            If it is isolated and its process dies meanwhile, or has to be ended.
+        """
+        if self.isolate:
+            from bayesftc.cosim.isolation.instance import isolated
+
+            return isolated(self, self._read()[0], step, name, self.time_limit)
+        archive, description = self._read()
+        start, inputs, outputs = self._variables()
+        timing = self.timing or "plant"
+        if self.kind == "model exchange":
+            from bayesftc.cosim.fmi.binaries.model_library import load_model
+            from bayesftc.cosim.fmi.exchange.integrators.instance import exchange_instance
+
+            solver = self.solver or "cvode", self.rtol or 0.0, self.atol
+            return exchange_instance(
+                load_model(archive, description), name, step, timing, start, inputs, outputs, solver
+            )
+        from bayesftc.cosim.fmi.binaries.loading import load_library
+        from bayesftc.cosim.fmi.running.clocked import ClockedInstance, has_clocks
+        from bayesftc.cosim.fmi.running.instance import Instance
+
+        kind: Literal["plant", "sampled"] = "sampled" if timing == "sampled" else "plant"
+        instance = ClockedInstance if has_clocks(description, [*inputs, *outputs]) else Instance
+        return instance(load_library(archive, description), name, step, kind, start, inputs, outputs, self.rtol or 0.0)
+
+    def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value | None], list[FMUVariable]]:
+        """Return the start values, the inputs with their start values (None: the FMU's own), and the outputs, by variable."""
+        given = self._given
+        variables = resolved(*self._read(), given)
+        missing = [n for n in (*(p.name for p in self._ports), *given) if n not in variables]
+        if missing:
+            raise FMUError(
+                f"The FMU {self.path} was changed since it was read and has no {missing[0]!r} any more; read it again."
+            )
+        into = [variables[p.name] for p in self._ports[: self._count]]
+        described = {v.name: v.start for v in self.description.variables}
+        own = {v for v in into if v.start is None and v.name not in given and described[v.name] is not None}
+        inputs = {variable: None if variable in own else value_of(variable, given) for variable in into}
+        start = {variables[n]: value for n, value in given.items()}
+        return start, inputs, [variables[p.name] for p in self._ports[self._count :]]
+
+    def _without_tunable(self, side: str) -> Sequence[str | Port] | None:
+        # A block that is made anew from its fields has its tunable parameters among the inputs.
+        wanted: Sequence[str | Port] | None = getattr(self, side)
+        if side == "outputs" or not isinstance(wanted, list | tuple):
+            return wanted
+        return [item for item in wanted if not (isinstance(item, Port) and item.name in self.tunable)]
+
+    @property
+    def _given(self) -> Mapping[str, Value]:
+        """The parameters once they are checked."""
+        return cast("Mapping[str, Value]", self.parameters or {})
+
+    @property
+    def _ports(self) -> tuple[Port, ...]:
+        return tuple(p for p in (*(self.inputs or ()), *(self.outputs or ())) if isinstance(p, Port))
+
+    @property
+    def _count(self) -> int:
+        return len(self.inputs or ())
+
+    def _read(self) -> tuple[Archive, FMUDescription]:
+        archive = open_archive(Path(self.path))
+        return archive, read_description(archive, validate=self.validate)
+
+    def _port(
+        self,
+        variable: FMUVariable,
+        side: str,
+        reaching: Container[str],
+        units: Mapping[str, UnitDefinition],
+        resized: Container[str],
+    ) -> Port:
+        definition = units.get(variable.unit or "")
+        meaning = definition.unit if definition else None
+        if side == "output":
+            return Port(variable.name, variable.shape, variable.unit, meaning=meaning)
+        # A start value that is NaN or infinite is none: a zero in its place would look like one.
+        known = variable.start is not None or variable.name in self._given or variable.name in resized
+        default = as_floats(value_of(variable, self._given)) if known else None
+        feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
+        return Port(variable.name, variable.shape, variable.unit, feedthrough, default, meaning=meaning)
+
+
+def _check_clocks(archive: Archive, description: FMUDescription) -> None:
+    """Refuse a model exchange FMU of which parts would stand still, as nobody ticks their clocks."""
+    timed = [v.name for v in description.variables if v.causality == "input" and v.clock and v.clock.is_timed]
+    if timed:
+        raise FMUError(
+            f"The FMU {archive.path} has the clock {timed[0]!r}, and clocks tick in co-simulation only, not in model exchange: "
+            "export it for co-simulation with event mode, or without clocks."
+        )
+
+
+def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescription:
+    """Return what an FMU of FMI 1.0, 2.0 or 3.0 says of itself, without unpacking it or loading its binary.
+
+    Parameters
+    ----------
+    path : str or path
+        The ``.fmu`` file, of any kind (co-simulation or not) and for any platform.
+    validate : bool
+        False to accept a model description that breaks the rules of FMI.
+
+    Returns
+    -------
+    FMUDescription
+        Name, version, kinds, platforms, variables, capabilities and default experiment, as plain data.
+
+    Raises
+    ------
+    FMUError
+        If the file is missing or damaged, or no FMU of FMI 1.0, 2.0 or 3.0.
+    """
+    description = read_description(
+        open_archive(absolute(path, "describe", "an .fmu file", FMUError)), validate=validate
+    )
+    if description.lax:
+        warnings.warn(description.lax, stacklevel=2)
+    return description
+
+
+def _chosen_kind(archive: Archive, description: FMUDescription, asked: str | None) -> str:
+    """Return as what an FMU is used: what was asked for, else co-simulation where it can, else model exchange."""
+    names = {
+        "coSimulation": "co-simulation",
+        "modelExchange": "model exchange",
+        "scheduledExecution": "scheduled execution",
+    }
+    have = [names[kind] for kind in description.kinds]
+    usable = [kind for kind in ("co-simulation", "model exchange") if kind in have]
+    if asked is not None and asked not in ("co-simulation", "model exchange"):
+        raise ModelError(f"FMU has kind={asked!r}; it must be 'co-simulation' or 'model exchange'.")
+    if asked is not None and asked not in usable:
+        raise FMUVersionError(
+            f"The FMU {archive.path} cannot be used for {asked}, only for {' and '.join(have) or 'nothing'}: leave kind= out, "
+            "or export it for that."
+        )
+    if not usable:
+        raise FMUVersionError(
+            f"The FMU {archive.path} is for {' and '.join(have) or 'nothing'} only, and only co-simulation and model exchange "
+            "can be used: export it for one of these."
+        )
+    return asked or usable[0]
+
+
+__all__ = ["FMU", "FMUDescription", "FMUVariable", "describe"]

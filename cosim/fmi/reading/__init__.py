@@ -1,0 +1,1 @@
+"""The file of an FMU: checked, unpacked, and what its description says."""

@@ -1,0 +1,485 @@
+"""What an FMU says of itself, as plain data: read and validated by fmpy, without loading any binary."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
+
+from numpy.typing import NDArray
+
+from bayesftc.cosim.base.units import BASE, Unit, UnitDefinition
+from bayesftc.cosim.errors import LAX, FMUError
+from bayesftc.cosim.fmi.reading import version1
+from bayesftc.cosim.fmi.reading.aliases import check_aliases
+from bayesftc.cosim.fmi.reading.archive import DESCRIPTION, Archive, read_entry
+from bayesftc.cosim.fmi.reading.clocks import Clock, read_clocks
+from bayesftc.cosim.fmi.reading.exchange import ExchangeInfo, read_exchange
+from bayesftc.cosim.fmi.reading.structure import check_shape, check_size, check_structure
+from bayesftc.cosim.fmi.reading.versions import check_version
+
+if TYPE_CHECKING:
+    from fmpy.model_description import ModelDescription, ModelVariable
+
+Value = float | int | bool | str | tuple[Any, ...]
+"""A value of a variable: of an array, tuples of tuples, row by row."""
+
+_Scalar = float | int | bool | str
+Given = _Scalar | Sequence[_Scalar | Sequence[_Scalar | Sequence[_Scalar]]] | NDArray[Any]
+"""A value as a user gives it: with a unit (``(30, "deg")``, ``([[1, 0], [0, 1]], "kg")``) or without."""
+
+_FLOATS = frozenset({"Real", "Float64", "Float32"})
+_KINDS = ("coSimulation", "modelExchange", "scheduledExecution")
+_CAPABILITIES = (
+    "needsExecutionTool",
+    "canBeInstantiatedOnlyOncePerProcess",
+    "canGetAndSetFMUstate",
+    "canSerializeFMUstate",
+    "providesDirectionalDerivative",
+    "canHandleVariableCommunicationStepSize",
+    "fixedInternalStepSize",
+    "maxOutputDerivativeOrder",
+    "canInterpolateInputs",
+    "hasEventMode",
+    "mightReturnEarlyFromDoStep",
+)
+_SYMBOLS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+_SHOWN, _LONGEST = 3, 300
+
+LONGEST_IDENTIFIER = 240
+"""Bytes of a model identifier: with its suffix, it is the name of a file."""
+
+
+@dataclass(frozen=True)
+class FMUVariable:
+    """One variable of an FMU, in the words of the standard.
+
+    Attributes
+    ----------
+    name, causality, variability, type : str
+        As in the model description, with the standard's defaults filled in.
+    start : float, int, bool, str, tuple or None
+        Its start value; of an array, tuples of tuples, row by row.
+    unit, description : str or None
+        As in the model description.
+    shape : tuple of int
+        ``()`` for a scalar; only FMI 3 has arrays. Where structural parameters say how large an array is, with their start
+        values.
+    settable : bool
+        Whether its start value may be set before initialization.
+    reference : int
+        The value reference, by which the binary knows it.
+    clocks : tuple of int
+        Value references of the clocks at whose ticks alone it exists (FMI 3); none for most.
+    alias : bool
+        Whether it is another name of a variable that is listed too (FMI 3).
+    dimensions : tuple of int or str
+        Of an array: how large it is in each direction, or the name of the structural parameter that says so.
+    items : tuple of (str, int)
+        Of an enumeration: names and numbers.
+    relative : bool
+        Whether it is a difference, to which a unit's offset (degC) does not apply.
+    bounds : (float, float)
+        The least and the largest value that it may have (its min and max); infinite where it names none.
+    clock : Clock or None
+        Of a clock, when it ticks.
+    negated : bool
+        Whether its value is the negative of what the binary has under its value reference (FMI 1).
+    """
+
+    name: str
+    causality: str
+    variability: str
+    type: str
+    start: Value | None
+    unit: str | None
+    description: str | None
+    shape: tuple[int, ...]
+    settable: bool
+    reference: int
+    clocks: tuple[int, ...] = ()
+    alias: bool = False
+    dimensions: tuple[int | str, ...] = ()
+    items: tuple[tuple[str, int], ...] = ()
+    relative: bool = False
+    bounds: tuple[float, float] = field(default=(-math.inf, math.inf), repr=False)
+    clock: Clock | None = None
+    negated: bool = False
+
+    @property
+    def clocked(self) -> bool:
+        """Whether it only exists at the ticks of clocks."""
+        return bool(self.clocks)
+
+    @property
+    def is_float(self) -> bool:
+        """Whether it is made of floating-point numbers, of 64 or 32 bits: it can be continuous."""
+        return self.type in _FLOATS
+
+    @property
+    def is_numeric(self) -> bool:
+        """Whether its values are numbers."""
+        return self.type not in {"String", "Binary", "Clock"}
+
+
+@dataclass(frozen=True)
+class FMUDescription:
+    """What an FMU says of itself.
+
+    Attributes
+    ----------
+    name, fmi_version : str
+        The model's name, and the version of the standard, as ``"2.0"``.
+    kinds : tuple of str
+        Of ``"coSimulation"``, ``"modelExchange"``, ``"scheduledExecution"``: what it can be used for.
+    platforms : tuple of str
+        Platforms that it has binaries for, as FMI spells them.
+    variables : tuple of FMUVariable
+        All its variables.
+    capabilities : mapping
+        The flags of its co-simulation kind (of its first kind, where it has none).
+    default_experiment : mapping of str to float
+        Of ``startTime``, ``stopTime``, ``tolerance``, ``stepSize``: those that it gives.
+    description, generation_tool : str or None
+        As in the model description.
+    timing : str or None
+        What the vendor annotation of this package's exports says: ``"plant"`` or ``"sampled"``.
+    feedthrough : mapping of str to tuple of str, or None
+        For each output, the inputs on which it depends at the same instant; None where the FMU does not say, which by the
+        standard means all of them.
+    identifier, token : str
+        Name of the binary, and what proves that binary and description belong together.
+    log_categories : tuple of str
+        Categories under which it logs.
+    units : mapping of str to UnitDefinition
+        What the FMU says of its units, by name.
+    exchange : ExchangeInfo or None
+        Its states, derivatives and capabilities as a model exchange FMU; None where it is none.
+    blocks : tuple of str
+        What the vendor annotation says of the blocks of a diagram that it was exported from, and
+    origins : mapping of str to str
+        of its signals: what those that were renamed are called there.
+    finite : bool
+        Whether a NaN among its outputs means that something went wrong: not where that annotation says that it is a missing
+        sample.
+    lax : str or None
+        Which rules of FMI the description breaks, if it does in ways on which nothing hangs: a sentence.
+    """
+
+    name: str
+    fmi_version: str
+    kinds: tuple[str, ...]
+    platforms: tuple[str, ...]
+    variables: tuple[FMUVariable, ...]
+    capabilities: Mapping[str, Any]
+    default_experiment: Mapping[str, float]
+    description: str | None = None
+    generation_tool: str | None = None
+    timing: str | None = None
+    feedthrough: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    identifier: str = ""
+    token: str = field(default="", repr=False)
+    log_categories: tuple[str, ...] = field(default=(), repr=False)
+    units: Mapping[str, UnitDefinition] = field(default_factory=dict, repr=False)
+    exchange: ExchangeInfo | None = field(default=None, repr=False)
+    blocks: tuple[str, ...] = ()
+    origins: Mapping[str, str] = field(default_factory=dict, repr=False)
+    finite: bool = True
+    lax: str | None = None
+
+    @property
+    def fmi_major(self) -> int:
+        """1, 2 or 3."""
+        return int(self.fmi_version[0])
+
+    @property
+    def uses_event_mode(self) -> bool:
+        """Whether it goes through event mode in co-simulation."""
+        return "coSimulation" in self.kinds and bool(self.capabilities.get("hasEventMode"))
+
+
+_lock = threading.RLock()
+_known: dict[tuple[str, bool], FMUDescription] = {}
+
+
+def read_description(archive: Archive, *, validate: bool = True) -> FMUDescription:
+    """Read the model description of an FMU, once per process and content.
+
+    Raises
+    ------
+    FMUError
+        If it is of another version than FMI 1.0, 2.0 or 3.0, or not valid.
+    """
+    with _lock:
+        key = (archive.digest, validate)
+        if key not in _known:
+            try:
+                _known[key] = _read(archive, validate)
+            except (ValueError, TypeError, LookupError, AttributeError) as error:
+                # Where a description is not validated, anything may stand where a number or a name should.
+                raise FMUError(
+                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI so that it cannot be read ({error}); export it "
+                    "again."
+                ) from None
+        return _known[key]
+
+
+def _read(archive: Archive, validate: bool) -> FMUDescription:
+    from xml.etree import ElementTree
+
+    content = read_entry(archive, DESCRIPTION)
+    root = ElementTree.fromstring(content)
+    version = root.get("fmiVersion", "")
+    check_version(archive, version)
+    check_structure(archive, root, validate=validate)
+    annotations, clocks = list(root.iter("bayesftc")), read_clocks(root)
+    declared = root.find("ModelVariables")
+    aliases = version1.aliases(root) if version == "1.0" else {}
+    if version != "1.0" and declared is not None:
+        declared.clear()  # of a large model, as large as what fmpy makes of it
+    model, lax = _parse(archive, content, validate)
+    if version == "1.0":
+        version1.complete(model, root)
+    kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
+    for kind in kinds:
+        _check_identifier(archive, getattr(model, kind).modelIdentifier or "")
+    first = getattr(model, kinds[0]) if kinds else None
+    experiment = model.defaultExperiment
+    timings = [annotation.get("timing") for annotation in annotations]
+    check_size(archive, [(v.name, tuple(v.shape or ())) for v in model.modelVariables])
+    variables = tuple(
+        _variable(archive, v, clocks, aliases.get(v.name) == "negatedAlias") for v in model.modelVariables
+    )
+    if validate and version != "3.0":
+        check_aliases(archive, [v for v in variables if v.name not in aliases])
+    return FMUDescription(
+        name=model.modelName or archive.path.stem,
+        fmi_version=version,
+        kinds=kinds,
+        platforms=archive.platforms(),
+        variables=variables,
+        capabilities={name: getattr(first, name) for name in _CAPABILITIES if hasattr(first, name)},
+        default_experiment={
+            name: float(text)
+            for name in ("startTime", "stopTime", "tolerance", "stepSize")
+            if (text := getattr(experiment, name, None)) is not None
+        },
+        description=model.description,
+        generation_tool=model.generationTool,
+        timing=next((timing for timing in timings if timing in {"plant", "sampled"}), None),
+        feedthrough=_feedthrough(model),
+        identifier=getattr(first, "modelIdentifier", None) or "",
+        token=model.guid or "",
+        log_categories=tuple(c.name for c in model.logCategories),
+        units={u.name: _unit(u) for u in model.unitDefinitions},
+        exchange=read_exchange(model, root, variables),
+        blocks=tuple(name for annotation in annotations for name in annotation.get("blocks", "").split()),
+        lax=lax,
+        finite=all(annotation.get("finite") != "false" for annotation in annotations),
+        origins={s.get("name", ""): s.get("origin", "") for a in annotations for s in a.iter("Signal")},
+    )
+
+
+def _check_identifier(archive: Archive, identifier: str) -> None:
+    # It is the name of a file, read or (where sources are compiled) written.
+    if len(identifier.encode()) > LONGEST_IDENTIFIER:
+        raise FMUError(
+            f"The {DESCRIPTION} of {archive.path} has a modelIdentifier of {len(identifier):,} characters, {identifier[:20]!r} "
+            f"and so on, which is too long for the name of its binary (at most {LONGEST_IDENTIFIER}). Export it again with a "
+            "shorter one."
+        )
+    if (
+        "/" in identifier
+        or "\\" in identifier
+        or identifier.startswith((".", "-"))
+        or not (identifier + "a").isprintable()
+    ):
+        raise FMUError(
+            f"The {DESCRIPTION} of {archive.path} calls its binary {identifier!r}, which could lead outside of the FMU. Do not "
+            "use this file; ask its maker for one whose modelIdentifier is a plain name."
+        )
+
+
+HARMLESS = re.compile(
+    r"Element '(fmiModelDescription|Category|Tool)', attribute '[^']*': The attribute '[^']*' is not allowed|"
+    r"The attribute '(generationDateAndTime|version|author)' is required|"
+    r'must have variability != "continuous"|has no start value|but provides a start value|[Uu]nit ".*" .* is not defined'
+)
+"""What of the rules of FMI a description may break: nothing is computed otherwise for it. An unknown element, or attribute of a
+variable, is none of that, for it may be a known one that is misspelt; and what comes after it is not looked at."""
+
+
+def _parse(archive: Archive, content: bytes, validate: bool) -> tuple[ModelDescription, str | None]:
+    """Return the description, and in a sentence which rules it breaks on which nothing hangs."""
+    from fmpy import read_model_description
+    from fmpy.model_description import ValidationError
+    from fmpy.validation import validate_model_description
+
+    try:
+        try:
+            return read_model_description(_checked_xml(archive, content), validate=validate), None
+        except ValidationError as error:
+            broken = [str(p).removesuffix(".") for p in error.problems]
+            problems = _harmful(broken)
+            if not problems:
+                model = read_model_description(_checked_xml(archive, content), validate=False)
+                # An error of the schema comes alone: what fmpy looks at after it is to be looked at, too.
+                broken += [str(p).removesuffix(".") for p in validate_model_description(model)]
+                problems = _harmful(broken)
+            if not problems:
+                return model, (
+                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI, but not so that anything were computed "
+                    f"otherwise: {_listed([*dict.fromkeys(broken)])}."
+                )
+    except KeyError as error:
+        problems = [f"it refers to a variable {error}, which it does not define"]
+    except ValueError as error:
+        # Python reads no number of thousands of digits, and says by which function it could be made to.
+        text = " ".join(str(error).split()).removesuffix(".")
+        problems = ["it has a number of thousands of digits" if "integer string conversion" in text else text]
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
+        problems = [(" ".join(str(error).split()) or type(error).__name__).removesuffix(".")]
+    remedy = f"Ask its maker for a valid one, or {LAX}" if validate else "Export it again."
+    raise FMUError(f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {_listed(problems)}. {remedy}")
+
+
+def _harmful(problems: Sequence[str]) -> list[str]:
+    return [problem for problem in problems if not HARMLESS.search(problem)]
+
+
+def _listed(problems: Sequence[str]) -> str:
+    more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+    return "; ".join(p if len(p) <= _LONGEST else f"{p[:_LONGEST]}..." for p in problems[:_SHOWN]) + more
+
+
+def _checked_xml(archive: Archive, description: bytes) -> io.BytesIO:
+    """Return an archive of the XML files alone, as they were checked: fmpy sees nothing else of the file."""
+    content = io.BytesIO()
+    with ZipFile(content, "w") as copy:
+        for name in archive.kind.xml:
+            if name in archive.names:
+                copy.writestr(name, description if name == DESCRIPTION else read_entry(archive, name))
+    return content
+
+
+def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Clock], negated: bool) -> FMUVariable:
+    check_shape(variable.name, variable.valueReference, variable.dimensions)
+    settable = variable.variability != "constant" and (
+        variable.causality == "input" or variable.initial in {"exact", "approx"}
+    )
+    settable = settable and not (negated and variable.type not in {"Real", "Integer"})
+    return FMUVariable(
+        name=variable.name,
+        causality=variable.causality,
+        variability=variable.variability,
+        type=variable.type,
+        start=_start(archive, variable),
+        unit=_declared(variable, "unit"),
+        description=variable.description,
+        shape=tuple(variable.shape or ()),
+        settable=settable,
+        reference=variable.valueReference,
+        clocks=tuple(c.valueReference for c in variable.clocks or ()),
+        alias=variable.alias is not None,
+        dimensions=tuple(int(d.start) if d.start is not None else d.variable.name for d in variable.dimensions),
+        items=tuple((item.name, int(item.value)) for item in getattr(variable.declaredType, "items", None) or ()),
+        relative=bool(_declared(variable, "relativeQuantity")),
+        bounds=_bounds(variable),
+        clock=clocks.get(variable.valueReference) if variable.type == "Clock" else None,
+        negated=negated,
+    )
+
+
+def _bounds(variable: ModelVariable) -> tuple[float, float]:
+    """Return the least and the largest value that a variable may have by its own account."""
+    found = []
+    for attribute, otherwise in (("min", -math.inf), ("max", math.inf)):
+        given = _declared(variable, attribute)
+        try:
+            found.append(otherwise if given is None else float(given))
+        except (TypeError, ValueError):  # nobody has validated what it has
+            found.append(otherwise)
+    low, high = (otherwise if math.isnan(x) else x for x, otherwise in zip(found, (-math.inf, math.inf), strict=True))
+    return (low, high) if low <= high else (-math.inf, math.inf)
+
+
+def _declared(variable: ModelVariable, attribute: str) -> Any:
+    """Return what a variable says, or else its type."""
+    own = getattr(variable, attribute, None)
+    return getattr(variable.declaredType, attribute, None) if own is None else own
+
+
+def _unit(unit: Any) -> UnitDefinition:
+    base, meaning = unit.baseUnit, None
+    if base is not None and _is_factor(base.factor):
+        powers = {name: int(getattr(base, symbol)) for symbol, name in zip(_SYMBOLS, BASE, strict=True)}
+        powers = {name: power for name, power in powers.items() if power}
+        meaning = Unit(powers, float(base.factor), float(base.offset), cycles="Hz" in unit.name)
+    return UnitDefinition(
+        meaning, {d.name: (float(d.factor), float(d.offset)) for d in unit.displayUnits if _is_factor(d.factor)}
+    )
+
+
+def _is_factor(value: float) -> bool:
+    return math.isfinite(value) and value != 0.0
+
+
+def _feedthrough(model: ModelDescription) -> dict[str, tuple[str, ...] | None]:
+    found: dict[str, tuple[str, ...] | None] = {v.name: None for v in model.modelVariables if v.causality == "output"}
+    for unknown in model.outputs:
+        if unknown.variable is not None and unknown.dependencies is not None and unknown.variable.name in found:
+            found[unknown.variable.name] = tuple(v.name for v in unknown.dependencies if v.causality == "input")
+    return found
+
+
+def _start(archive: Archive, variable: ModelVariable) -> Value | None:
+    text: str | None = variable.start
+    if text is None or (variable.shape and variable.type in {"String", "Binary"}):
+        return None
+    try:
+        if not variable.shape:
+            return _number(variable.type, text)
+        values = tuple(_number(variable.type, part) for part in text.split())
+        return None if None in values else shaped(values, variable.shape)
+    except ValueError:
+        what = f"{variable.type} of shape {tuple(variable.shape)}" if variable.shape else variable.type
+        raise FMUError(
+            f"The variable {variable.name!r} of {archive.path} has the start value {text[:80]!r}, which is no {what}; "
+            "export the FMU again."
+        ) from None
+
+
+def _number(kind: str, text: str) -> Value | None:
+    if kind in _FLOATS:
+        value = float(text)
+        return value if math.isfinite(value) else None
+    if kind == "Boolean":
+        return text in {"true", "1"}
+    return text if kind in {"String", "Binary"} else int(text)
+
+
+def flattened(value: Value) -> tuple[Any, ...]:
+    """Return the elements of a value, row by row; of a scalar, the one."""
+    return tuple(x for row in value for x in flattened(row)) if isinstance(value, tuple) else (value,)
+
+
+def shaped(values: tuple[Any, ...], shape: tuple[int, ...]) -> Value:
+    """Return elements as tuples of tuples; a single one fills the array.
+
+    Raises
+    ------
+    ValueError
+        If there are too many or too few.
+    """
+    if len(values) == 1:
+        values = values * math.prod(shape)
+    if len(values) != math.prod(shape) or not values:
+        raise ValueError
+    for size in reversed(shape[1:]):
+        values = tuple(values[i : i + size] for i in range(0, len(values), size))
+    return values

@@ -1,0 +1,1 @@
+"""Running FMUs for co-simulation: instances, steps, states."""

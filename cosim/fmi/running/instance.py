@@ -1,0 +1,305 @@
+"""A running instance of an FMU: made, initialized, explained and freed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from math import inf, isfinite
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.errors import FMUError, StepSizeError
+from bayesftc.cosim.fmi.binaries.codes import (
+    DISCARD,
+    EARLY,
+    ENDLESS,
+    EVENTS,
+    FATAL,
+    GET,
+    NEXT_DEFINED,
+    NEXT_TIME,
+    PENDING,
+    REACHED,
+    SET,
+    STEP,
+    TERMINATED,
+    TRIES,
+    UNFIT,
+    UNFIT_INPUT,
+    UNFIT_OUTPUT,
+)
+from bayesftc.cosim.fmi.binaries.groups import Group, element_names, groups
+from bayesftc.cosim.fmi.binaries.guards import beyond
+from bayesftc.cosim.fmi.binaries.library import CallError, Library
+from bayesftc.cosim.fmi.reading.description import FMUVariable, Value
+from bayesftc.cosim.fmi.reading.messages import ENDS, Messages, status_word
+from bayesftc.cosim.fmi.reading.versions import prefix
+from bayesftc.cosim.fmi.running.own_inputs import own_inputs
+from bayesftc.cosim.fmi.running.refusals import function_of, misfit
+from bayesftc.cosim.fmi.running.rounding import Rounding
+from bayesftc.cosim.fmi.running.states import SavedState, States
+from bayesftc.cosim.fmi.running.steps import StepFunctions, decoded
+
+_UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
+"""The bits of a NaN that no computation makes."""
+
+
+class Instance(StepFunctions):
+    """An initialized FMU instance; see `bayesftc.cosim.block.External`.
+
+    Raises
+    ------
+    FMUError
+        If the FMU refuses to be instantiated or initialized.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        name: str,
+        step: Fraction,
+        timing: Literal["plant", "sampled"],
+        start: dict[FMUVariable, Value],
+        inputs: dict[FMUVariable, Value | None],
+        outputs: Sequence[FMUVariable],
+        tolerance: float = 0.0,
+    ):
+        _check_step(library, name, step)
+        self._library, self._name = library, name
+        self._messages = Messages(name)
+        self._component, self._healthy, self._fatal = 0, True, False
+        self.has_ended = False
+        major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
+        into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
+        into, out = self._arranged((into, groups(outputs, major, "Get", find)))
+        try:
+            self._start(start, inputs, tolerance)
+            self.own_inputs = own_inputs(library, self._component, inputs)
+        except BaseException:
+            self._healthy = False
+            self.close()
+            raise
+        super().__init__(major, addresses, self._component, into, out, float(step), timing, self._cut())
+        self._elements = element_names(list(inputs)), element_names(outputs)
+        self.rounding = Rounding(out, self._elements[1])
+        if addresses.enter_event_mode:
+            self._first_events()
+        self._check_written()
+
+    def _start(
+        self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value | None], tolerance: float
+    ) -> None:
+        library, name = self._library, self._name
+        model = library.description.name
+        if library.alive and library.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
+            raise FMUError(
+                f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
+                "after the other, or each in a process of its own with FMU(..., isolate=True)."
+            )
+        component, self._callbacks = library.begin(name, self._messages)
+        if not component:
+            tool = library.description.generation_tool or "the tool that exported it"
+            needs = (
+                f"It needs {tool} to run (needsExecutionTool): install it here, or export the FMU without that need."
+                if library.description.capabilities.get("needsExecutionTool")
+                else "If it needs a tool or a licence, check that it is there."
+            )
+            raise FMUError(
+                f"The FMU {model!r} refused to be instantiated as {name!r}. {needs} {self._messages.quoted()}"
+            )
+        self._component = component
+        library.alive += 1
+        self._states = States(library, component, name)
+        try:
+            library.initialize(component, start, inputs, tolerance, meanwhile=self._initializing)
+        except CallError as error:
+            self._fatal = error.status == FATAL
+            raise FMUError(
+                f"The FMU {model!r} could not be initialized as {name!r}: {error.sentence()}. Check its "
+                f"parameters and start values. {self._messages.quoted()}"
+            ) from None
+
+    def _arranged(self, sides: tuple[list[Group], list[Group]]) -> tuple[list[Group], list[Group]]:
+        """Return the inputs and outputs that are set and read at communication points."""
+        return sides
+
+    def _initializing(self) -> None:
+        """Do what is to be done while the FMU is in initialization mode."""
+
+    def _cut(self) -> float:
+        """Return into parts of which size a step may be cut; see `StepFunctions`."""
+        return _fixed_size(self._library) if self.can_resize else inf
+
+    def _first_events(self) -> None:
+        """Leave the event mode in which initialization ends."""
+        status = self._settle(0.0)
+        if status:
+            what = self.explain(status)
+            self.close()
+            raise FMUError(
+                f"The FMU {self._library.description.name!r} could not be initialized as {self._name!r}: {what}"
+            )
+
+    def _check_written(self) -> None:
+        """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values; or too much.
+
+        Compiled runs have it write among the values of other blocks, so that an array of more elements must be seen here.
+        """
+        names = [name for name, _ in self._elements[1]]
+        values = np.full(len(names), _UNWRITTEN, dtype=np.int64)
+        if not names or self._read(values.view(np.float64)):
+            return  # the run will say so
+        outputs = self._groups[1]
+        too_far = beyond(outputs, self._component, self._elements[1])
+        if too_far:
+            self._refuse(
+                f"writes beyond the memory that it is given for {too_far} of {self._name!r}, where it would damage what "
+                "belongs to others"
+            )
+        missing = [name for name, bits in zip(names, values, strict=True) if bits == _UNWRITTEN]
+        unwritten = [group.unwritten(self._component) for group in outputs if group.kind.code]
+        missing += [names[place] for place in unwritten if place >= 0]
+        if missing:
+            self._refuse(
+                f"says that it has given its outputs, but has not written {', '.join(map(repr, missing[:3]))}"
+                f"{' and more' if missing[3:] else ''} of {self._name!r}"
+            )
+
+    def _refuse(self, what: str) -> None:
+        self.close()
+        raise FMUError(
+            f"The FMU {self._library.description.name!r} {what}: its binary and its model description do not agree. Export "
+            "it again."
+        )
+
+    @property
+    def can_save(self) -> bool:
+        """See `bayesftc.cosim.block.External.can_save`."""
+        return self._states.can_save
+
+    @property
+    def can_resize(self) -> bool:
+        """Whether its steps may be of any size."""
+        return bool(self._library.description.capabilities.get("canHandleVariableCommunicationStepSize"))
+
+    @property
+    def state_functions(self) -> tuple[int, int, int, int] | None:
+        """Address of the instance and of FMI's functions that save, restore and free a state, for compiled code.
+
+        None where more has to be done than to call them.
+        """
+        if self._addresses.enter_event_mode or not self.can_save:
+            return None
+        save, restore, free = self._library.state_addresses
+        return self._component, save, restore, free
+
+    def save(self) -> SavedState:
+        """See `bayesftc.cosim.block.External.save`."""
+        self.expect_return()
+        saved = self._states.save()
+        saved.beside = self._beside()
+        return saved
+
+    def restore(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.restore`."""
+        if self._fatal:
+            raise FMUError(
+                f"The FMU {self._library.description.name!r} ({self._name!r}) has returned Fatal, or Pending, after which FMI "
+                "allows no call of it any more; begin anew with reset()."
+            )
+        self.expect_return()
+        self._states.restore(saved)
+        self._put_beside(cast("SavedState", saved).beside)
+        self._healthy = True  # an FMU that has failed may be put back to where it had not
+
+    def _beside(self) -> tuple[Any, ...]:
+        """Return what is to be remembered beside the FMU's own state: when it wants its next event."""
+        return (self._announced,)
+
+    def _put_beside(self, values: tuple[Any, ...]) -> None:
+        next_event = values[0] if values else inf
+        self._scratch[NEXT_DEFINED] = next_event < inf
+        self._scratch.view(np.float64)[NEXT_TIME] = next_event
+
+    def forget(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.forget`."""
+        self._states.forget(saved)
+
+    def explain(self, status: int) -> str:
+        """Return what a status means in FMI's words, with the instance's last messages."""
+        where, code = decoded(status)
+        self._healthy = 0 <= code <= DISCARD  # after an error it may not be asked to terminate
+        self.has_ended = status == TERMINATED
+        if self.has_ended:
+            return f"{ENDS} (terminateSimulation). {self._messages.quoted()}"
+        said = self._messages.quoted()
+        reached = self._scratch.view(np.float64)[REACHED]
+        if status == EARLY:
+            return (
+                f"The FMU returned early from fmi3DoStep, at t = {reached:g} s, before the end of the step, and comes no "
+                f"further; a smaller step may do. {said}"
+            )
+        if status == ENDLESS:
+            return f"The FMU did not come to the end of the step, or of an event, in {TRIES} calls. {said}"
+        if status in {UNFIT_INPUT, UNFIT_OUTPUT}:
+            is_input = status == UNFIT_INPUT
+            elements = self._elements[0 if is_input else 1]
+            return misfit(elements, int(self._scratch[UNFIT]), self._major, is_input=is_input)
+        names = {
+            GET: self._called(1),
+            SET: self._called(0),
+            STEP: f"{prefix(self._major)}DoStep",
+            EVENTS: "An FMI function of event mode",
+        }
+        function = names.get(where, "An FMI function")
+        self._fatal = code in {FATAL, PENDING}
+        more = ""
+        if code == PENDING:
+            more = "Steps that go on by themselves are not waited for: export the FMU so that it makes them at once."
+        if code == DISCARD:
+            if where != STEP:
+                more = "It does not take such a value."
+            else:
+                more, self.has_ended = self._library.last_words(self._component)
+            if self.has_ended:
+                return f"{more} {said}"
+        return " ".join(s for s in (f"{function} returned {status_word(code)}.", more, said) if s)
+
+    def _called(self, side: int) -> str:
+        """Return which function has failed to read or set values, and whose."""
+        groups = self._groups[side]
+        if self._plain:
+            return groups[0].name if groups else "An FMI function"
+        return function_of(groups, self._elements[side], int(self._scratch[UNFIT]))
+
+    def close(self) -> None:
+        """Free the instance; the binary stays loaded."""
+        component, self._component = self._component, 0
+        if component:
+            self._library.release(
+                component,
+                lambda: self._states.close(free=not self._fatal),
+                healthy=self._healthy,
+                fatal=self._fatal,
+            )
+        self._messages.close()
+
+
+def _fixed_size(library: Library) -> float:
+    """Return the size of which all steps must be multiples; 0 where there is none."""
+    try:
+        size = float(library.description.capabilities.get("fixedInternalStepSize") or 0.0)
+    except ValueError:  # of a description that nobody has validated
+        return 0.0
+    return size if isfinite(size) and size > 1e-300 else 0.0  # of which a step may be a multiple
+
+
+def _check_step(library: Library, name: str, step: Fraction) -> None:
+    size = _fixed_size(library)
+    if size and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size:
+        raise StepSizeError(
+            f"The FMU {library.description.name!r} makes steps of {size:g} s only (fixedInternalStepSize), but {name!r} is to "
+            f"make steps of {show(step)} s: choose dt, or every=, so that its step is a whole multiple of {size:g} s."
+        )

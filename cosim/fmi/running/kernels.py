@@ -1,0 +1,429 @@
+"""The step of an FMU as compiled functions with the engine's signature, shared by all instances.
+
+At the address ``parameters`` they find the instance's table of 64-bit words: pointers to the instance and to the FMI
+functions, the value references, the step size. Status: 0, or a number of `GET`, `SET`, `STEP`, `EVENTS` plus FMI's own
+status, or another of the codes below. These are the functions where all ports are double-precision numbers that may be set at any
+communication point; `typed_kernels` has the others.
+"""
+
+# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy: disable-error-code="call-arg, var-annotated"
+
+import math
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from bayesftc.cosim.fmi.binaries.codes import (
+    ANSWER,
+    DISCARD,
+    EARLY,
+    ENDLESS,
+    EVENT,
+    EVENTS,
+    GET,
+    HAS_TERMINATED,
+    LAST,
+    LAST_TIME,
+    MOST,
+    NEXT_DEFINED,
+    NEXT_TIME,
+    NO_RETURN,
+    ODD,
+    REACHED,
+    RETURNED_EARLY,
+    SET,
+    SMALLEST,
+    STEP,
+    TERMINATE,
+    TERMINATED,
+    TOLERANCE,
+    TRIES,
+    UPDATE,
+    UPDATE_TERMINATE,
+)
+from bayesftc.cosim.stepping.numba_called import callee, inlined
+
+# Words of the table.
+(
+    COMPONENT, GET_REAL, SET_REAL, DO_STEP, INPUTS, INPUT_COUNT, OUTPUTS, OUTPUT_COUNT, STEP_SIZE, SCRATCH, INPUT_SIZE,
+    OUTPUT_SIZE, REAL_STATUS, BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE, ENTER_STEP_MODE, INPUT_GROUPS,
+    INPUT_GROUP_COUNT, OUTPUT_GROUPS, OUTPUT_GROUP_COUNT, GRID,
+) = range(22)  # fmt: skip
+WORDS = 22
+
+_I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
+
+
+@intrinsic
+def word(typingctx, address, index):
+    """Load the 64-bit integer number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        return builder.load(builder.inttoptr(place, _I64.as_pointer()))
+
+    return types.int64(types.int64, types.int64), codegen
+
+
+@intrinsic
+def number(typingctx, address, index):
+    """Load the double number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        return builder.load(builder.inttoptr(place, _DOUBLE.as_pointer()))
+
+    return types.float64(types.int64, types.int64), codegen
+
+
+def _call(builder, function, arguments):
+    kind = ir.FunctionType(_I32, [argument.type for argument in arguments])
+    return builder.call(builder.inttoptr(function, kind.as_pointer()), arguments)
+
+
+@intrinsic
+def values2(typingctx, function, component, references, count, values):
+    """int32 (*)(void *, const uint32 *, size_t, double *): fmi2GetReal and fmi2SetReal."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], args[1:])
+
+    return types.int32(*[types.int64] * 5), codegen
+
+
+@intrinsic
+def values3(typingctx, function, component, references, count, values, size):
+    """int32 (*)(void *, const uint32 *, size_t, double *, size_t): fmi3GetFloat64, fmi3SetFloat64 and their relatives."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], args[1:])
+
+    return types.int32(*[types.int64] * 6), codegen
+
+
+@intrinsic
+def step2(typingctx, function, component, t, h, no_return):
+    """int32 (*)(void *, double, double, int): fmi2DoStep, with the promise or not that nobody goes back."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32)])
+
+    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64), codegen
+
+
+@intrinsic
+def step3(typingctx, function, component, t, h, no_return, scratch):
+    """int32 (*)(void *, double, double, bool, bool *, bool *, bool *, double *): fmi3DoStep.
+
+    The bool by value travels in a register, so it is passed as the int that C would widen it to.
+    """
+
+    def codegen(context, builder, signature, args):
+        places = [builder.add(args[5], ir.Constant(_I64, 8 * i)) for i in (EVENT, TERMINATE, RETURNED_EARLY, REACHED)]
+        return _call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32), *places])
+
+    return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64, types.int64), codegen
+
+
+@intrinsic
+def ask2(typingctx, function, component, kind, place):
+    """int32 (*)(void *, int, void *): fmi2GetRealStatus and fmi2GetBooleanStatus."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], [args[1], builder.trunc(args[2], _I32), args[3]])
+
+    return types.int32(*[types.int64] * 4), codegen
+
+
+@intrinsic
+def mode3(typingctx, function, component):
+    """int32 (*)(void *): fmi3EnterEventMode and fmi3EnterStepMode."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], args[1:])
+
+    return types.int32(types.int64, types.int64), codegen
+
+
+@intrinsic
+def update3(typingctx, function, component, place):
+    """int32 (*)(void *, bool *, bool *, bool *, bool *, bool *, double *): fmi3UpdateDiscreteStates."""
+
+    def codegen(context, builder, signature, args):
+        return _call(builder, args[0], [args[1], *(builder.add(args[2], ir.Constant(_I64, 8 * i)) for i in range(6))])
+
+    return types.int32(*[types.int64] * 3), codegen
+
+
+@intrinsic
+def put_word(typingctx, address, index, value):
+    """Store a 64-bit integer as number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        builder.store(args[2], builder.inttoptr(place, _I64.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
+def put_number(typingctx, address, index, value):
+    """Store a double as number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+        builder.store(args[2], builder.inttoptr(place, _DOUBLE.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.float64), codegen
+
+
+@inlined
+def failed(where, status):
+    """Return 0 for FMI's OK and Warning, else the status of a step; see `bayesftc.cosim.fmi.running.steps.decoded`."""
+    if status == 0 or status == 1:
+        return 0
+    if status > 1 and status <= LAST:
+        return where + status
+    return ODD * where + min(max(status, -MOST), MOST) + MOST
+
+
+@inlined
+def _get2(parameters, outputs):
+    count = word(parameters, OUTPUT_COUNT)
+    if count == 0:
+        return 0
+    references = word(parameters, OUTPUTS)
+    return failed(GET, values2(word(parameters, GET_REAL), word(parameters, COMPONENT), references, count, outputs))
+
+
+@inlined
+def _get3(parameters, outputs):
+    count = word(parameters, OUTPUT_COUNT)
+    if count == 0:
+        return 0
+    references, size = word(parameters, OUTPUTS), word(parameters, OUTPUT_SIZE)
+    return failed(
+        GET, values3(word(parameters, GET_REAL), word(parameters, COMPONENT), references, count, outputs, size)
+    )
+
+
+@inlined
+def _step2(parameters, inputs, t):
+    component = word(parameters, COMPONENT)
+    count = word(parameters, INPUT_COUNT)
+    if count > 0:
+        status = failed(SET, values2(word(parameters, SET_REAL), component, word(parameters, INPUTS), count, inputs))
+        if status != 0:
+            return status
+    return do_step2(parameters, t)
+
+
+@inlined
+def do_step2(parameters, t):
+    """Make a step of an FMI 2 instance, in parts if it is discarded and the instance can do that."""
+    h = number(parameters, STEP_SIZE)
+    no_return = word(word(parameters, SCRATCH), NO_RETURN)
+    status = step2(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, no_return)
+    if status == DISCARD and word(parameters, REAL_STATUS) != 0:
+        return _in_parts2(parameters, t, h)
+    return failed(STEP, status)
+
+
+@callee
+def _in_parts2(parameters, t, h):
+    component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    no_return = word(scratch, NO_RETURN)
+    answer = scratch + 8 * ANSWER
+    now, end, part, status = t, t + h, h, DISCARD
+    for _ in range(TRIES):
+        if status == DISCARD:
+            put_word(scratch, ANSWER, 0)
+            if (
+                ask2(word(parameters, BOOLEAN_STATUS), component, HAS_TERMINATED, answer) <= 1
+                and word(scratch, ANSWER) != 0
+            ):
+                return STEP + DISCARD
+            put_number(scratch, ANSWER, now)
+            if ask2(word(parameters, REAL_STATUS), component, LAST_TIME, answer) > 1:
+                return STEP + DISCARD
+            reached = number(scratch, ANSWER)
+            if not (reached >= now and reached <= now + part):
+                return STEP + DISCARD
+            now = reached
+            part = 0.5 * part
+            if part < SMALLEST * h:
+                return STEP + DISCARD
+        elif status != 0 and status != 1:
+            return failed(STEP, status)
+        else:
+            now = now + part
+        left = end - now
+        if left <= TOLERANCE * h:
+            return 0
+        if part > left - TOLERANCE * h:
+            part = left
+        status = step2(word(parameters, DO_STEP), component, now, part, no_return)
+    return ENDLESS
+
+
+@inlined
+def _step3(parameters, inputs, t):
+    count = word(parameters, INPUT_COUNT)
+    if count > 0:
+        component, size = word(parameters, COMPONENT), word(parameters, INPUT_SIZE)
+        status = failed(
+            SET, values3(word(parameters, SET_REAL), component, word(parameters, INPUTS), count, inputs, size)
+        )
+        if status != 0:
+            return status
+    return do_step3(parameters, t)
+
+
+@inlined
+def do_step3(parameters, t):
+    """Make a step of an FMI 3 instance without event mode, to its end if it returns early or is discarded."""
+    h = number(parameters, STEP_SIZE)
+    scratch = word(parameters, SCRATCH)
+    no_return = word(scratch, NO_RETURN)
+    status = step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, no_return, scratch)
+    if status != 0 and status != 1:
+        return _go_on3(parameters, t, h, h, status)
+    if word(scratch, TERMINATE) != 0:
+        return TERMINATED
+    if word(scratch, RETURNED_EARLY) != 0:
+        return _go_on3(parameters, t, h, h, 0)
+    return 0
+
+
+@callee
+def do_event_step3(parameters, t):
+    """Make a step of an FMI 3 instance that uses event mode, with the events within it and at its end."""
+    h = number(parameters, STEP_SIZE)
+    size = _part3(parameters, t, h, TOLERANCE * h)
+    scratch = word(parameters, SCRATCH)
+    no_return = word(scratch, NO_RETURN)
+    status = step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, size, no_return, scratch)
+    return _go_on3(parameters, t, h, size, status)
+
+
+@callee
+def _go_on3(parameters, t, h, size, status):
+    """Bring a step to its end, of which the first part, of this size, has returned this status."""
+    component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    no_return = word(scratch, NO_RETURN)
+    events = word(parameters, ENTER_EVENT_MODE) != 0
+    now, end, most, slack = t, t + h, h, TOLERANCE * h
+    for _ in range(TRIES):
+        if status == DISCARD and number(parameters, GRID) == 0.0:
+            most = 0.5 * size  # the FMU has stayed where it was
+            if most < SMALLEST * h:
+                return STEP + DISCARD
+        elif status != 0 and status != 1:
+            return failed(STEP, status)
+        elif word(scratch, TERMINATE) != 0:
+            return TERMINATED
+        else:
+            reached = number(scratch, REACHED) if word(scratch, RETURNED_EARLY) != 0 else now + size
+            event = events and (word(scratch, EVENT) != 0 or _next_event3(scratch) <= reached + slack)
+            if not (reached > now or (event and reached == now)):
+                return EARLY
+            now = reached
+            if event:
+                status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
+                if status == 0:
+                    status = settle3(parameters)
+                if status != 0:
+                    return status
+        left = end - now
+        if left <= slack:
+            return 0
+        size = _part3(parameters, now, most if most < left - slack else left, slack)
+        status = step3(word(parameters, DO_STEP), component, now, size, no_return, scratch)
+    return ENDLESS
+
+
+@callee
+def _next_event3(scratch):
+    """Return when the instance wants the next time event: what fmi3UpdateDiscreteStates said last."""
+    return number(scratch, NEXT_TIME) if word(scratch, NEXT_DEFINED) != 0 else np.inf
+
+
+@callee
+def _part3(parameters, now, size, slack):
+    """Return the size of the next part of a step: no more than to the next time event, where the step may be cut there."""
+    if word(parameters, ENTER_EVENT_MODE) == 0:
+        return size
+    event = _next_event3(word(parameters, SCRATCH))
+    if not (event > now + slack and event < now + size - slack):
+        return size
+    grid = number(parameters, GRID)
+    part = event - now
+    if grid > 0.0:
+        part = math.ceil(part / grid - TOLERANCE) * grid
+    return part if part < size - slack else size
+
+
+@callee
+def settle3(parameters):
+    """Update the discrete states of an FMI 3 instance in event mode until they stay, and go back to step mode."""
+    component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
+    for _ in range(TRIES):
+        status = failed(EVENTS, update3(word(parameters, UPDATE_DISCRETE), component, scratch + 8 * UPDATE))
+        if status != 0:
+            return status
+        if word(scratch, UPDATE_TERMINATE) != 0:
+            return TERMINATED
+        if word(scratch, UPDATE) == 0:
+            return failed(EVENTS, mode3(word(parameters, ENTER_STEP_MODE), component))
+    return ENDLESS
+
+
+def get2(state, parameters, inputs, outputs, t, k):
+    """Read the outputs of an FMI 2 instance."""
+    return _get2(parameters, outputs)
+
+
+def advance2(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 2 instance and make its step."""
+    return _step2(parameters, inputs, t)
+
+
+def get3(state, parameters, inputs, outputs, t, k):
+    """Read the outputs of an FMI 3 instance."""
+    return _get3(parameters, outputs)
+
+
+def advance3(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 3 instance and make its step."""
+    return _step3(parameters, inputs, t)
+
+
+def sampled2(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 2 instance, make its step, read its outputs."""
+    status = _step2(parameters, inputs, t)
+    if status != 0:
+        return status
+    return _get2(parameters, outputs)
+
+
+def sampled3(state, parameters, inputs, outputs, t, k):
+    """Set the inputs of an FMI 3 instance, make its step, read its outputs."""
+    status = _step3(parameters, inputs, t)
+    if status != 0:
+        return status
+    return _get3(parameters, outputs)
+
+
+FUNCTIONS = {
+    (2, "get"): get2,
+    (2, "advance"): advance2,
+    (2, "sampled"): sampled2,
+    (3, "get"): get3,
+    (3, "advance"): advance3,
+    (3, "sampled"): sampled3,
+}

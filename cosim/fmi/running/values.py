@@ -1,0 +1,239 @@
+"""Start values and parameters of an FMU: of every type and shape, with units, checked before anything is loaded."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.units import conversion, split
+from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, brief, did_you_mean
+from bayesftc.cosim.fmi.binaries.groups import type_range
+from bayesftc.cosim.fmi.reading.archive import Archive
+from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Value, flattened, shaped
+from bayesftc.cosim.fmi.reading.structure import check_size
+
+_FLOATS = frozenset({"Real", "Float64", "Float32"})
+_LARGEST = sys.float_info.max
+
+
+def start_values(
+    archive: Archive, description: FMUDescription, values: Mapping[str, Any], *, validate: bool = True
+) -> dict[str, Value]:
+    """Check start values by name, causality, type, shape and unit and, with `validate`, by the bounds that the FMU declares.
+
+    Returns
+    -------
+    dict
+        Plain Python numbers and texts in the variables' own units; of arrays, tuples of tuples.
+    """
+    if not isinstance(values, Mapping):
+        raise ModelError(f"FMU has parameters={values!r}; give values by name, as {{'m': 100.0}}.")
+    known = {v.name: v for v in description.variables}
+    for name in values:
+        if name not in known:
+            settable = [v.name for v in known.values() if v.settable]
+            raise UnknownNameError(
+                f"The FMU {archive.path.name} has no variable {name!r}; {did_you_mean(name, settable)}"
+            )
+        variable = known[name]
+        if not variable.settable:
+            raise FMUError(
+                f"{name!r} of the FMU {archive.path.name} cannot be set: it is {_a(variable.causality)} that the FMU computes "
+                f"({variable.variability}); set what it depends on."
+            )
+        if variable.type in {"Binary", "Clock"}:
+            raise FMUError(
+                f"{name!r} of the FMU {archive.path.name} is {_a(variable.causality)} of type {variable.type}, which cannot be "
+                "set from here; leave it at its start value."
+            )
+    first = {n: v for n, v in values.items() if known[n].causality == "structuralParameter"}
+    checked = {n: _converted(archive, description, known[n], v) for n, v in first.items()}
+    sized = resolved(archive, description, checked)  # how large the others are
+    found = {
+        name: checked[name] if name in checked else _converted(archive, description, sized[name], value)
+        for name, value in values.items()
+    }
+    for name, value in found.items() if validate else ():
+        _check_bounds(archive, known[name], value)
+    return found
+
+
+def _check_bounds(archive: Archive, variable: FMUVariable, value: Value) -> None:
+    low, high = variable.bounds
+    for x in flattened(value):
+        if not isinstance(x, str) and not low <= x <= high:
+            allowed = f"at least {low:g}" if high == math.inf else f"at most {high:g}" if low == -math.inf else ""
+            raise FMUError(
+                f"{variable.name!r} of the FMU {archive.path.name} is to be {x!r}, but by its own account must be "
+                f"{allowed or f'from {low:g} to {high:g}'}{f' {variable.unit}' if variable.unit else ''}; give such a value, or "
+                "try it all the same with validate=False."
+            )
+
+
+def resolved(archive: Archive, description: FMUDescription, values: Mapping[str, Value]) -> dict[str, FMUVariable]:
+    """Return the variables by name, arrays as large as structural parameters say.
+
+    Parameters
+    ----------
+    archive : Archive
+        The FMU.
+    description : FMUDescription
+        What it says of itself.
+    values : mapping of str to value
+        Start values that are not those of the description; structural parameters among them.
+
+    Raises
+    ------
+    FMUError
+        If an array would be too large for any machine.
+    """
+    if not any(v.dimensions for v in description.variables):
+        return {v.name: v for v in description.variables}
+    structure = {v.name: v.start for v in description.variables} | dict(values)
+    shapes = {v.name: tuple(_size(archive, v, d, structure) for d in v.dimensions) for v in description.variables}
+    check_size(archive, [*shapes.items()])
+    variables: dict[str, FMUVariable] = {}
+    for variable in description.variables:
+        shape: tuple[int, ...] = shapes[variable.name]
+        count: int = math.prod(shape)
+        if shape != variable.shape:
+            elements = set(flattened(variable.start)) if variable.start is not None else set()
+            start = shaped((*elements,), shape) if len(elements) == 1 and count else None
+            variable = replace(variable, shape=shape, start=start)
+        variables[variable.name] = variable
+    return variables
+
+
+def _size(archive: Archive, variable: FMUVariable, dimension: int | str, structure: Mapping[str, Any]) -> int:
+    size = dimension if isinstance(dimension, int) else structure.get(dimension)
+    if not isinstance(size, int) or isinstance(size, bool) or size < 0:
+        given = f"{dimension!r}, which is {size}" if isinstance(dimension, str) else str(size)
+        raise FMUError(
+            f"The array {variable.name!r} of the FMU {archive.path.name} is as large as {given}: that is no size; export the FMU "
+            "again."
+        )
+    return size
+
+
+def value_of(variable: FMUVariable, values: Mapping[str, Value]) -> Value:
+    """Return the value that a variable has before initialization: given, its own, or zero."""
+    value = values.get(variable.name, variable.start)
+    if value is None or (variable.shape and not isinstance(value, tuple)):
+        zero: Value = 0.0 if variable.type in _FLOATS else variable.type != "Boolean" and 0
+        if variable.items:
+            zero = variable.items[0][1]
+        return shaped((zero,), variable.shape) if variable.shape else zero
+    return value
+
+
+def as_floats(value: Value) -> float | tuple[Any, ...]:
+    """Return a value as float64 ports have it."""
+    return tuple(as_floats(row) for row in value) if isinstance(value, tuple) else float(value)
+
+
+def _a(word: str) -> str:
+    return ("an " if word[0] in "aeiou" else "a ") + word
+
+
+def _converted(archive: Archive, description: FMUDescription, variable: FMUVariable, value: Any) -> Value:
+    given, gain, offset = value, 1.0, 0.0
+    if variable.type in _FLOATS:
+        pair = split(value) if isinstance(value, str) else _pair(value)
+        if pair is not None:
+            given, unit = pair
+            gain, offset = _conversion(archive, description, variable, f"{given} {unit}", unit)
+    if not variable.shape:
+        return _element(archive, variable, given, value, gain, offset)
+    flat = _flat(given, variable.shape)
+    if flat is None:
+        raise FMUError(
+            f"{variable.name!r} of the FMU {archive.path.name} is an array of shape {variable.shape} and must be given as one, "
+            f"row by row, not as {brief(value)}."
+        )
+    return shaped(tuple(_element(archive, variable, x, x, gain, offset) for x in flat), variable.shape)
+
+
+def _pair(value: Any) -> tuple[Any, str] | None:
+    """Return value and unit, where they are given as a pair."""
+    if (
+        isinstance(value, tuple | list)
+        and len(value) == 2
+        and isinstance(value[1], str)
+        and not isinstance(value[0], str)
+    ):
+        return value[0], value[1]
+    return None
+
+
+def _flat(value: Any, shape: tuple[int, ...]) -> list[Any] | None:
+    """Return the elements of nested sequences of exactly this shape, row by row."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not shape:
+        return None if isinstance(value, tuple | list) else [value]
+    if not isinstance(value, tuple | list) or len(value) != shape[0]:
+        return None
+    rows = [_flat(row, shape[1:]) for row in value]
+    return None if any(row is None for row in rows) else [x for row in rows for x in row or ()]
+
+
+def _conversion(
+    archive: Archive, description: FMUDescription, variable: FMUVariable, given: str, unit: str
+) -> tuple[float, float]:
+    where = f"{variable.name!r} of the FMU {archive.path.name}"
+    if variable.unit is None:
+        raise FMUError(f"{where} has no unit, and {given!r} has one; give a plain number.")
+    found = conversion(unit, variable.unit, description.units)
+    if isinstance(found, str):
+        raise FMUError(
+            f"{where} is in {variable.unit}, and {given!r} cannot be brought to that: {found}. Give it in a unit that fits, or "
+            f"as a plain number in {variable.unit}."
+        )
+    gain, offset = found
+    return gain, 0.0 if variable.relative else offset
+
+
+def _element(archive: Archive, variable: FMUVariable, value: Any, shown: Any, gain: float, offset: float) -> Value:
+    kind = variable.type
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if kind in _FLOATS:
+        if is_number and -_LARGEST <= value <= _LARGEST:
+            converted = gain * float(value) + offset if (gain, offset) != (1.0, 0.0) else float(value)
+            if math.isfinite(converted):
+                return converted
+        wanted = "a finite number"
+    elif kind == "Boolean":
+        if isinstance(value, bool | np.bool_):
+            return bool(value)
+        wanted = "True or False"
+    elif kind == "String":
+        if isinstance(value, str) and "\0" not in value and not any("\ud800" <= c <= "\udfff" for c in value):
+            return value
+        wanted = "a text without NUL or halves of characters" if isinstance(value, str) else "a text"
+    elif variable.items:
+        if isinstance(value, str) and value in dict(variable.items):
+            return dict(variable.items)[value]
+        if is_number and isinstance(value, Integral) and int(value) in dict(variable.items).values():
+            return int(value)
+        names = [f"{name!r} ({number})" for name, number in variable.items[:12]]
+        wanted = "one of " + ", ".join([*names, "..."] if len(variable.items) > 12 else names)
+    else:
+        low, high = _range(variable)
+        if is_number and isinstance(value, Integral) and low <= int(value) <= high:
+            return int(value)
+        wanted = f"a whole number from {low} to {high}"
+    raise FMUError(
+        f"{variable.name!r} of the FMU {archive.path.name} is {kind}, so it must be {wanted}, not {brief(shown)}."
+    )
+
+
+def _range(variable: FMUVariable) -> tuple[int, int]:
+    low, high = type_range(variable, 2 if variable.type in {"Integer", "Enumeration"} else 3)
+    exact = np.iinfo(variable.type.lower()) if "64" in variable.type else None  # which a double cannot hold
+    return (int(low), int(high)) if exact is None else (int(exact.min), int(exact.max))

@@ -1,0 +1,430 @@
+"""An FMU in a process of its own: what it does to that process, it does not do to this one.
+
+The process (`worker`) makes the same instance that would run here and steps it with the same functions. It is started
+anew for each instance, as a program and not by a fork, which would copy the locks of this process's threads. It ends with the
+instance, and with this process, however that ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import ctypes
+import logging
+import pickle
+import sys
+import weakref
+from collections import deque
+from collections.abc import Collection
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from bayesftc.cosim import errors
+from bayesftc.cosim.base.timebase import step_at
+from bayesftc.cosim.block import ExternalBlock
+from bayesftc.cosim.errors import FMUCrashed, FMUError
+from bayesftc.cosim.fmi.reading.archive import DESCRIPTION, Archive, extract
+from bayesftc.cosim.fmi.reading.messages import KEPT, quoted
+from bayesftc.cosim.isolation import protocol
+from bayesftc.cosim.isolation.process import Patience, WorkerProcess
+from bayesftc.cosim.isolation.settings import DEFAULT_LIMIT
+from bayesftc.cosim.isolation.spares import give, take
+from bayesftc.cosim.isolation.states import IsolatedState
+from bayesftc.cosim.types import Floats
+
+STARTING = 60.0
+"""Seconds that Python may take to start in the new process, or to load compiled code: no fault of the FMU."""
+
+_WHERE = {
+    protocol.STARTING: " while it was instantiated or initialized",
+    protocol.STEPPING: " in its step",
+    protocol.READING: " while its outputs were computed",
+}
+_WHAT = {
+    protocol.STARTING: "its instantiation or initialization",
+    protocol.STEPPING: "its step",
+    protocol.READING: "the computation of its outputs",
+}
+_ATTEND = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
+
+
+def isolated(block: ExternalBlock, archive: Archive, step: Fraction, name: str, time_limit: float | None) -> Isolated:
+    """Return a running instance of an FMU in a process of its own; see `Isolated`."""
+    extract(archive, DESCRIPTION)  # here, where no time limit and no crash leaves half of it
+    return Isolated(block, step, name, DEFAULT_LIMIT if time_limit is None else float(time_limit))
+
+
+class Isolated:
+    """A running instance of an FMU in a process of its own; see `bayesftc.cosim.block.External`.
+
+    Parameters
+    ----------
+    block : ExternalBlock
+        What to instantiate there; it is pickled.
+    step : Fraction
+        Seconds of a step.
+    name : str
+        The instance's name.
+    time_limit : float
+        Seconds that a call of the FMU may take.
+
+    Attributes
+    ----------
+    crash : FMUCrashed or None
+        Why the process is gone, if it is.
+    shared : Shared
+        The memory that it shares with this one.
+
+    Raises
+    ------
+    FMUCrashed
+        If the process dies, or has to be ended, before the instance is ready.
+    FMUError
+        If the FMU refuses to be instantiated or initialized, or this system cannot isolate.
+    """
+
+    def __init__(self, block: ExternalBlock, step: Fraction, name: str, time_limit: float):
+        self.crash: FMUCrashed | None = None
+        self._name, self._step, self._h, self._limit = name, step, float(step), time_limit
+        path = getattr(block, "path", None)
+        self._file = f" ({Path(path).name})" if path else ""
+        self._lines: deque[str] = deque(maxlen=KEPT)
+        self._interrupt: BaseException | None = None
+        self._states: weakref.WeakSet[IsolatedState] = weakref.WeakSet()
+        self._left: list[int] = []  # saved states that nobody needs any more
+        self._tokens = 0
+        self._is_ready, self._is_compiled, self._updates = False, False, block.timing != "sampled"
+        inputs, outputs = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
+        plain = copy.copy(block)
+        object.__setattr__(plain, "isolate", False)
+        self.has_ended = False
+        self._kind, self._is_closed = pickle.dumps((plain, time_limit)), False
+        spare = take(self._kind)
+        self._process = spare or WorkerProcess(inputs, outputs, min(protocol.ATTENTION, time_limit))
+        shared = self.shared = self._process.shared
+        shared.words[:] = 0
+        # From compiled code, for all that is not a plain answer; by a weak reference, so that no circle keeps the process.
+        myself = weakref.ref(self)
+        self._attend = _ATTEND(lambda a, b, c, answered, t, k: _attend(myself, answered))
+        self.table = np.array(
+            [
+                *protocol.system_functions(), self._process.steps.fileno(), shared.words.ctypes.data, inputs, outputs,
+                ctypes.cast(self._attend, ctypes.c_void_p).value, int(np.float64(self._h).view(np.int64)),
+            ],
+            dtype=np.int64,
+        )  # fmt: skip
+        try:
+            if spare is None:
+                self._reply(STARTING)
+            abilities = self._ask(plain, step, name)
+            self.can_save, self.can_resize = bool(abilities["can_save"]), bool(abilities["can_resize"])
+            self.own_inputs: dict[str, Floats] = abilities["own_inputs"]
+            self._wide: tuple[str, ...] = abilities["wide"]
+            self._is_ready = True
+        except BaseException:
+            self._process.end()
+            raise
+
+    # --- steps ----------------------------------------------------------------------------------------------------------------
+
+    @property
+    def follows(self) -> bool:
+        """Whether the FMU's process keeps to the processor of the thread that steps it."""
+        return self._is_compiled
+
+    @property
+    def output_address(self) -> int:
+        """Address of the compiled output function."""
+        return self._address("output")
+
+    @property
+    def update_address(self) -> int:
+        """Address of the compiled update function; 0 where all is done in the output function."""
+        return self._address("update") if self._updates else 0
+
+    def _address(self, role: str) -> int:
+        if not self._is_compiled and self.crash is None:
+            with contextlib.suppress(FMUCrashed):  # the run will say so
+                self._ask("compile", limit=STARTING)
+            self._is_compiled = True
+        return _compiled(role)
+
+    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.output`."""
+        words = self.shared.words
+        status = int(words[protocol.READ_STATUS]) if words[protocol.AHEAD] else self._exchange(protocol.READ, inputs, t)
+        outputs[:] = self.shared.outputs
+        return status
+
+    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.update`."""
+        return self._exchange(protocol.STEP, inputs, t) if self._updates else 0
+
+    def _exchange(self, command: int, inputs: Floats, t: float) -> int:
+        """Do what `kernels` does, in Python."""
+        shared = self.shared
+        shared.inputs[:] = inputs
+        shared.time[0], shared.size[0] = t, self._h
+        shared.words[protocol.COUNT] = step_at(t, self._step)
+        shared.words[protocol.PHASE] = protocol.ASKED
+        self._order(command)
+        status = self.attend(0)
+        self._raise_interrupt()
+        return status
+
+    @property
+    def rounding(self) -> Isolated:
+        """See `bayesftc.cosim.fmi.running.rounding.Roundable`: itself, for it asks the FMU's process."""
+        return self
+
+    @property
+    def wide_outputs(self) -> tuple[str, ...]:
+        """See `bayesftc.cosim.fmi.running.rounding.Roundable.wide_outputs`."""
+        return self._wide
+
+    def let_round(self, names: Collection[str]) -> None:
+        """See `bayesftc.cosim.fmi.running.rounding.Roundable.let_round`."""
+        self._ask("let_round", tuple(names))
+
+    def rounded_outputs(self) -> tuple[str, ...]:
+        """See `bayesftc.cosim.fmi.running.rounding.Roundable.rounded_outputs`; nothing is known of a process that has crashed."""
+        over = self.crash is not None or self._is_closed or self._process.is_over
+        found: tuple[str, ...] = () if over else self._ask("rounded")
+        return found
+
+    #: See `bayesftc.cosim.block.VariableStep`.
+    step_word = 8
+
+    def resize(self, h: float) -> None:
+        """Make steps of `h` seconds from now on, in interpreted runs."""
+        self._h = h
+
+    def expect_return(self) -> None:
+        """See `bayesftc.cosim.block.External.expect_return`."""
+        self._ask("expect_return")
+
+    def _order(self, command: int) -> None:
+        self.shared.words[protocol.COMMAND] = command
+        with contextlib.suppress(OSError):  # it has died, as whoever waits for the answer will see
+            self._process.steps.send(command.to_bytes(protocol.MESSAGE, sys.byteorder))
+
+    def attend(self, answered: int) -> int:
+        """Wait for the answer to a command unless it came, with an eye on all else; return its status."""
+        words = self.shared.words
+        try:
+            if answered != protocol.MESSAGE:
+                self._await_answer()
+            if words[protocol.PHASE] != protocol.IDLE:
+                self._process.kill()
+                self._note_crash("was ended, for it has written into the connections that its process answers through.")
+                self._die()
+            if words[protocol.LOGGED]:
+                words[protocol.LOGGED] = 0
+                while self._process.talk.poll(0):
+                    self._note()
+        except FMUCrashed:
+            if words[protocol.COMMAND] == protocol.STEP and words[protocol.PHASE] == protocol.READING:
+                # The step was made; it is the outputs at its end that cannot be had, as they are asked for.
+                words[protocol.AHEAD], words[protocol.READ_STATUS] = 1, protocol.CRASHED
+                return 0
+            return protocol.CRASHED
+        except BaseException as error:  # noqa: BLE001 - it would be lost in compiled code: `explain` raises it
+            self._interrupt = error
+            return protocol.INTERRUPTED
+        return int(words[protocol.STATUS])
+
+    def _await_answer(self) -> None:
+        if self.crash is not None:
+            self._die()
+        process, patience = self._process, Patience(self._process, self._limit)
+        while True:
+            ready = patience.wait()
+            if process.steps in ready:
+                with contextlib.suppress(OSError):
+                    if process.steps.recv(protocol.MESSAGE):
+                        return
+                self._bury()
+            if process.talk in ready:
+                self._note()
+            elif not ready:
+                self._overdue(self._limit)
+
+    # --- all else -------------------------------------------------------------------------------------------------------------
+
+    def explain(self, status: int) -> str:
+        """Return what a status means, with the instance's last messages."""
+        if status == protocol.INTERRUPTED and self._interrupt is None:
+            self._interrupt = KeyboardInterrupt()
+        self._raise_interrupt()
+        self.has_ended = False
+        try:
+            text, self.has_ended = self._ask("explain", status)
+        except FMUCrashed as crash:
+            return str(crash)
+        return str(text)
+
+    def save(self) -> IsolatedState:
+        """See `bayesftc.cosim.block.External.save`."""
+        self._sweep()
+        self._tokens += 1
+        self._ask("save", self._tokens)
+        state = IsolatedState(self, self._tokens)
+        self._states.add(state)
+        return state
+
+    def restore(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.restore`."""
+        self._sweep()
+        if isinstance(saved, IsolatedState) and saved.owner is self:
+            self._ask("restore", saved.token)
+        else:
+            self._ask("restore", pickle.dumps(saved))
+
+    def forget(self, saved: object) -> None:
+        """See `bayesftc.cosim.block.External.forget`."""
+        if isinstance(saved, IsolatedState) and saved.owner is self:
+            self._states.discard(saved)
+            saved.owner = None
+            self._left.append(saved.token)
+            self._sweep()
+
+    def pickled(self, token: int) -> bytes:
+        """Return a saved state as it pickles in the FMU's process."""
+        return bytes(self._ask("pickle", token))
+
+    def leave(self, token: int) -> None:
+        """Note a saved state that nobody needs any more; it is forgotten when the FMU is called next."""
+        self._left.append(token)
+
+    def _sweep(self) -> None:
+        while self._left:
+            self._ask("forget", self._left.pop())
+
+    def close(self) -> None:
+        """Free the instance and end its process, or leave it to the next one."""
+        if self._is_closed or self._process.is_over:
+            return
+        is_sound = False
+        try:
+            if self.crash is None and self._is_ready:
+                for state in tuple(self._states):
+                    state.detach()
+                self._ask("close")
+                is_sound = self.crash is None
+        except FMUCrashed as crash:
+            logging.getLogger("bayesftc.fmu").warning("%s: while it was freed: %s", self._name, str(crash))
+        except FMUError:
+            pass  # it is over either way, and the results stand
+        finally:
+            self._is_closed = True
+            if not (is_sound and give(self._kind, self._process)):
+                self._process.end()
+
+    def _ask(self, *request: Any, limit: float | None = None) -> Any:
+        """Have something done in the other process, and return what it returns."""
+        if self.crash is not None:
+            self._die()
+        if self._is_closed or self._process.is_over:
+            raise FMUError(f"The instance {self._name!r} is closed.")
+        try:
+            if self._is_ready:  # before, it waits for requests alone
+                self._order(protocol.TALK)
+            with contextlib.suppress(OSError):  # it has died, as is seen at once
+                self._process.talk.send(request)
+            return self._reply(self._limit if limit is None else limit)
+        except errors.BayesFTCError:
+            raise
+        except BaseException:  # the next request would take the answer to this one for its own
+            self._process.kill()
+            self._note_crash("was ended, for Ctrl-C came while it was asked for something.")
+            raise
+
+    def _reply(self, limit: float) -> Any:
+        process, patience = self._process, Patience(self._process, limit)
+        while True:
+            ready = patience.wait()
+            if process.talk in ready:
+                message = self._note()
+                if message is None:
+                    continue
+                if message[0] == "refused":
+                    raise getattr(errors, message[1])(message[2])
+                return message[1]
+            if not ready:
+                self._overdue(limit)
+            self._bury()  # nothing but its end comes over the other socket now
+
+    def _note(self) -> tuple[Any, ...] | None:
+        """Take one message from the other process; return it, unless it was of something logged, which is logged here."""
+        try:
+            message: tuple[Any, ...] = self._process.talk.recv()
+            if message[0] != "log":
+                return message
+            _, logger, level, text, line = message
+        except Exception:  # noqa: BLE001 - it is closed, or the FMU has written into it: that may be anything
+            self._bury()
+        if line is not None:
+            self._lines.append(line)
+        logging.getLogger(logger).log(level, "%s", text)
+        return None
+
+    def _bury(self) -> NoReturn:
+        """Say what has become of a process that is gone."""
+        if self._process.is_anothers:
+            self._note_crash("belongs to the process that this one was forked from; begin a new run here.")
+            self._die()
+        with contextlib.suppress(Exception):
+            while self._process.talk.poll(0):  # its last words
+                message = self._process.talk.recv()
+                if message[0] == "log" and message[4] is not None:
+                    self._lines.append(message[4])
+        self._note_crash(f"crashed{_WHERE.get(self._phase, '')}: {self._process.obituary()}.")
+        self._die()
+
+    def _overdue(self, limit: float) -> NoReturn:
+        self._process.kill()
+        what = _WHAT.get(self._phase, "a call")
+        self._note_crash(
+            f"was ended, for {what} took more than {limit:g} s; if it needs longer, give a larger time_limit."
+        )
+        self._die()
+
+    def _note_crash(self, what: str) -> None:
+        lines = tuple(self._lines)
+        self.crash = FMUCrashed(f"The FMU of {self._name!r}{self._file} {what} {quoted(lines)}", log=lines)
+
+    def _die(self) -> NoReturn:
+        # Another one each time: the traceback of what is raised would keep this instance alive through its own attribute.
+        assert self.crash is not None
+        raise FMUCrashed(str(self.crash), log=self.crash.log)
+
+    @property
+    def _phase(self) -> int:
+        return int(self.shared.words[protocol.PHASE])
+
+    def _raise_interrupt(self) -> None:
+        error, self._interrupt = self._interrupt, None
+        if error is not None:
+            self._process.kill()  # nobody waits for the answer any more
+            self._note_crash("was ended, for Ctrl-C came in the middle of its step.")
+            raise error
+
+
+@cache
+def _compiled(role: str) -> int:
+    from bayesftc.cosim.isolation import kernels
+    from bayesftc.cosim.stepping.compiler import compile_raw
+
+    function: Any = getattr(kernels, role)
+    return int(compile_raw(function).address or 0)
+
+
+def _attend(instance: weakref.ref[Isolated], answered: int) -> int:
+    running = instance()
+    if running is not None:
+        running.shared.words[protocol.RESULT] = running.attend(answered)
+    return 0

@@ -1,0 +1,171 @@
+"""Both ends of the way to an isolated FMU, compiled: one round trip over a socket takes a step.
+
+The host's three functions have the engine's signature and find at the address ``parameters`` the words named below; the worker's
+one, `serve`, answers steps until something else is asked for.
+"""
+
+# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy: disable-error-code="call-arg, var-annotated"
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from bayesftc.cosim.fmi.running.kernels import number, word
+from bayesftc.cosim.isolation import protocol
+from bayesftc.cosim.stepping.by_address import call_block
+from bayesftc.cosim.stepping.numba_called import inlined
+
+# Words of the host's table.
+SEND, RECEIVE, WHERE, SOCKET, SHARED, INPUT_COUNT, OUTPUT_COUNT, ATTEND, STEP_SIZE = range(9)
+
+# Words of the worker's table; the first six are the same.
+UPDATE, OUTPUT, TABLE, READS_AHEAD, NUMERATOR, DENOMINATOR, STEP_WORD, FOLLOWS = range(6, 14)
+
+COMMAND, ANSWER, STATUS, RESULT = protocol.COMMAND, protocol.ANSWER, protocol.STATUS, protocol.RESULT
+AHEAD, READ_STATUS, LOGGED, PHASE = protocol.AHEAD, protocol.READ_STATUS, protocol.LOGGED, protocol.PHASE
+TIME, SIZE, COUNT = protocol.TIME, protocol.SIZE, protocol.COUNT
+HEADER, MESSAGE = protocol.WORDS, protocol.MESSAGE
+READ, STEP = protocol.READ, protocol.STEP
+IDLE, STEPPING, READING, ASKED = protocol.IDLE, protocol.STEPPING, protocol.READING, protocol.ASKED
+PROCESSOR, INTERRUPTED = protocol.PROCESSOR, protocol.INTERRUPTED
+GONE, SIGNALLED, PAUSED, ELSEWHERE = protocol.GONE, protocol.SIGNALLED, protocol.PAUSED, protocol.ELSEWHERE
+PAUSE = protocol.PAUSE
+NO_SIGNAL = 0x4000
+"""MSG_NOSIGNAL of Linux: that the other process is gone is an answer, not a signal."""
+
+_I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
+
+
+@intrinsic
+def transfer(typingctx, function, socket, address, count, flags):
+    """ssize_t (*)(int, void *, size_t, int): send and recv."""
+
+    def codegen(context, builder, signature, args):
+        kind = ir.FunctionType(_I64, [_I32, _I64, _I64, _I32])
+        socket, flags = (builder.trunc(args[i], _I32) for i in (1, 4))
+        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), [socket, args[2], args[3], flags])
+
+    return types.int64(*[types.int64] * 5), codegen
+
+
+@intrinsic
+def processor(typingctx, function):
+    """Call ``int (*)(void)``: sched_getcpu."""
+
+    def codegen(context, builder, signature, args):
+        return builder.call(builder.inttoptr(args[0], ir.FunctionType(_I32, []).as_pointer()), [])
+
+    return types.int32(types.int64), codegen
+
+
+def _place(builder, args, kind):
+    place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+    return builder.inttoptr(place, kind.as_pointer())
+
+
+@intrinsic
+def set_word(typingctx, address, index, value):
+    """Store the 64-bit integer number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        builder.store(args[2], _place(builder, args, _I64))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
+def set_number(typingctx, address, index, value):
+    """Store the double number `index` of those that begin at an address."""
+
+    def codegen(context, builder, signature, args):
+        builder.store(args[2], _place(builder, args, _DOUBLE))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.float64), codegen
+
+
+@inlined
+def _exchange(command, parameters, inputs, t, k):
+    shared = word(parameters, SHARED)
+    for i in range(word(parameters, INPUT_COUNT)):
+        set_number(shared, HEADER + i, number(inputs, i))
+    set_number(shared, TIME, t)
+    set_number(shared, SIZE, number(parameters, STEP_SIZE))
+    set_word(shared, COUNT, k)
+    set_word(shared, PROCESSOR, processor(word(parameters, WHERE)))
+    set_word(shared, PHASE, ASKED)
+    set_word(shared, COMMAND, command)
+    socket = word(parameters, SOCKET)
+    answered = 0
+    if transfer(word(parameters, SEND), socket, shared + 8 * COMMAND, MESSAGE, NO_SIGNAL) == MESSAGE:
+        answered = transfer(word(parameters, RECEIVE), socket, shared + 8 * ANSWER, MESSAGE, 0)
+    if answered != MESSAGE or word(shared, LOGGED) != 0 or word(shared, PHASE) != IDLE:
+        set_word(shared, RESULT, INTERRUPTED)  # stands if Ctrl-C comes before the callback can say anything
+        call_block(word(parameters, ATTEND), 0, 0, 0, answered, t, k)
+        return word(shared, RESULT)
+    return word(shared, STATUS)
+
+
+def output(state, parameters, inputs, outputs, t, k):
+    """Copy the outputs that came with the step before; where none did, have them computed."""
+    shared = word(parameters, SHARED)
+    if word(shared, AHEAD) != 0:
+        status = word(shared, READ_STATUS)
+    else:
+        status = _exchange(READ, parameters, inputs, t, k)
+    begin = HEADER + word(parameters, INPUT_COUNT)
+    for i in range(word(parameters, OUTPUT_COUNT)):
+        set_number(outputs, i, number(shared, begin + i))
+    return status
+
+
+def update(state, parameters, inputs, outputs, t, k):
+    """Have a step made."""
+    return _exchange(STEP, parameters, inputs, t, k)
+
+
+def serve(state, parameters, inputs, outputs, t, k):
+    """Do what the host says; return a command that is neither of these, or why it returns without one."""
+    shared, socket, table = word(parameters, SHARED), word(parameters, SOCKET), word(parameters, TABLE)
+    send, receive = word(parameters, SEND), word(parameters, RECEIVE)
+    make_step, compute, ahead = word(parameters, UPDATE), word(parameters, OUTPUT), word(parameters, READS_AHEAD)
+    numerator, denominator = word(parameters, NUMERATOR), word(parameters, DENOMINATOR)
+    own_size, step_word = numerator / denominator, word(parameters, STEP_WORD)
+    where, follows = word(parameters, WHERE), word(parameters, FOLLOWS)
+    u = shared + 8 * HEADER
+    y = u + 8 * word(parameters, INPUT_COUNT)
+    for _ in range(PAUSE):
+        got = transfer(receive, socket, shared + 8 * COMMAND, MESSAGE, 0)
+        if got != MESSAGE:
+            return GONE if got == 0 else SIGNALLED
+        command = word(shared, COMMAND)
+        instant, count = number(shared, TIME), word(shared, COUNT)
+        if command == READ:
+            set_word(shared, PHASE, READING)
+            status = call_block(compute, 0, table, u, y, instant, count)
+        elif command == STEP:
+            set_word(shared, AHEAD, 0)
+            set_word(shared, PHASE, STEPPING)
+            size = number(shared, SIZE)
+            if step_word != 0:
+                set_number(table, step_word, size)
+            status = call_block(make_step, 0, table, u, y, instant, count)
+            if status == 0 and ahead != 0:
+                set_word(shared, PHASE, READING)
+                if size == own_size and instant == count * numerator / denominator:
+                    instant = (count + 1) * numerator / denominator  # the engine's own next instant, to the last bit
+                else:
+                    instant = instant + size
+                set_word(shared, READ_STATUS, call_block(compute, 0, table, u, y, instant, count + 1))
+                set_word(shared, AHEAD, 1)
+        else:
+            return command
+        set_word(shared, STATUS, status)
+        set_word(shared, PHASE, IDLE)
+        if transfer(send, socket, shared + 8 * STATUS, MESSAGE, NO_SIGNAL) != MESSAGE:
+            return GONE
+        if follows != 0 and word(shared, PROCESSOR) != processor(where):
+            return ELSEWHERE
+    return PAUSED

@@ -1,0 +1,317 @@
+"""The process of an isolated FMU: makes the instance that would run in the host, and steps it when told to.
+
+It dies with its host, whatever the FMU is doing then: the kernel kills it when the other end of a pipe is closed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import logging
+import os
+import pickle
+import select
+import socket
+import threading
+import time
+import traceback
+from contextlib import suppress
+from fractions import Fraction
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from bayesftc.cosim.base.processes import begin
+from bayesftc.cosim.block import External, ExternalBlock
+from bayesftc.cosim.errors import BayesFTCError, FMUError
+from bayesftc.cosim.fmi.reading import messages
+from bayesftc.cosim.isolation import protocol
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.block import VariableStep
+
+_LOST = {errno.EPIPE, errno.ECONNRESET, errno.EBADF, errno.ENOTSOCK}
+
+LINE_BUFFERED = 1
+"""C's _IOLBF."""
+
+HEARING = 1.0
+"""Seconds for what an FMU has printed to be logged once it is freed; one that prints without an end is not waited for."""
+
+QUICK = 2e-4
+"""Seconds for a step and all that the host does in between, up to which the FMU's process keeps to the host's processor."""
+
+
+def main(*descriptors: str) -> None:
+    """Serve one FMU over the descriptors that the host has opened."""
+    lifeline, memory, step_socket, connection = map(int, descriptors)
+    begin(lifeline, memory, step_socket, connection)
+    talk = Connection(connection)
+    steps = socket.socket(fileno=step_socket)
+    status = 0
+    try:
+        import bayesftc.cosim.fmi.fmu  # noqa: F401 - what takes time is not the FMU's fault
+
+        talk.send(("done", None))
+        status = _Worker(memory, steps, talk, *talk.recv()).run()
+    except BaseException as error:  # noqa: BLE001 - the host is to know what went wrong here, whatever it is
+        if isinstance(error, EOFError) or (isinstance(error, OSError) and error.errno in _LOST):
+            status = protocol.LOST
+        else:
+            traceback.print_exc()
+            status = 70
+    os._exit(status)  # what the FMU's library does at a regular exit could hang
+
+
+class _Forward(logging.Handler):
+    """Sends what is logged to the host."""
+
+    def __init__(self, talk: Connection, shared: protocol.Shared):
+        super().__init__()
+        self._talk, self._shared = talk, shared
+
+    def emit(self, record: logging.LogRecord) -> None:
+        is_line = record.name == messages.logger.name and isinstance(record.args, tuple) and len(record.args) == 2
+        line = record.args[1] if is_line else None  # type: ignore[index]
+        self.send(("log", record.name, record.levelno, record.getMessage(), line))
+        self._shared.words[protocol.LOGGED] = 1  # the host looks when the step is done
+
+    def send(self, message: tuple[Any, ...]) -> None:
+        """Send a message, whole: an FMU may log from threads of its own while an answer is on its way."""
+        self.acquire()
+        try:
+            self._talk.send(message)
+        finally:
+            self.release()
+
+
+def _caught_output() -> int:
+    """Lead what is printed in this process, in whatever language, into a pipe; return its other end."""
+    reading, writing = os.pipe()
+    for descriptor in (1, 2):
+        os.dup2(writing, descriptor)
+    os.close(writing)
+    with suppress(OSError, ValueError):  # C would keep whole pages for a pipe, and lose them where the FMU crashes
+        here = ctypes.CDLL(None)
+        here.setvbuf(ctypes.c_void_p.in_dll(here, "stdout"), None, LINE_BUFFERED, 0)
+    return reading
+
+
+class _Worker:
+    """One instance and the loop that steps it."""
+
+    def __init__(
+        self,
+        memory: int,
+        steps: socket.socket,
+        talk: Connection,
+        block: ExternalBlock,
+        step: Fraction,
+        name: str,
+    ):
+        self._steps, self._talk = steps, talk
+        self._block, self._step, self._name = block, step, name
+        counts = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
+        self._shared = protocol.Shared(memory, *counts)
+        self._shared.keep_from_children()
+        self._reads_ahead = block.timing == "plant"
+        self._serve: Any = None
+        self._saved: dict[int, Any] = {}
+        self._instance: External | None = None
+        log = logging.getLogger("bayesftc")
+        log.setLevel(logging.DEBUG)
+        log.propagate = False
+        self._forward = _Forward(talk, self._shared)
+        log.addHandler(self._forward)
+        self._printed, self._overhearing = _caught_output(), threading.Lock()
+        self._listener = threading.Thread(target=self._overhear, daemon=True)
+        self._listener.start()
+
+    def _overhear(self) -> None:
+        """Log what the FMU prints, line by line, until it closes its output."""
+        rest = b""
+        while self._is_printed(wait=None):
+            with self._overhearing:
+                piece = os.read(self._printed, messages.LENGTH)
+                if not piece:
+                    return
+                *lines, rest = (rest + piece).split(b"\n")
+                if len(rest) >= messages.LENGTH:
+                    lines, rest = [*lines, rest], b""
+                for line in lines:
+                    messages.logger.info("%s: %s", self._name, line.decode("utf-8", errors="replace").rstrip())
+
+    def _hear_out(self) -> None:
+        """Wait until all that the FMU has printed is logged: the thread that does so may be late on a busy machine."""
+        end = time.monotonic() + HEARING
+        while self._listener.is_alive() and time.monotonic() < end:
+            with self._overhearing:
+                if not self._is_printed(wait=0):
+                    return
+            time.sleep(0.001)
+
+    def _is_printed(self, wait: float | None) -> bool:
+        with suppress(OSError, ValueError):  # an FMU may close what is not its own
+            return bool(select.select([self._printed], [], [], wait)[0])
+        return False
+
+    def run(self) -> int:
+        """Answer until the host has gone, which ends this process when it needs it no more; return the exit code."""
+        everywhere = os.sched_getaffinity(0)
+        while True:
+            self._answer(self._open)
+            while self._instance is not None:
+                command = self._serve() if self._serve else self._step_once()
+                if command == protocol.TALK:
+                    what, *arguments = self._talk.recv()
+                    self._answer(getattr(self, f"_do_{what}"), *arguments)
+                elif command == protocol.GONE:
+                    return protocol.LOST
+            self._block, self._step, self._name = self._talk.recv()  # the next instance, of the same FMU
+            self._serve, self._saved = None, {}
+            os.sched_setaffinity(0, everywhere)
+
+    def _answer(self, function: Any, *arguments: Any) -> None:
+        message: tuple[Any, ...]
+        try:
+            message = "done", function(*arguments)
+        except BayesFTCError as error:
+            message = "refused", type(error).__name__, str(error)
+        self._forward.send(message)
+
+    def _open(self) -> dict[str, Any]:
+        words = self._shared.words
+        words[protocol.PHASE] = protocol.STARTING
+        instance = self._instance = self._block.instantiate(self._step, self._name)
+        words[protocol.PHASE] = protocol.IDLE
+        can_resize = bool(getattr(instance, "can_resize", False)) and getattr(instance, "step_word", 0) > 0
+        own = getattr(instance, "own_inputs", {})
+        rounding = getattr(instance, "rounding", None)
+        wide = rounding.wide_outputs if rounding is not None else ()
+        return {"can_save": instance.can_save, "can_resize": can_resize, "own_inputs": own, "wide": wide}
+
+    def _step_once(self) -> int:
+        """Do what `kernels.serve` does, in Python and for one command."""
+        if not self._steps.recv(protocol.MESSAGE):
+            return 0
+        shared, instance = self._shared, self._running
+        words = shared.words
+        command, t = int(words[protocol.COMMAND]), float(shared.time[0])
+        if command == protocol.READ:
+            words[protocol.PHASE] = protocol.READING
+            status = instance.output(shared.inputs, shared.outputs, t)
+        elif command == protocol.STEP:
+            words[protocol.AHEAD] = 0
+            words[protocol.PHASE] = protocol.STEPPING
+            size = float(shared.size[0])
+            if getattr(instance, "step_word", 0) > 0:
+                cast("VariableStep", instance).resize(size)
+            status = instance.update(shared.inputs, shared.outputs, t)
+            if status == 0 and self._reads_ahead:
+                words[protocol.PHASE] = protocol.READING
+                words[protocol.READ_STATUS] = instance.output(shared.inputs, shared.outputs, self._end(t, size))
+                words[protocol.AHEAD] = 1
+        else:
+            return command
+        words[protocol.STATUS] = status
+        words[protocol.PHASE] = protocol.IDLE
+        self._steps.send(bytes(protocol.MESSAGE))
+        return command
+
+    def _end(self, t: float, size: float) -> float:
+        """Return when a step ends: at the engine's own next instant, to the last bit, if it is no part of a step."""
+        k, numerator, denominator = (
+            int(self._shared.words[protocol.COUNT]),
+            self._step.numerator,
+            self._step.denominator,
+        )
+        if size == numerator / denominator and t == k * numerator / denominator:
+            return (k + 1) * numerator / denominator
+        return t + size
+
+    def _do_compile(self) -> None:
+        """Step in compiled code from now on."""
+        self._serve = _CompiledLoop(self._running, self._shared, self._steps, self._step, self._reads_ahead)
+
+    def _do_expect_return(self) -> None:
+        self._running.expect_return()
+
+    def _do_let_round(self, names: tuple[str, ...]) -> None:
+        self._running.rounding.let_round(names)  # type: ignore[attr-defined]
+
+    def _do_rounded(self) -> tuple[str, ...]:
+        names: tuple[str, ...] = self._running.rounding.rounded_outputs()  # type: ignore[attr-defined]
+        return names
+
+    def _do_explain(self, status: int) -> tuple[str, bool]:
+        if self._instance is None:
+            return "", False
+        return self._instance.explain(status), self._instance.has_ended
+
+    def _do_close(self) -> None:
+        instance, self._instance = self._instance, None
+        if instance is not None:
+            instance.close()
+            self._hear_out()
+
+    def _do_save(self, token: int) -> None:
+        self._saved[token] = self._running.save()
+
+    def _do_restore(self, state: int | bytes) -> None:
+        self._running.restore(self._saved[state] if isinstance(state, int) else pickle.loads(state))
+        self._shared.words[protocol.AHEAD] = 0
+
+    def _do_forget(self, token: int) -> None:
+        self._running.forget(self._saved.pop(token))
+
+    def _do_pickle(self, token: int) -> bytes:
+        return pickle.dumps(self._saved[token])
+
+    @property
+    def _running(self) -> External:
+        if self._instance is None:
+            raise FMUError(f"The instance {self._name!r} is closed.")
+        return self._instance
+
+
+class _CompiledLoop:
+    """The compiled loop over commands, which keeps to the processor that the host runs on.
+
+    Host and FMU take turns, so that a second processor is of no use to them; and to wake a process on another one, which is
+    asleep by then, takes many times what a step of most FMUs takes. An FMU whose steps take longer is left where it is, for
+    it may have threads of its own.
+    """
+
+    def __init__(
+        self, instance: External, shared: protocol.Shared, steps: socket.socket, step: Fraction, reads_ahead: bool
+    ):
+        from bayesftc.cosim.isolation import kernels
+        from bayesftc.cosim.stepping.compiler import compile_raw
+
+        words = [
+            *protocol.system_functions(), steps.fileno(), shared.words.ctypes.data, shared.inputs.size,
+            instance.update_address, instance.output_address, instance.table.ctypes.data, reads_ahead,
+            step.numerator, step.denominator, getattr(instance, "step_word", 0), 0,
+        ]  # fmt: skip
+        self._table = np.array(words, dtype=np.int64)
+        function: Any = kernels.serve
+        i64 = ctypes.c_int64
+        compiled = compile_raw(function)
+        self._entry = ctypes.CFUNCTYPE(ctypes.c_int32, i64, i64, i64, i64, ctypes.c_double, i64)(compiled.address or 0)
+        self._shared, self._everywhere, self._paused = shared, os.sched_getaffinity(0), time.monotonic()
+
+    def __call__(self) -> int:
+        """Work until something comes that is no step; return the command, or why there is none."""
+        while True:
+            reason: int = self._entry(0, self._table.ctypes.data, 0, 0, 0.0, 0)
+            if reason == protocol.ELSEWHERE:
+                os.sched_setaffinity(0, {int(self._shared.words[protocol.PROCESSOR])})
+            elif reason == protocol.PAUSED:
+                now = time.monotonic()
+                is_quick = now - self._paused < QUICK * protocol.PAUSE
+                if not is_quick and self._table[-1]:
+                    os.sched_setaffinity(0, self._everywhere)
+                self._table[-1], self._paused = is_quick, now
+            elif reason != protocol.SIGNALLED:
+                return reason

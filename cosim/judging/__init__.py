@@ -1,0 +1,1 @@
+"""How good a run was: errors, alarms, probabilities, and the figures that show it."""

@@ -1,0 +1,338 @@
+"""A detector at a threshold: when it alarms, how late, what it misses, and how often it is wrong.
+
+- An *alarm* lasts for an unbroken run of samples whose score is at least the threshold; it *begins* with the first of them.
+- A *false alarm* is an alarm that begins in a fault-free sample. It counts once, however long it lasts. An alarm that begins
+  during a fault and outlasts it is no false alarm; `Alarms.false_share`, the share of the fault-free time in which there is an
+  alarm, tells how long such last.
+- A *fault* is an unbroken run of samples in which it is present. Its *delay* is the number of samples from its first one to its
+  first one with an alarm: 0 if the very first has one. A fault without any is *missed*, and its delay infinite, so that
+  quantiles are of all faults and not of the easy ones.
+- A sample whose score is missing (NaN) is left out, as if there had been none; a fault of which all are counts in no figure.
+
+Rates are per hour of one sensor: two sensors for one hour make two hours. As in `bayesftc.cosim.judging.metrics`, a figure is NaN where
+it is not defined. Intervals take faults and false alarms for independent of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.metrics import NAN, periods, without_nan
+from bayesftc.cosim.judging.signals import Flags
+from bayesftc.cosim.types import Floats
+
+HOUR = 3600.0
+LEVEL = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Alarms:
+    """The alarms of a detector, see the module's text for the definitions; made by `judge_alarms`. The sum pools records.
+
+    Attributes
+    ----------
+    step : float
+        Sample time in seconds.
+    delays : ndarray of shape (faults,)
+        Delay of each fault in samples, infinite if it was missed.
+    false_alarms : int
+        Number of false alarms.
+    hours : float
+        Fault-free time, of all sensors together.
+    false_hours : float
+        How much of it had an alarm.
+    """
+
+    step: float
+    delays: Floats = field(repr=False)
+    false_alarms: int
+    hours: float
+    false_hours: float
+
+    def __add__(self, other: Alarms) -> Alarms:
+        """Return the alarms of both records."""
+        if not isinstance(other, Alarms):
+            return NotImplemented
+        if other.step != self.step:
+            raise ModelError(
+                f"Alarms at a sample time of {self.step:g} s cannot be pooled with some at {other.step:g} s."
+            )
+        return Alarms(
+            self.step,
+            np.concatenate([self.delays, other.delays]),
+            self.false_alarms + other.false_alarms,
+            self.hours + other.hours,
+            self.false_hours + other.false_hours,
+        )
+
+    @property
+    def faults(self) -> int:
+        """Number of faults."""
+        return len(self.delays)
+
+    @property
+    def missed(self) -> int:
+        """Number of faults without an alarm."""
+        return int(np.isinf(self.delays).sum())
+
+    @property
+    def missed_share(self) -> float:
+        """Share of the faults without an alarm."""
+        return self.missed / self.faults if self.faults else NAN
+
+    @property
+    def false_share(self) -> float:
+        """Share of the fault-free time with an alarm."""
+        return self.false_hours / self.hours if self.hours else NAN
+
+    @property
+    def false_alarms_per_hour(self) -> float:
+        """False alarms per hour of one sensor."""
+        return self.false_alarms / self.hours if self.hours else NAN
+
+    @property
+    def time_between_false_alarms(self) -> float:
+        """Mean time between false alarms of one sensor in seconds; NaN if there was none."""
+        return self.hours * HOUR / self.false_alarms if self.false_alarms else NAN
+
+    def delay(self, quantile: float = 0.5) -> float:
+        """Return a quantile of the delay in samples, over all faults; NaN where it falls on those that were missed.
+
+        Parameters
+        ----------
+        quantile : float
+            Between 0 and 1; the least delay that this share of the faults does not exceed.
+        """
+        if not self.faults:
+            return NAN
+        value = np.quantile(self.delays, quantile, method="inverted_cdf")
+        return float(value) if np.isfinite(value) else NAN
+
+    def delay_interval(self, quantile: float = 0.5, level: float = LEVEL) -> tuple[float, float]:
+        """Return the confidence interval of a quantile of the delay in samples, whatever the distribution; inf means missed.
+
+        By the order statistics between which the quantile lies with at least this probability (David and Nagaraja 2003, section
+        7.1).
+
+        Parameters
+        ----------
+        quantile : float
+            Between 0 and 1.
+        level : float
+            Probability that the interval covers the quantile.
+        """
+        from scipy.special import bdtr
+
+        if not self.faults:
+            return NAN, NAN
+        below = bdtr(
+            np.arange(self.faults + 1), self.faults, quantile
+        )  # at most k of the delays lie below the quantile
+        first = int(np.searchsorted(below, (1.0 - level) / 2, side="right"))
+        last = int(np.searchsorted(below, (1.0 + level) / 2, side="left")) + 1
+        ordered = np.concatenate([[0.0], np.sort(self.delays), [np.inf]])
+        return float(ordered[first]), float(ordered[min(last, self.faults + 1)])
+
+    def missed_interval(self, level: float = LEVEL) -> tuple[float, float]:
+        """Return the exact confidence interval of the share of missed faults (Clopper and Pearson 1934).
+
+        Parameters
+        ----------
+        level : float
+            Probability that the interval covers the share.
+        """
+        from scipy.special import betaincinv
+
+        n, k, tail = self.faults, self.missed, (1.0 - level) / 2
+        if not n:
+            return NAN, NAN
+        low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
+        return low, float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
+
+    def rate_interval(self, level: float = LEVEL) -> tuple[float, float]:
+        """Return the exact confidence interval of the false alarms per hour (Garwood 1936).
+
+        Parameters
+        ----------
+        level : float
+            Probability that the interval covers the rate.
+        """
+        from scipy.special import gammaincinv
+
+        k, tail = self.false_alarms, (1.0 - level) / 2
+        if not self.hours:
+            return NAN, NAN
+        low = float(gammaincinv(k, tail)) if k else 0.0
+        return low / self.hours, float(gammaincinv(k + 1, 1.0 - tail)) / self.hours
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all figures as plain data for a JSON file, with 95 % intervals; NaN and infinity become None."""
+        median, ninety = self.delay(0.5), self.delay(0.9)
+        plain: dict[str, Any] = without_nan(
+            {
+                "faults": self.faults,
+                "missed": self.missed,
+                "missed_share": self.missed_share,
+                "missed_ci": self.missed_interval(),
+                "delay_samples": {"median": median, "ci": self.delay_interval(), "quantile_90": ninety},
+                "delay_seconds": {"median": median * self.step, "quantile_90": ninety * self.step},
+                "false_alarms": self.false_alarms,
+                "fault_free_hours": self.hours,
+                "false_alarms_per_hour": self.false_alarms_per_hour,
+                "false_alarms_per_hour_ci": self.rate_interval(),
+                "seconds_between_false_alarms": self.time_between_false_alarms,
+                "false_share": self.false_share,
+            }
+        )
+        return plain
+
+
+def judge_alarms(
+    score: ArrayLike, faulty: ArrayLike, *, threshold: float, step: float, left_out: ArrayLike | None = None
+) -> Alarms:
+    """Return how the faults of a record are seen by alarms at a threshold.
+
+    Parameters
+    ----------
+    score : array_like of shape (steps,) or (steps, sensors)
+        What is the higher the more a sample looks faulty: a fault probability, its log odds, a residual; NaN where missing.
+    faulty : array_like of bool of the same shape
+        The truth.
+    threshold : float
+        A sample has an alarm if its score is at least this.
+    step : float
+        Sample time in seconds.
+    left_out : array_like of bool of the same shape, optional
+        Samples that are neither faulty nor fault-free, such as those of another kind of fault than the one that is judged.
+
+    Raises
+    ------
+    ModelError
+        If the shapes do not agree, the threshold is NaN, or the sample time is not positive.
+    """
+    values = _columns("score", score, np.float64)
+    truth = _columns("faulty", faulty, np.bool_)
+    other = np.zeros_like(truth) if left_out is None else _columns("left_out", left_out, np.bool_)
+    for name, given in (("faulty", truth), ("left_out", other)):
+        if given.shape != values.shape:
+            raise ModelError(f"judge_alarms has a score of shape {values.shape} and {name} of shape {given.shape}.")
+    if np.isnan(threshold):
+        raise ModelError("judge_alarms has threshold=nan; give the least score of an alarm.")
+    pieces = [_of_sensor(*column, float(threshold), _seconds(step)) for column in zip(values.T, truth.T, other.T)]
+    total = pieces[0]
+    for piece in pieces[1:]:
+        total = total + piece
+    return total
+
+
+def _of_sensor(score: Floats, faulty: Flags, left_out: Flags, threshold: float, step: float) -> Alarms:
+    known = ~np.isnan(score)
+    alarm = score >= threshold
+    delays = []
+    for a, b in periods(faulty & ~left_out):
+        there = a + np.flatnonzero(known[a:b])
+        if len(there):
+            alarmed = alarm[there]
+            delays.append(float(there[np.argmax(alarmed)] - there[0]) if alarmed.any() else np.inf)
+    on, healthy = alarm[known], (~faulty & ~left_out)[known]
+    begins = on & ~np.concatenate([[False], on[:-1]])
+    hours = step / HOUR
+    return Alarms(
+        step,
+        np.array(delays),
+        int((begins & healthy).sum()),
+        float(healthy.sum() * hours),
+        float((on & healthy).sum() * hours),
+    )
+
+
+def alarm_threshold(scores: Sequence[ArrayLike] | ArrayLike, *, step: float, per_hour: float = 1.0) -> float:
+    """Return the least threshold at which fault-free records have no more than so many alarms per hour.
+
+    At that and at every higher one they have no more. Judge it on other records than those it was found on.
+
+    Parameters
+    ----------
+    scores : array_like of shape (steps,) or (steps, sensors), or sequence of such
+        Of fault-free records, NaN where missing. Sensors count as records of their own.
+    step : float
+        Sample time in seconds.
+    per_hour : float
+        Alarms per hour of one sensor.
+
+    Returns
+    -------
+    float
+        Just above the score of the first alarm that would be too much: above all scores if more alarms than that share the
+        highest one, and the lowest score if there are never too many.
+
+    Raises
+    ------
+    ModelError
+        If the records are too short for a single alarm at that rate, or a score is infinite.
+    """
+    several = isinstance(scores, list | tuple) and len(scores) > 0 and np.ndim(scores[0]) > 0
+    records: Any = scores if several else [scores]
+    columns = [c[~np.isnan(c)] for record in records for c in _columns("scores", record, np.float64).T]
+    if not all(np.isfinite(c).all() for c in columns):
+        raise ModelError(
+            "alarm_threshold got a score that is infinite; give a score that is finite, such as bounded log odds."
+        )
+    hours = sum(len(c) for c in columns) * _seconds(step) / HOUR
+    allowed = hours * per_hour
+    if not (np.isfinite(per_hour) and allowed >= 1):
+        raise ModelError(
+            f"alarm_threshold has fault-free records of {hours:.3g} hours of one sensor and per_hour={per_hour!r}; give records "
+            f"of at least {1 / per_hour if per_hour > 0 else np.inf:.3g} hours, in which one alarm can be expected."
+        )
+    before = np.concatenate([np.concatenate([[-np.inf], c[:-1]]) for c in columns if len(c)])
+    now = np.concatenate(columns)
+    lowest, rises = float(now.min()), now > before
+    before, now = before[rises], now[rises]
+    looked_at = min(len(now), 64 * int(allowed))
+    while True:  # few of the samples are as high as the threshold: only those are sorted
+        least = np.partition(now, -looked_at)[-looked_at]
+        level = _least_level(before, now, float(least), allowed)
+        if level is not None:
+            return float(np.nextafter(level, np.inf))
+        if looked_at == len(now):
+            return lowest
+        looked_at = min(len(now), 8 * looked_at)
+
+
+def _least_level(before: Floats, now: Floats, least: float, allowed: float) -> float | None:
+    """Return the highest level, from `least` up, at which there are too many rises from below to that level or above."""
+    up, down = now[now >= least], before[before >= least]
+    levels = np.concatenate([up, down])
+    order = np.argsort(-levels, kind="stable")
+    levels = levels[order]
+    alarms = np.cumsum(np.concatenate([np.ones(len(up)), -np.ones(len(down))])[order])
+    whole = np.append(levels[1:] < levels[:-1], True)  # the last of those that are equal has all of them
+    too_many = levels[whole & (alarms > allowed)]
+    return float(too_many[0]) if len(too_many) else None
+
+
+def _columns(name: str, values: ArrayLike, dtype: Any) -> Any:
+    """Return an array with a column for each sensor."""
+    try:
+        array = np.asarray(values, dtype=dtype)
+    except (TypeError, ValueError):
+        raise ModelError(f"{name} is no array of numbers.") from None
+    array = array[:, None] if array.ndim == 1 else array
+    if array.ndim != 2 or 0 in array.shape:
+        raise ModelError(
+            f"{name} has shape {np.shape(values)}; it must be (steps,) or (steps, sensors), and not empty."
+        )
+    return array
+
+
+def _seconds(step: float) -> float:
+    if not (np.isfinite(step) and step > 0):
+        raise ModelError(f"step is {step!r}; it must be the sample time in seconds, above 0.")
+    return float(step)

@@ -1,0 +1,316 @@
+"""The figures of a run: errors of tracking and belief, and how well faults were detected.
+
+Every figure is NaN where it is not defined (no fault, nothing detected, no probability), never a made-up 0 or 1; also where
+an estimate, a true value or a probability that it is made from is not finite, so that a run that diverges cannot look good. The
+detection figures follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
+
+- a *fault* is an unbroken run of samples in which it is present; an *alarm* is a sample with a probability of at least 0.5, or,
+  of a controller that gives no probability, one with which it says that a fault is detected;
+- a sample that is *missing* (NaN) needs no detector, since the controller leaves it out at once, and tells a detector nothing:
+  it counts in none of the figures below, and a fault of which all samples are missing is *seen as missing*, neither detected
+  nor missed;
+- a fault is *missed* if no sample of it has an alarm; else its *delay* is the time from its first sample to its first alarm;
+- the *false-alarm rate* is the share of the fault-free samples that have an alarm, also right after a fault's end, where the
+  posterior still has to come back;
+- the *AUC* is the probability that a sample with the fault is ranked above one without (ties count half), of the fault
+  probability, or of beta where there is no probability: both rank alike, and the AUC needs no calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, InputSignals, LoopSignals, SensorSignals
+from bayesftc.cosim.types import Floats
+
+NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root-mean-square errors: over the whole run, before the first fault, while one is present, and after (or between)."""
+
+    overall: float
+    before: float
+    during: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How the faults of one sensor were seen; see the module's text for the definitions.
+
+    Attributes
+    ----------
+    sensor : int
+        Its number.
+    fault_share : float
+        Share of time in which a fault was present.
+    missing_share : float
+        Share of samples that were missing; NaN if the samples were not recorded, and then none is taken to be.
+    faults : float
+        How many faults there were.
+    seen_as_missing : float
+        Of how many of them all samples were missing; NaN if the samples were not recorded.
+    missed : float
+        How many of the others were missed.
+    delay : float
+        Mean delay of those that were detected, in seconds.
+    false_alarm_rate : float
+        Share of fault-free samples with an alarm.
+    auc : float
+        Area under the receiver operating characteristic.
+    ranked_by : str or None
+        ``"fault_probability"`` or ``"beta"``: what the AUC is of.
+    precision_healthy, precision_faulty : float
+        Mean precision without and with the fault, in one over the unit squared.
+    """
+
+    sensor: int
+    fault_share: float
+    missing_share: float
+    faults: float
+    seen_as_missing: float
+    missed: float
+    delay: float
+    false_alarm_rate: float
+    auc: float
+    ranked_by: str | None
+    precision_healthy: float
+    precision_faulty: float
+
+
+@dataclass(frozen=True)
+class InputFaults:
+    """The faults of one input of the plant: those of an actuator, or of the process.
+
+    Attributes
+    ----------
+    name : str
+        The plant's variable.
+    unit : str or None
+        Its unit.
+    fault_share : float
+        Share of time in which a fault was present.
+    faults : float
+        How many there were.
+    deviation : float
+        Root mean square of what was received minus what was sent, while a fault was present.
+    """
+
+    name: str
+    unit: str | None
+    fault_share: float
+    faults: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class ActuatorFaults:
+    """What the controller has said of one actuator, and how right that was; as of a sensor, see `Detection`.
+
+    Attributes
+    ----------
+    name : str
+        The plant's variable that the control goes to.
+    unit : str or None
+        Its unit.
+    mean_probability : float
+        Mean fault probability over the run.
+    alarm_share : float
+        Share of time with an alarm.
+    missed, delay, false_alarm_rate, auc : float
+        Of the faults on the way of the control.
+    kind : str or None
+        The mode that was the most probable one most often during alarms; None if there was no alarm.
+    size : float
+        Mean size of its fault meanwhile.
+    """
+
+    name: str
+    unit: str | None
+    mean_probability: float
+    alarm_share: float
+    missed: float
+    delay: float
+    false_alarm_rate: float
+    auc: float
+    kind: str | None
+    size: float
+
+
+@dataclass(frozen=True)
+class Figures:
+    """All figures of a run: errors by quantity, detection by sensor, faults by input of the plant, and actuators blamed."""
+
+    tracking: dict[str, Errors]
+    belief: dict[str, Errors]
+    sensors: tuple[Detection, ...]
+    inputs: tuple[InputFaults, ...] = ()
+    actuators: tuple[ActuatorFaults, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for a JSON file; NaN becomes None."""
+        plain: dict[str, Any] = without_nan(asdict(self))
+        return plain
+
+
+def rmse(error: ArrayLike, where: Flags | None = None) -> float:
+    """Return the root of the mean square of `error` where `where` is true; NaN if one of the errors is not finite."""
+    values = np.asarray(error, dtype=np.float64)
+    values = values if where is None else values[where]
+    if not len(values) or not np.isfinite(values).all():
+        return NAN
+    scale = float(np.abs(values).max()) or 1.0  # the square of an error of 1e200 would be infinite
+    return scale * float(np.sqrt(np.mean(np.square(values / scale))))
+
+
+def auc(truth: ArrayLike, score: ArrayLike) -> float:
+    """Return the area under the receiver operating characteristic, as ``sklearn.metrics.roc_auc_score`` does.
+
+    Parameters
+    ----------
+    truth : array of bool, of any shape
+        Whether the fault was present.
+    score : array of the same shape
+        What is to be higher then; samples without one (NaN) are left out.
+    """
+    present, values = np.asarray(truth, dtype=bool), np.asarray(score, dtype=np.float64)
+    known = ~np.isnan(values)
+    healthy, faulty = np.sort(values[known & ~present]), np.sort(values[known & present])
+    if not len(healthy) or not len(faulty):
+        return NAN
+    # Mann and Whitney's U; by hand, since scipy.stats and sklearn take half a second and more to import.
+    below, upto = (np.searchsorted(healthy, faulty, side=side) for side in ("left", "right"))  # type: ignore[call-overload]
+    return float((below.sum() + upto.sum()) / (2.0 * len(healthy) * len(faulty)))
+
+
+def periods(flags: Flags) -> list[tuple[int, int]]:
+    """Return first index and the index behind the last of each unbroken run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
+    """Return the root-mean-square errors of the phases of a run; NaN what needs a signal that is None."""
+    if error is None or faulty is None:
+        return Errors(NAN if error is None else rmse(error), NAN, NAN, NAN)
+    begun = np.logical_or.accumulate(faulty)
+    return Errors(rmse(error), rmse(error, ~begun), rmse(error, faulty), rmse(error, begun & ~faulty))
+
+
+def detection(signals: SensorSignals, time: Floats) -> Detection:
+    """Return how the faults of one sensor were seen, from its signals and the time of each row in seconds."""
+    faulty, probability = signals.faulty, signals.probability
+    missing = NAN if signals.missing is None else _share(signals.missing)
+    if faulty is None:
+        return Detection(signals.index, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
+    there = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
+    # The numbers of the samples of each fault that arrived; of a dropout there are none.
+    arrived = [a + np.flatnonzero(there[a:b]) for a, b in periods(faulty)]
+    visible = [samples for samples in arrived if len(samples)]
+    missed = delay = false_alarms = NAN
+    alarm = signals.alarm
+    if alarm is not None:
+        delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
+        missed = float(len(visible) - len(delays)) if visible else NAN
+        delay = float(np.mean(delays)) if delays else NAN
+        false_alarms = _share(alarm[~faulty & there])
+    candidates = {"fault_probability": probability, "beta": signals.beta}
+    scores = {name: score for name, score in candidates.items() if score is not None and not np.isnan(score).all()}
+    ranked_by = next(iter(scores), None)
+    return Detection(
+        sensor=signals.index,
+        fault_share=_share(faulty),
+        missing_share=missing,
+        faults=len(arrived),
+        seen_as_missing=NAN if signals.missing is None else float(len(arrived) - len(visible)),
+        missed=missed,
+        delay=delay,
+        false_alarm_rate=false_alarms,
+        auc=auc(faulty[there], scores[ranked_by][there])
+        if ranked_by and not np.isnan(scores[ranked_by][there]).any()
+        else NAN,
+        ranked_by=ranked_by,
+        precision_healthy=_mean(signals.precision, ~faulty & there),
+        precision_faulty=_mean(signals.precision, faulty & there),
+    )
+
+
+def input_faults(signals: InputSignals) -> InputFaults:
+    """Return how often an input of the plant had a fault, and how far that went."""
+    faulty, difference = signals.faulty, _difference(signals.received, signals.sent)
+    if faulty is None:
+        return InputFaults(signals.name, signals.unit, NAN, NAN, NAN)
+    deviation = NAN if difference is None else rmse(difference, faulty)
+    return InputFaults(signals.name, signals.unit, _share(faulty), float(len(periods(faulty))), deviation)
+
+
+def actuator_faults(signals: ActuatorSignals, time: Floats) -> ActuatorFaults:
+    """Return what was said of one actuator, from its signals and the time of each row in seconds."""
+    p = signals.probability
+    seen = detection(SensorSignals(0, None, signals.faulty, None, None, p), time)
+    alarm = p >= ALARM
+    kind, size = None, NAN
+    if signals.kind is not None and len(blamed := signals.kind[alarm & (signals.kind > 0)]):
+        number = int(np.bincount(blamed.astype(np.int64)).argmax())
+        kind = signals.kinds[number - 1]
+        size = _mean(signals.size, alarm & (signals.kind == number))
+    return ActuatorFaults(
+        signals.name, signals.unit, float(p.mean()) if len(p) else NAN, _share(alarm), seen.missed, seen.delay,
+        seen.false_alarm_rate, seen.auc, kind, size,
+    )  # fmt: skip
+
+
+def figures(signals: LoopSignals) -> Figures:
+    """Return all figures of a run.
+
+    Tracking is the true value minus the reference at the same instant; belief is the controller's estimate minus the true
+    value. The true value is what an ideal sensor would read.
+    """
+    faulty = signals.faulty
+    return Figures(
+        tracking={q.name: errors_by_phase(_difference(q.truth, q.reference), faulty) for q in signals.quantities},
+        belief={q.name: errors_by_phase(_difference(q.belief, q.truth), faulty) for q in signals.quantities},
+        sensors=tuple(detection(sensor, signals.time) for sensor in signals.sensors),
+        inputs=tuple(input_faults(each) for each in signals.inputs),
+        actuators=tuple(actuator_faults(each, signals.time) for each in signals.actuators),
+    )
+
+
+def _difference(one: Floats | None, other: Floats | None) -> Floats | None:
+    if one is None or other is None:
+        return None
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is told by the figures
+        return one - other
+
+
+def _share(flags: Flags) -> float:
+    return float(flags.mean()) if len(flags) else NAN
+
+
+def _mean(values: Floats | None, where: Flags) -> float:
+    if values is None:
+        return NAN
+    chosen = values[where]
+    return float(chosen.mean()) if len(chosen) else NAN
+
+
+def without_nan(value: Any) -> Any:
+    """Return plain data with None for every number that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+__all__ = [
+    *(cls.__name__ for cls in (ActuatorFaults, Detection, Errors, Figures, InputFaults)), "actuator_faults", "auc",
+    "detection", "errors_by_phase", "figures", "input_faults", "periods", "rmse", "without_nan",
+]  # fmt: skip

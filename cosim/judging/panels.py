@@ -1,0 +1,84 @@
+"""Panels over time, one above the other: what the figures of runs and of recordings are drawn on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_POINTS = 20_000
+"""A line with more points than this is thinned: no print shows more."""
+MOST_ROWS = 3
+"""Faults whose names would need more rows than this are shaded, but not named one by one."""
+LETTER = 0.0115
+"""Width of a letter of those names, as a share of the panel's."""
+WIDTH, PANEL = 8.0, 2.1
+"""Width of a figure and height of a panel in inches."""
+
+
+def make_panels(count: int) -> tuple[Figure, list[Axes]]:
+    """Return an empty figure with so many panels, from above, which share their time."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, 0.6 + PANEL * count), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    for axis in axes:
+        axis.grid(True, color="0.9", lw=0.6)
+        axis.set_axisbelow(True)
+        axis.tick_params(labelsize=8)
+        axis.ticklabel_format(useOffset=False)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    return figure, list(axes)
+
+
+def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return a line with no more points than a print shows."""
+    stride = -(-len(time) // MOST_POINTS)
+    return time[::stride], values[::stride]
+
+
+def name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str) -> None:
+    """Write names above spans of time, each with its begin, end and colour, in as many rows as they need.
+
+    Where they would need too many, one note says how many of ``what`` are shaded.
+    """
+    style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
+    first, last = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
+    rows: list[float] = []  # where the last name of each row ends
+    names = []
+    for begin, end, text, colour in sorted(spans):
+        half = 0.5 * LETTER * (last - first) * (len(text) + 2)
+        middle = max(min(0.5 * (begin + end), last - half), min(first + half, 0.5 * (first + last)))
+        row = next((i for i, until in enumerate(rows) if until <= middle - half), len(rows))
+        rows[row : row + 1] = [middle + half]
+        names.append((middle, 1.02 + 0.1 * row, text, colour))
+    if len(rows) > MOST_ROWS:
+        axis.text(first, 1.02, f"shaded: {len(names)} {what}, in the colour of their sensor", color="0.3", **style)
+        return
+    for middle, height, text, colour in names:
+        axis.text(middle, height, text, ha="center", color=colour, **style)
+
+
+def legend(axis: Axes) -> None:
+    """Put the legend beside a panel, if it has anything to name; its colours are as if nothing were transparent."""
+    if axis.get_legend_handles_labels()[0]:
+        made = axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8, borderaxespad=0)
+        for handle in made.legend_handles:
+            if handle is not None:
+                handle.set_alpha(1.0)
+
+
+def finish(axes: list[Axes], time: Floats) -> None:
+    """Write the time below the lowest panel, cut all panels to it, and align what is written beside them."""
+    axes[-1].set_xlabel("time (s)")
+    if len(time) > 1:
+        axes[-1].set_xlim(float(time[0]), float(time[-1]))
+    axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]

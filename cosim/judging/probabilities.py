@@ -1,0 +1,115 @@
+"""Is a fault probability a probability? Of the samples that it calls 30 % faulty, 30 % should be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.metrics import NAN, without_nan
+from bayesftc.cosim.types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """How well probabilities agree with what happened; made by `reliability`.
+
+    Attributes
+    ----------
+    brier : float
+        Mean squared difference between probability and truth (0 or 1).
+    brier_of_constant : float
+        That of a constant probability, the share of faulty samples: what a useless but honest detector has.
+    calibration_error : float
+        Expected calibration error: mean over the samples of the gap between `predicted` and `observed` in their bins.
+    samples : ndarray of shape (bins,)
+        How many samples lie in each bin.
+    predicted, observed : ndarray of shape (bins,)
+        Mean probability in each bin, and share of its samples that were faulty; NaN of an empty bin.
+    """
+
+    brier: float
+    brier_of_constant: float
+    calibration_error: float
+    samples: Floats = field(repr=False)
+    predicted: Floats = field(repr=False)
+    observed: Floats = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for a JSON file; NaN becomes None."""
+        numbers = ("brier", "brier_of_constant", "calibration_error")
+        arrays = ("samples", "predicted", "observed")
+        plain: dict[str, Any] = without_nan(
+            {**{n: getattr(self, n) for n in numbers}, **{n: getattr(self, n).tolist() for n in arrays}}
+        )
+        return plain
+
+
+def reliability(
+    probability: ArrayLike, faulty: ArrayLike, *, bins: int = 10, equal: Literal["counts", "widths"] = "counts"
+) -> Reliability:
+    """Return how well probabilities agree with the truth: reliability diagram, Brier score, expected calibration error.
+
+    Parameters
+    ----------
+    probability : array_like
+        Fault probabilities, of any shape; samples without one (NaN) are left out.
+    faulty : array_like of bool of the same shape
+        The truth.
+    bins : int
+        Number of bins.
+    equal : str
+        ``"counts"``: all bins have equally many samples (Nguyen and O'Connor 2015), so that rare high probabilities share one
+        and the error is not that of the many healthy samples alone. ``"widths"``: all have the same width (Guo et al. 2017),
+        as is usual for diagrams.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not agree, a probability is none, there are fewer samples than bins, or `equal` is unknown.
+    """
+    p, truth = np.asarray(probability, dtype=np.float64), np.asarray(faulty, dtype=np.bool_)
+    if p.shape != truth.shape:
+        raise ModelError(f"reliability has probabilities of shape {p.shape} and a truth of shape {truth.shape}.")
+    known = ~np.isnan(p)
+    p, happened = p[known], truth[known].astype(np.float64)
+    return of_bins(p, happened, bins_of(p, bins, equal), bins)
+
+
+def of_bins(p: Floats, happened: Floats, place: np.ndarray[Any, np.dtype[np.intp]], bins: int) -> Reliability:
+    """Return how well probabilities agree with what happened (0 or 1), given the number of the bin that each one lies in."""
+    samples, predicted, observed = (np.bincount(place, weights, bins) for weights in (None, p, happened))
+    with np.errstate(invalid="ignore"):
+        shown = [np.where(samples > 0, total / samples, NAN) for total in (predicted, observed)]
+    share = float(happened.mean())
+    return Reliability(
+        brier=float(np.mean((p - happened) ** 2)),
+        brier_of_constant=share * (1.0 - share),
+        calibration_error=float(np.abs(predicted - observed).sum() / len(p)),
+        samples=samples.astype(np.float64),
+        predicted=shown[0],
+        observed=shown[1],
+    )
+
+
+def bins_of(probability: Floats, bins: int, equal: str) -> np.ndarray[Any, np.dtype[np.intp]]:
+    """Return the number of the bin that each probability lies in, see `reliability`, which raises what this raises."""
+    if isinstance(bins, bool) or not isinstance(bins, int) or not 1 <= bins <= len(probability):
+        raise ModelError(
+            f"reliability has bins={bins!r} for {len(probability)} samples; it takes a whole number from 1 up to that."
+        )
+    if probability.min() < 0 or probability.max() > 1:
+        raise ModelError(
+            f"reliability got probabilities from {probability.min():g} to {probability.max():g}; they must lie between 0 and 1."
+        )
+    if equal == "counts":
+        order = np.argsort(probability, kind="stable")
+        place = np.empty(len(probability), dtype=np.intp)
+        place[order] = np.repeat(np.arange(bins), [len(part) for part in np.array_split(order, bins)])
+        return place
+    if equal == "widths":
+        return np.minimum((probability * bins).astype(np.intp), bins - 1)
+    raise ModelError(f"reliability has equal={equal!r}; it takes 'counts' or 'widths'.")

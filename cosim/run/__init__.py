@@ -1,0 +1,1 @@
+"""Runs of a diagram: engines, sessions, recordings, results."""

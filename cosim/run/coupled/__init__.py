@@ -1,0 +1,1 @@
+"""Groups of coupled blocks in a run: iterated, and with steps of their own."""

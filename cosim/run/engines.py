@@ -1,0 +1,375 @@
+"""The two engines. They walk the same schedule over the same memory: one in compiled code, one in plain Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+
+from bayesftc.cosim.block import External
+from bayesftc.cosim.diagram.memory import bind
+from bayesftc.cosim.diagram.schedule import NOT_FINITE, Call, Schedule
+from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
+from bayesftc.cosim.run.coupled.engines import CompiledGroup, GroupRun, InterpretedGroup
+from bayesftc.cosim.run.state_functions import StateFunctions
+from bayesftc.cosim.types import Floats
+
+WRITES = frozenset({"output", "ahead"})
+"""The kinds of calls that write outputs."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a run stopped: at which step, in whose step function, with which status.
+
+    `outputs` is where in memory the outputs that it was to compute begin; `note` says what a status of several blocks means.
+    """
+
+    k: int
+    node: int
+    status: int
+    outputs: int = 0
+    note: str = ""
+
+
+@dataclass
+class Run:
+    """All that changes while a diagram runs.
+
+    Attributes
+    ----------
+    memory : ndarray
+        States, parameters, inputs and outputs of all blocks.
+    instances : dict
+        The running FMU of each external node.
+    recorded : ndarray of int
+        Places in memory that are recorded.
+    recording : ndarray, rows x recorded
+        Filled row by row, a row every `decimation` steps.
+    before : int
+        How many rows of the whole run come before the first row of `recording`.
+    k : int
+        The last step whose outputs are complete; -1 before the first.
+    sound : bool
+        Whether memory and FMUs stand as that step has left them: not after a failure or an interruption.
+    ended : bool
+        Whether an FMU has asked to end it.
+    state_functions : dict
+        For each external node that groups save by way of Python: what they call.
+    """
+
+    schedule: Schedule
+    seed: int
+    memory: Floats
+    instances: dict[int, External]
+    recorded: np.ndarray[Any, np.dtype[np.int64]]
+    recording: Floats
+    decimation: int = 1
+    before: int = 0
+    k: int = -1
+    sound: bool = True
+    ended: bool = False
+    state_functions: dict[int, StateFunctions] = field(default_factory=dict)
+
+    def streams(self) -> np.ndarray[Any, np.dtype[np.uint64]]:
+        """Return the table of random streams."""
+        rows = [(stream_key(d.stream), d.channel, d.draw, int(d.uniform)) for d in self.schedule.draws]
+        return np.array(rows, dtype=np.uint64).reshape(len(rows), 4)
+
+    def drawn(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """Return where the random numbers go."""
+        return np.array([d.offset for d in self.schedule.draws], dtype=np.int64)
+
+
+class Engine(Protocol):
+    """Takes a run from step to step."""
+
+    def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
+        """Go from t_begin to t_end; return the last complete step and, if the run had to stop, why.
+
+        The outputs at t_begin are computed first if `first`, else they stand in memory already.
+        """
+
+    def evaluate(self, k: int) -> Failure | None:
+        """Compute all outputs at t_k from the states, inputs and random numbers that stand in memory."""
+
+    def step(self, k: int) -> Failure | None:
+        """Take the states from t_k to t_k+1, once `evaluate` has brought the outputs and inputs at t_k."""
+
+
+class Draws:
+    """Brings the random numbers of a step into memory, with the same bits as inside the compiled loop."""
+
+    def __init__(self, run: Run):
+        self._run, self._streams, self._places = run, run.streams(), run.drawn()
+        self._buffer, self._chunk = np.empty((CHUNK, len(self._places))), -1
+        if len(self._places):
+            compiled_fill()  # here, for in a first step that keeps pace with the clock there is no time
+
+    def fill(self, k: int) -> None:
+        """Draw the numbers of step `k`."""
+        if not len(self._places):
+            return
+        if k // CHUNK != self._chunk:
+            self._chunk = k // CHUNK
+            draw_chunk(self._run.seed, self._streams, self._chunk * CHUNK, self._buffer)
+        self._run.memory[self._places] = self._buffer[k - self._chunk * CHUNK]
+
+
+class CompiledEngine:
+    """Calls every block by address from one compiled loop; the GIL is free while it runs."""
+
+    def __init__(self, run: Run):
+        from bayesftc.cosim.run import loop as _loop
+
+        self._run = run
+        schedule = run.schedule
+        self._groups: dict[int, CompiledGroup] = {}
+        rows: list[list[int]] = []
+        gathers: list[tuple[int, int]] = []
+        for call in (*schedule.evaluate, *schedule.advance):
+            node, slots = schedule.nodes[call.node], schedule.slots[call.node]
+            start = slots.start
+            checked = node.block.checks_finite and call.kind in WRITES
+            begin = schedule.outputs_start(call)
+            outputs = begin, begin + schedule.depended_on(call.node)
+            table = start["parameters"]
+            if call.group:
+                group = self._groups[len(rows)] = CompiledGroup(run, call.group)
+                address, table = group.address, group.parameters
+            else:
+                address = self._address(call)
+            rows.append(
+                [address, schedule.every(call), start["state"], table, start["inputs"], begin,
+                 len(gathers), len(gathers) + len(call.gathers), *(outputs if checked else (0, 0))]
+            )  # fmt: skip
+            gathers += call.gathers
+        self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), _loop.COLUMNS)
+        self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
+        self._streams, self._drawn, self._buffer = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
+        self._failed = np.array([-1, 0], dtype=np.int64)
+        self._entry = compiled_loop()
+
+    def _address(self, call: Call) -> int:
+        schedule = self._run.schedule
+        if call.kind == "inputs":
+            return 0
+        if call.node in self._run.instances:
+            instance = self._run.instances[call.node]
+            return instance.output_address if call.kind in WRITES else instance.update_address
+        from bayesftc.cosim.stepping.compiler import compile_kernel
+
+        kernel = schedule.kernel(call)
+        assert kernel is not None
+        return compile_kernel(kernel, schedule.slots[call.node].sections)
+
+    def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
+        """See `Engine.advance`."""
+        run, step = self._run, self._run.schedule.step
+        failed = np.array([-1, 0], dtype=np.int64)
+        last = self._entry(
+            self._calls, len(run.schedule.evaluate), self._gathers, np.uint64(run.seed), self._streams, self._drawn,
+            self._buffer, run.memory, run.recorded, run.recording, run.decimation, run.before, int(first), begin, end,
+            step.numerator, step.denominator, failed,
+        )  # fmt: skip
+        if failed[0] < 0:
+            return int(last), None
+        return int(last), self._failure(failed, int(last) + (failed[0] < len(run.schedule.evaluate)))
+
+    def advance_many(
+        self,
+        seeds: np.ndarray[Any, np.dtype[np.uint64]],
+        initial: Floats,
+        states: np.ndarray[Any, np.dtype[np.int64]],
+        recordings: Floats,
+        reached: np.ndarray[Any, np.dtype[np.int64]],
+        end: int,
+        *,
+        fresh: bool,
+    ) -> tuple[int, Failure | None]:
+        """Make a whole run for each seed, each from the same beginning, in one compiled call.
+
+        Parameters
+        ----------
+        seeds : ndarray of shape (runs,)
+            Of the runs, one after the other.
+        initial : ndarray
+            Memory as each run finds it.
+        states : ndarray of shape (instances, 3)
+            How each FMU is put back to its beginning: the address of the function, of the instance and of the state.
+        recordings : ndarray of shape (runs, rows, recorded)
+            Filled; of a run that fails only up to its last complete step.
+        reached : ndarray of shape (runs,)
+            Filled with the last complete step of each run.
+        end : int
+            The last step of a run.
+        fresh : bool
+            Whether memory and FMUs stand at the beginning already.
+
+        Returns
+        -------
+        done : int
+            How many runs have come to their end before one failed.
+        failure : Failure or None
+            Why the next one has failed. Its `node` is -1 where an FMU could not be put back.
+        """
+        run, step = self._run, self._run.schedule.step
+        failed = np.array([-1, 0], dtype=np.int64)
+        done = compiled_many()(
+            self._calls, len(run.schedule.evaluate), self._gathers, seeds, self._streams, self._drawn, self._buffer, run.memory,
+            initial, states, int(fresh), run.recorded, recordings, run.decimation, end, step.numerator, step.denominator,
+            reached, failed,
+        )  # fmt: skip
+        if failed[0] == -1:
+            return int(done), None
+        if failed[0] < 0:
+            return int(done), Failure(-1, -1, int(failed[1]))
+        return int(done), self._failure(failed, int(reached[done]) + (failed[0] < len(run.schedule.evaluate)))
+
+    def evaluate(self, k: int) -> Failure | None:
+        """See `Engine.evaluate`."""
+        return self._phase(0, len(self._run.schedule.evaluate), k)
+
+    def step(self, k: int) -> Failure | None:
+        """See `Engine.step`."""
+        return self._phase(len(self._run.schedule.evaluate), len(self._calls), k)
+
+    def _phase(self, begin: int, end: int, k: int) -> Failure | None:
+        run, step = self._run, self._run.schedule.step
+        t = k * step.numerator / step.denominator
+        if compiled_phase()(self._calls, begin, end, self._gathers, run.memory, t, k, self._failed):
+            return None
+        return self._failure(self._failed, k)
+
+    def _failure(self, failed: np.ndarray[Any, np.dtype[np.int64]], k: int) -> Failure:
+        schedule = self._run.schedule
+        call = (*schedule.evaluate, *schedule.advance)[failed[0]]
+        return _failure(schedule, call, k, int(failed[1]), self._groups.get(int(failed[0])))
+
+
+@cache
+def compiled_loop() -> Any:
+    """Return the compiled loop, from the disk if any process has compiled it before."""
+    from bayesftc.cosim.run import loop as _loop
+    from bayesftc.cosim.stepping.compiler import compile_function
+
+    return compile_function(_loop.run, _loop.SIGNATURE)
+
+
+@cache
+def compiled_many() -> Any:
+    """Return the compiled loop over many runs."""
+    from bayesftc.cosim.run import loop as _loop
+    from bayesftc.cosim.stepping.compiler import compile_function
+
+    return compile_function(_loop.run_many, _loop.MANY_SIGNATURE)
+
+
+@cache
+def compiled_phase() -> Any:
+    """Return one phase of a step as a compiled function."""
+    from bayesftc.cosim.run import loop as _loop
+    from bayesftc.cosim.stepping.compiler import compile_function
+
+    return compile_function(_loop.phase, _loop.PHASE_SIGNATURE)
+
+
+class InterpretedEngine:
+    """Calls the plain Python step functions, in which a debugger can stop."""
+
+    def __init__(self, run: Run):
+        self._run = run
+        self._evaluate = [self._bind(call) for call in run.schedule.evaluate]
+        self._advance = [self._bind(call) for call in run.schedule.advance]
+        self._draws = Draws(run)
+
+    def _bind(self, call: Call) -> tuple[Call, Callable[[float, int], int]]:
+        run, schedule = self._run, self._run.schedule
+        slots, node = schedule.slots[call.node], schedule.nodes[call.node]
+        memory = run.memory
+        if call.kind == "inputs":
+            return call, lambda t, k: 0
+        if call.group:
+            return call, InterpretedGroup(run, call.group)
+        if call.node in run.instances:
+            instance = run.instances[call.node]
+            function = instance.output if call.kind in WRITES else instance.update
+            size_in, size_out = (sum(p.size for p in ports) for ports in (node.inputs, node.outputs))
+            inputs = memory[slots.start["inputs"] : slots.start["inputs"] + size_in]
+            begin = schedule.outputs_start(call)
+            outputs = memory[begin : begin + size_out]
+            return call, lambda t, k: function(inputs, outputs, t)
+        kernel = schedule.kernel(call)
+        assert kernel is not None
+        plain = bind(kernel, slots, memory)
+
+        def step(t: float, k: int) -> int:
+            plain(t, k)
+            return 0
+
+        return call, step
+
+    def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
+        """See `Engine.advance`."""
+        run = self._run
+        with np.errstate(all="ignore"):  # once for all steps
+            for k in range(begin, end + 1):
+                if first or k > begin:
+                    self._draws.fill(k)
+                    failure = self._phase(self._evaluate, k)
+                    if failure:
+                        return k - 1, failure
+                    if k % run.decimation == 0:
+                        run.recording[k // run.decimation - run.before] = run.memory[run.recorded]
+                if k < end:
+                    failure = self._phase(self._advance, k)
+                    if failure:
+                        return k, failure
+        return end, None
+
+    def evaluate(self, k: int) -> Failure | None:
+        """See `Engine.evaluate`."""
+        with np.errstate(all="ignore"):
+            return self._phase(self._evaluate, k)
+
+    def step(self, k: int) -> Failure | None:
+        """See `Engine.step`."""
+        with np.errstate(all="ignore"):
+            return self._phase(self._advance, k)
+
+    def _phase(self, calls: list[tuple[Call, Callable[[float, int], int]]], k: int) -> Failure | None:
+        """Make the calls of a phase, under IEEE 754 as in compiled code: infinities and NaNs are values."""
+        schedule, memory = self._run.schedule, self._run.memory
+        t = k * schedule.step.numerator / schedule.step.denominator
+        for call, function in calls:
+            node, every = schedule.nodes[call.node], schedule.every(call)
+            if k % every:
+                continue
+            for target, origin in call.gathers:
+                memory[target] = memory[origin]
+            status = function(t, k // every)
+            if status:
+                return _failure(schedule, call, k, status, function if isinstance(function, GroupRun) else None)
+            if node.block.checks_finite and call.kind in WRITES:
+                start = schedule.outputs_start(call)
+                for i in range(start, start + schedule.depended_on(call.node)):
+                    if not np.isfinite(memory[i]):
+                        return _failure(schedule, call, k, NOT_FINITE + i)
+        return None
+
+
+def _failure(schedule: Schedule, call: Call, k: int, status: int, group: GroupRun | None = None) -> Failure:
+    """Return what a status says that a call has returned at step `k`.
+
+    What is computed ahead of time belongs to the step that it is of.
+    """
+    if group is None:
+        instant = k + schedule.every(call) if call.kind == "ahead" else k
+        return Failure(instant, call.node, status, schedule.outputs_start(call))
+    part, status = group.culprit()
+    if part is None:
+        return Failure(k, call.node, status, note=group.explain(status))
+    return Failure(k + schedule.every(call) if part.kind == "ahead" else k, part.node, status, part.outputs)

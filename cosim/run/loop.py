@@ -1,0 +1,129 @@
+"""The compiled co-simulation loop: one function for all diagrams, which walks tables and calls blocks by address."""
+
+import numpy as np
+
+from bayesftc.cosim.diagram.schedule import NOT_FINITE
+from bayesftc.cosim.random import CHUNK, fill
+from bayesftc.cosim.stepping.by_address import call_block, put_back
+from bayesftc.cosim.stepping.numba_called import callee, inlined
+
+# Columns of the table of calls.
+FUNCTION, EVERY, STATE, PARAMETERS, INPUTS, OUTPUTS, GATHER_FROM, GATHER_TO, CHECK_FROM, CHECK_TO = range(10)
+COLUMNS = 10
+
+SIGNATURE = (
+    "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], int64[::1], "
+    "float64[:, ::1], int64, int64, int64, int64, int64, int64, int64, int64[::1])"
+)
+MANY_SIGNATURE = (
+    "int64(int64[:, ::1], int64, int64[:, ::1], uint64[::1], uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
+    "float64[::1], int64[:, ::1], int64, int64[::1], float64[:, :, ::1], int64, int64, int64, int64, int64[::1], int64[::1])"
+)
+PHASE_SIGNATURE = "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])"
+
+
+# Inlined: as a call of its own, numba passes 32 words of array descriptions, twice a step, which took longer than the FMU.
+@inlined
+def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
+    # Unsigned, so that numba leaves out what would make negative indices count from the end: a tenth of the time of a small loop.
+    for c in range(np.uint64(begin), np.uint64(end)):
+        every = calls[c, EVERY]
+        count = k
+        if every != 1:
+            if k % every != 0:
+                continue
+            count = k // every
+        for g in range(np.uint64(calls[c, GATHER_FROM]), np.uint64(calls[c, GATHER_TO])):
+            memory[np.uint64(gathers[g, 0])] = memory[np.uint64(gathers[g, 1])]
+        if calls[c, FUNCTION] == 0:  # this one only brings inputs
+            continue
+        status = call_block(
+            calls[c, FUNCTION], base + 8 * calls[c, STATE], base + 8 * calls[c, PARAMETERS],
+            base + 8 * calls[c, INPUTS], base + 8 * calls[c, OUTPUTS], t, count,
+        )  # fmt: skip
+        if status != 0:
+            failed[0], failed[1] = c, status
+            return False
+        for i in range(calls[c, CHECK_FROM], calls[c, CHECK_TO]):
+            if memory[np.uint64(i)] - memory[np.uint64(i)] != 0.0:
+                failed[0], failed[1] = c, NOT_FINITE + i
+                return False
+    return True
+
+
+@callee
+def phase(calls, begin, end, gathers, memory, t, k, failed):
+    """Make the calls from row `begin` to `end` at step `k`; return whether all went well, else ``failed`` says which did not."""
+    return _phase(calls, begin, end, gathers, memory, memory.ctypes.data, t, k, failed)
+
+
+@callee
+def run(
+    calls, evaluations, gathers, seed, streams, drawn, buffer, memory, recorded, recording, decimation,
+    before, first, begin, end, numerator, denominator, failed,
+):  # fmt: skip
+    """Take the loop from t_begin to t_end; return the last step whose outputs are complete (``begin - 1`` for none).
+
+    Evaluates step `begin` only if `first` is not 0. The first row of `recording` is number `before` of the whole run. On failure
+    ``failed`` holds the call and its status.
+    """
+    base = memory.ctypes.data
+    chunk = -1
+    k = begin
+    evaluate = first != 0
+    while True:
+        t = k * numerator / denominator  # the quotient of two exact integers: the double nearest to k * step
+        if evaluate:
+            if drawn.size > 0:
+                if k // CHUNK != chunk:
+                    chunk = k // CHUNK
+                    fill(seed, streams, chunk * CHUNK, buffer)
+                for j in range(drawn.size):
+                    memory[drawn[j]] = buffer[j, k - chunk * CHUNK]
+            if not _phase(calls, 0, evaluations, gathers, memory, base, t, k, failed):
+                return k - 1
+            if k % decimation == 0:
+                row = k // decimation - before
+                for j in range(recorded.size):
+                    recording[row, j] = memory[recorded[j]]
+        if k == end:
+            return k
+        if not _phase(calls, evaluations, calls.shape[0], gathers, memory, base, t, k, failed):
+            return k
+        k += 1
+        evaluate = True
+
+
+@callee
+def run_many(
+    calls, evaluations, gathers, seeds, streams, drawn, buffer, memory, initial, states, fresh, recorded, recordings, decimation,
+    end, numerator, denominator, reached, failed,
+):  # fmt: skip
+    """Make a run to t_end for each seed, from `initial` memory and the saved `states` of the FMUs; return how many are done.
+
+    Each row of `states` is the function that puts an FMU back, the instance, the state. The first run finds all as it is to be
+    if `fresh` is not 0. ``reached`` gets the last complete step of each run. It stops at the first run that fails, with
+    ``failed`` as of `run`; or, where an FMU could not be put back, with -2 less its row, and the status.
+    """
+    for i in range(seeds.size):
+        if i > 0 or fresh == 0:
+            for j in range(memory.size):
+                memory[j] = initial[j]
+            for j in range(states.shape[0]):
+                status = put_back(states[j, 0], states[j, 1], states[j, 2])
+                if status < 0 or status > 1:  # 1 is FMI's warning
+                    failed[0], failed[1] = -2 - j, status
+                    reached[i] = -1
+                    return i
+        reached[i] = run(
+            calls, evaluations, gathers, seeds[i], streams, drawn, buffer, memory, recorded, recordings[i], decimation,
+            0, 1, 0, end, numerator, denominator, failed,
+        )  # fmt: skip
+        if failed[0] >= 0:
+            return i
+    return seeds.size
+
+
+def empty_chunk(numbers):
+    """Return the buffer of random numbers that `run` needs."""
+    return np.empty((numbers, CHUNK))

@@ -1,0 +1,341 @@
+"""Many runs of one diagram: the engine is set up once, and compiled code goes from run to run without Python in between.
+
+Each run begins with the same memory and with FMUs that are put back to how they were after initialization, which takes a
+hundredth of the time of making new ones. Where an FMU cannot be put back, or does not repeat itself when it is, each run gets new
+instances.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.warnings_shown import warn_user
+from bayesftc.cosim.diagram.schedule import NOT_FINITE, Schedule
+from bayesftc.cosim.fmi.binaries.surroundings import kept
+from bayesftc.cosim.fmi.reading.embedded import interrupts
+from bayesftc.cosim.isolation.spares import Spares
+from bayesftc.cosim.isolation.turns import one_processor
+from bayesftc.cosim.run.engines import CompiledEngine, Engine, Run
+from bayesftc.cosim.run.raised import reason_of
+from bayesftc.cosim.run.recording import Selection
+from bayesftc.cosim.run.running import BREATH, advance, choose_engine, explain, open_run, warn_of_arithmetic
+from bayesftc.cosim.run.state_functions import StateFunctions
+from bayesftc.cosim.types import Floats
+
+ROOM = 4_000_000
+"""Bytes of the recordings of the runs that are made in one call: as much as stays in a processor's cache."""
+Wanted = Callable[[], bool]
+"""Asked about twenty times a second whether to go on. From then on it is the runs that take time."""
+Aside = Callable[[], None]
+"""Told before work that is no run's own, of which no time limit is to count: building, compiling, metrics."""
+WELL = (0, 1)
+"""What FMI's functions return if all is well, perhaps with a warning."""
+_STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
+
+
+class StoppedFromOutside(Exception):
+    """Whoever wanted the runs does not want them any more."""
+
+
+class _NotPutBackError(Exception):
+    """An FMU could not be put back to the beginning of a run, and is freed."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some runs; each array has a row for each.
+
+    Attributes
+    ----------
+    recording : ndarray of shape (runs, rows, recorded)
+        NaN from where a run has failed. It is overwritten by the next block.
+    steps : ndarray of int of shape (runs,)
+        The last complete step.
+    reasons : tuple of str
+        Why a run has failed, as a sentence; an empty text for those that have not.
+    """
+
+    recording: Floats
+    steps: np.ndarray[Any, np.dtype[np.int64]]
+    reasons: tuple[str, ...]
+
+
+class ManyRuns:
+    """Runs of one diagram, of the same length and with the same recording; `close` frees its FMUs.
+
+    Parameters
+    ----------
+    schedule : Schedule
+        What to run.
+    selection : Selection
+        What to record.
+    steps : int
+        Length of each run in base steps.
+    decimation : int
+        Every how many steps are recorded.
+    time_limit : float, optional
+        Seconds of computing after which a run is stopped; it has failed then.
+    """
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        selection: Selection,
+        steps: int,
+        decimation: int = 1,
+        time_limit: float | None = None,
+    ):
+        self._schedule, self._selection, self._steps, self._decimation = schedule, selection, steps, decimation
+        self._limit = time_limit
+        self._spares, self._stack = Spares(), ExitStack()
+        self._run: Run
+        self._engine: Engine
+        self._initial: Floats
+        self._states: np.ndarray[Any, np.dtype[np.int64]] | None = None
+        self._free: list[tuple[int, int, ctypes.c_int64]] = []
+        self._opened = False  # there are FMUs and an engine
+        self._fresh = False  # and they stand at the beginning of a run
+        self._repeats: bool | None = None  # whether FMUs that are put back give the same bits once more
+        self._pace = 0.0  # seconds that a run takes
+        self._opening = 0.0  # and that it takes to make FMUs
+        self._of = 1  # runs that are to be expected in all
+        rows = steps // decimation + 1
+        self._buffer = np.empty((0, rows, len(selection.places)))
+        self._few = max(1, ROOM // max(8 * rows * len(selection.places), 1))
+
+    def run(
+        self, seeds: Sequence[int], wanted: Wanted = lambda: True, aside: Aside = lambda: None, of: int = 1
+    ) -> Iterator[Block]:
+        """Make a run for each seed; yield them some at a time, in order.
+
+        Parameters
+        ----------
+        seeds : sequence of int
+            One for each run.
+        wanted : callable
+            Asked about twenty times a second whether to go on.
+        aside : callable
+            Told when something else than the runs is about to take time: compiling.
+        of : int
+            How many runs there are in all, if this is not the only call.
+
+        Raises
+        ------
+        StoppedFromOutside
+            If it is not wanted to go on.
+        """
+        done, self._of = 0, max(of, len(seeds))
+        while done < len(seeds):
+            _go_on(wanted)
+            few, more = self._how_many(len(seeds) - done), self._of > 1
+            try:
+                self._ready(aside, more=more)
+                _go_on(wanted)
+                block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), wanted, more=more)
+            except _NotPutBackError:  # the run has yet to be made, with new instances
+                continue
+            except (StoppedFromOutside, MemoryError):
+                raise
+            except Exception as error:  # noqa: BLE001 - an FMU refuses its parameters, a block in Python raises whatever it does
+                block = self._nothing(reason_of(error, "The run could not be made"))
+            done += len(block.steps)
+            yield block
+
+    def close(self) -> None:
+        """Free the FMUs and end their processes."""
+        self._shut()
+        self._spares.close()
+
+    def _how_many(self, left: int) -> int:
+        if self._pace == 0.0 or self._repeats is None:
+            return 1  # it may be made once more, to be compared with memory after it
+        return max(1, min(left, self._few, int(BREATH / self._pace)))
+
+    def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], wanted: Wanted, *, more: bool) -> Block:
+        """Make the first of some runs, or all."""
+        began = time.perf_counter()
+        # The first run is made piece by piece: nobody knows yet how long it takes.
+        quick = 0.0 < self._pace < min(BREATH, self._limit or BREATH)
+        if self._goes_from_run_to_run and quick:
+            block = self._compiled(seeds)
+        else:
+            block = self._single(int(seeds[0]), wanted)
+        self._pace = (time.perf_counter() - began) / len(block.steps)
+        if more and self._repeats is None and not block.reasons[0]:
+            self._repeats = self._once_more(int(seeds[0]), block.recording[0], wanted)
+        return block
+
+    @property
+    def _goes_from_run_to_run(self) -> bool:
+        return isinstance(self._engine, CompiledEngine)
+
+    def _ready(self, aside: Aside = lambda: None, *, more: bool) -> None:
+        """Have FMUs and an engine; with `more` such that further runs can begin as the first one does."""
+        if self._opened and (self._fresh or self._states is not None):
+            return
+        self._shut()
+        began = time.perf_counter()
+        with self._spares.lent():
+            self._run = open_run(self._schedule, self._stack, 0, self._selection, self._steps, self._decimation)
+        self._opening = time.perf_counter() - began
+        aside()
+        self._engine = choose_engine("auto", self._run)
+        self._opened = self._fresh = True
+        self._initial = self._run.memory.copy()
+        if more and self._repeats is not False and all(i.can_save for i in self._run.instances.values()):
+            self._states = self._saved()
+
+    def _saved(self) -> np.ndarray[Any, np.dtype[np.int64]] | None:
+        """Save each FMU's state; return how compiled code puts them back, or None if one does not do what it says it can.
+
+        FMUs are promised all the same that nobody goes back within a run: some repeat their first step for ever without that, and
+        one that cannot go back to the beginning for it is found out by the comparison of two runs.
+        """
+        rows = []
+        for instance in self._run.instances.values():
+            addresses = getattr(instance, "state_functions", None)
+            if addresses is None:
+                functions = StateFunctions(instance)
+                self._stack.callback(functions.take)  # and so keep it alive
+                addresses = functions.addresses
+            component, save, restore, free = addresses
+            place = ctypes.c_int64(0)
+            status = _STATE(save)(component, ctypes.addressof(place))
+            if status not in WELL:
+                self._repeats = False
+                return None
+            self._free.append((free, component, place))
+            rows.append((restore, component, place.value))
+        return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
+
+    def _compiled(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
+        engine, run = self._engine, self._run
+        assert isinstance(engine, CompiledEngine)
+        if self._states is None:
+            seeds = seeds[:1]
+        states = np.empty((0, 3), dtype=np.int64) if self._states is None else self._states
+        recording, reached = self._room(len(seeds)), np.empty(len(seeds), dtype=np.int64)
+        with (
+            one_processor(run.instances.values()),
+            kept() if run.instances else nullcontext() as changed,
+            interrupts() as heard,
+        ):
+            done, failure = engine.advance_many(
+                seeds, self._initial, states, recording, reached, self._steps, fresh=self._fresh
+            )
+        self._fresh = False
+        if changed:
+            warn_of_arithmetic(run)
+        reasons = [""] * done
+        if failure is not None:
+            run.k, run.sound = int(reached[done]), False
+            if failure.node < 0:
+                self._give_up()
+            else:
+                reasons.append(explain(failure, run))
+                recording[done, reached[done] // self._decimation + 1 :] = np.nan
+                self._shut(broken=failure.status < NOT_FINITE)
+        if heard:
+            raise KeyboardInterrupt
+        if not reasons:
+            raise _NotPutBackError
+        return Block(recording[: len(reasons)], reached[: len(reasons)], tuple(reasons))
+
+    def _single(self, seed: int, wanted: Wanted, *, limited: bool = True) -> Block:
+        """Make one run, long or slow, or interpreted, piece by piece."""
+        run, recording = self._run, self._room(1)
+        if not self._fresh and not self._put_back():
+            self._give_up()
+            raise _NotPutBackError
+        run.recording, run.before, run.k, run.sound = recording[0], 0, -1, True
+        if run.seed != seed:
+            run.seed = seed
+            if not self._goes_from_run_to_run:  # an interpreted engine holds numbers that it has drawn ahead
+                self._engine = choose_engine("auto", run)
+        self._fresh = False
+
+        limit = self._limit if limited else None
+        stopped = advance(self._engine, self._steps, run, lambda step, steps: _go_on(wanted), limit)
+        if stopped:
+            recording[0, max(run.k // self._decimation + 1, 0) :] = np.nan
+            self._shut(broken=True)
+        return Block(recording, np.array([run.k], dtype=np.int64), (stopped or "",))
+
+    def _put_back(self) -> bool:
+        """Put memory and FMUs back to the beginning; return whether that went well."""
+        self._run.memory[:] = self._initial
+        assert self._states is not None
+        return all(_STATE(int(r))(int(component), int(place)) in WELL for r, component, place in self._states)
+
+    def _give_up(self) -> None:
+        """Put no FMU back from now on: one could not be."""
+        self._repeats = False
+        self._shut(broken=True)
+
+    def _once_more(self, seed: int, first: Floats, wanted: Wanted) -> bool:
+        """Return whether a run whose FMUs were put back has the bits of the first one; else have new ones for each run."""
+        if self._states is None or not self._opened:
+            return False
+        if not len(self._states):
+            return True  # without FMUs there is nothing to remember
+        if self._pace > self._opening * self._of:  # to see whether they repeat it takes longer than to make them anew
+            self._shut()
+            return False
+        ends, kept_ = self._run.memory.copy(), first.copy()
+        try:
+            again = (
+                self._compiled(np.array([seed], dtype=np.uint64))
+                if self._goes_from_run_to_run
+                else self._single(seed, wanted, limited=False)
+            )
+        except _NotPutBackError:
+            first[:] = kept_
+            return False
+        same = again.recording[0].tobytes() == kept_.tobytes()
+        same = same and self._opened and self._run.memory.tobytes() == ends.tobytes()
+        first[:] = kept_  # whose memory the repetition has taken
+        if not same:
+            self._shut()
+            warn_user(
+                "An FMU that is put back to its beginning does not repeat the run that it made before; each run gets new "
+                "instances of it, which is slower.",
+                RuntimeWarning,
+            )
+        return same
+
+    def _room(self, runs: int) -> Floats:
+        if len(self._buffer) < runs:
+            self._buffer = np.empty((runs, *self._buffer.shape[1:]))
+        return self._buffer[:runs]
+
+    def _nothing(self, reason: str) -> Block:
+        """Return a run that could not even begin."""
+        recording = self._room(1)
+        recording[:] = np.nan
+        self._shut()
+        return Block(recording, np.array([-1], dtype=np.int64), (reason,))
+
+    def _shut(self, *, broken: bool = False) -> None:
+        """Free the FMUs; of one that is broken nothing may be asked any more, not even to free a saved state."""
+        if self._opened and not broken:
+            for free, component, place in self._free:
+                _STATE(free)(component, ctypes.addressof(place))
+        self._free.clear()
+        self._states, self._opened, self._fresh = None, False, False
+        with self._spares.lent():
+            self._stack.close()
+
+
+def _go_on(wanted: Wanted) -> None:
+    if not wanted():
+        raise StoppedFromOutside
+
+
+__all__ = ["Aside", "Block", "ManyRuns", "StoppedFromOutside", "Wanted"]

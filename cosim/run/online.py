@@ -1,0 +1,139 @@
+"""A block on its own, one step at a time: for a user's own loop, or for hardware."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.block import ExternalBlock
+from bayesftc.cosim.diagram.contract import checked
+from bayesftc.cosim.diagram.memory import arrange, bind
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.run.interrupts import import_engine
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.block import Block
+    from bayesftc.cosim.types import Kernel
+
+
+class Outputs(dict[str, Any]):
+    """The outputs of one step, by attribute (``out.u``) or by name (``out["u"]``)."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self:
+            return self[name]
+        raise AttributeError(f"The block has no output {name!r}; {did_you_mean(name, self)}")
+
+
+class Online:
+    """Makes one step of a block at each call; made by `Block.online`.
+
+    Call it with the block's inputs by name, numbers or sequences; ``None`` or NaN is a missing sample. An input that has a
+    start value takes it in every call that leaves the input out. It returns the outputs of this step: numbers for scalar
+    ports, arrays otherwise.
+
+    Parameters
+    ----------
+    block : Block
+        The block; its state lives in this object, not in the block.
+    dt : float, str or Fraction, optional
+        Sample time in seconds; not needed where the block knows it.
+    compiled : bool
+        False to step through the plain Python form.
+    """
+
+    def __init__(self, block: Block, dt: float | str | Fraction | None = None, *, compiled: bool = True):
+        step = block.sample_time if dt is None else rational_step(dt)
+        if step is None:
+            raise StepSizeError(
+                f"{type(block).__name__} does not know its sample time; give online(dt=...) in seconds."
+            )
+        if block.sample_time not in {None, step}:
+            raise StepSizeError(
+                f"{type(block).__name__} runs every {show(block.sample_time)} s, not every {show(step)} s."
+            )  # type: ignore[arg-type]
+        if isinstance(block, ExternalBlock):
+            raise ModelError(f"{type(block).__name__} runs in diagrams only; step an FMU on its own with fmpy.")
+        self._block, self._step = block, step
+        self._definition = checked(block, block.define(step), type(block).__name__)
+        self._slots, self._initial = arrange(block, self._definition, 0)
+        self._memory = self._initial.copy()
+        kernels = [k for k in (self._definition.output, self._definition.update) if k is not None]
+        self._inputs = {p.name: (p, self._view(p.name)) for p in block.inputs}
+        self._outputs = {p.name: (p, self._view(p.name)) for p in block.outputs}
+        self._calls = [self._compiled(k) if compiled and self._definition.compiled else self._plain(k) for k in kernels]
+        self._k = 0
+
+    def __call__(self, **inputs: Any) -> Outputs:
+        """Make one step; every input without a start value must be given."""
+        for name in inputs:
+            if name not in self._inputs:
+                raise UnknownNameError(f"{self._title} has no input {name!r}; {did_you_mean(name, self._inputs)}")
+        for name, (port, view) in self._inputs.items():
+            if name in inputs:
+                view[...] = self._checked(name, inputs[name], view.shape)
+            elif port.default is None:
+                raise ModelError(f"{self._title} needs its input {name!r} at every step; give {name}=...")
+            else:
+                view[...] = port.default
+        t = self._k * self._step.numerator / self._step.denominator
+        for call in self._calls:
+            call(t, self._k)
+        self._k += 1
+        return Outputs({n: float(v[0]) if p.shape == () else v.copy() for n, (p, v) in self._outputs.items()})
+
+    def reset(self) -> None:
+        """Go back to the state before the first step."""
+        self._memory[:] = self._initial
+        self._k = 0
+
+    @property
+    def _title(self) -> str:
+        return type(self._block).__name__
+
+    def _view(self, name: str) -> Any:
+        shape = self._slots.sections[name][2]
+        start = self._slots.offset(name)
+        return self._memory[start : start + int(np.prod(shape))].reshape(shape)
+
+    def _checked(self, name: str, value: Any, shape: tuple[int, ...]) -> Any:
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"{self._title}: the input {name}={value!r} is no number or sequence of numbers."
+            ) from None
+        if array.ndim == 0 and int(np.prod(shape)) == 1:
+            array = array.reshape(shape)
+        if array.shape != shape:
+            raise ModelError(f"{self._title}: the input {name!r} has the shape {array.shape}; it must be {shape}.")
+        return array
+
+    def _plain(self, kernel: Kernel) -> Callable[[float, int], Any]:
+        function = bind(kernel, self._slots, self._memory)
+
+        def call(t: float, k: int) -> None:
+            with np.errstate(all="ignore"):
+                function(t, k)
+
+        return call
+
+    def _compiled(self, kernel: Kernel) -> Callable[[float, int], Any]:
+        import_engine()
+        from bayesftc.cosim.stepping.compiler import compile_kernel
+
+        address = [ctypes.c_int64(self._memory.ctypes.data + 8 * start) for start in self._slots.start.values()]
+        i64 = ctypes.c_int64
+        function = ctypes.CFUNCTYPE(ctypes.c_int32, i64, i64, i64, i64, ctypes.c_double, i64)(
+            compile_kernel(kernel, self._slots.sections)
+        )
+
+        def call(t: float, k: int) -> None:
+            function(*address, t, k)
+
+        return call

@@ -1,0 +1,61 @@
+"""Which signals a run keeps: names and patterns to places in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.diagram.nodes import PortRef
+from bayesftc.cosim.diagram.schedule import Schedule
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Places in memory to record, and what stands in which column."""
+
+    places: np.ndarray[Any, np.dtype[np.int64]]
+    columns: dict[str, tuple[int, tuple[int, ...]]]
+    units: dict[str, str]
+
+
+def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -> Selection:
+    """Resolve names and patterns; None means every output.
+
+    Raises
+    ------
+    UnknownNameError
+        If a name or pattern matches no signal.
+    ModelError
+        If it is neither names nor patterns.
+    """
+    if isinstance(record, str | PortRef):
+        record = [record]
+    if record is not None and not isinstance(record, Iterable):
+        raise ModelError(
+            f"record is {record!r}; it must be names of signals or patterns, as ['plant.*'], or None for all outputs."
+        )
+    outputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.outputs}
+    inputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.inputs}
+    known = {**inputs, **outputs}
+    chosen: list[str] = []
+    for pattern in outputs if record is None else record:
+        pattern = pattern.name if isinstance(pattern, PortRef) else str(pattern)
+        matches = [pattern] if pattern in known else [name for name in outputs if fnmatchcase(name, pattern)]
+        if not matches:
+            raise UnknownNameError(f"There is no signal {pattern!r} to record; {did_you_mean(pattern, known)}")
+        chosen += [name for name in matches if name not in chosen]
+    places: list[int] = []
+    columns, units = {}, {}
+    for name in chosen:
+        node, port = known[name]
+        lies = schedule.signal(node, port)
+        columns[name] = (len(places), port.shape)
+        places += range(lies.start, lies.stop)
+        if port.unit:
+            units[name] = port.unit
+    return Selection(np.array(places, dtype=np.int64), columns, units)

@@ -1,0 +1,264 @@
+"""The signals of a run: by name, over time, saved to a file, shown in a figure, handed to pandas and xarray."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import secrets
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from fractions import Fraction
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.base.paths import is_file
+from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import labels
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    import control
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+FORMAT = "bayesftc-result-1"
+
+# What NumPy, zip and JSON raise over bytes that are not what they should be.
+_DAMAGE = (
+    OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError, SyntaxError,
+    MemoryError, zipfile.BadZipFile, zlib.error, pickle.UnpicklingError, struct.error, tokenize.TokenError,
+)  # fmt: skip
+
+
+class Result(Mapping[str, Floats]):
+    """Named signals over time.
+
+    ``result["plant.v"]`` is an array with a row for each recorded step: of shape (rows,) for a scalar port, (rows, n) for a
+    vector port, (rows, n, m) for a matrix port. No signal is copied: all are views of one recording.
+
+    Parameters
+    ----------
+    recording : ndarray, rows x scalars
+        The recorded numbers; kept, not copied.
+    columns : mapping of name to (int, tuple)
+        Where each signal begins in a row, and its shape.
+    step : Fraction
+        The base step in seconds.
+    decimation : int
+        Base steps between two rows.
+    before : int
+        How many rows of the whole run come before the first row here: none, unless it is a piece of a live run.
+    units, metadata, stopped
+        See below.
+
+    Attributes
+    ----------
+    units : dict
+        The unit of each signal that has one.
+    metadata : dict
+        What the run was: seed, duration, step, engine, kinds of blocks.
+    stopped : str or None
+        Why the run ended early, as a sentence; None if it did not.
+    """
+
+    def __init__(
+        self,
+        recording: Floats,
+        columns: Mapping[str, tuple[int, tuple[int, ...]]],
+        step: Fraction,
+        *,
+        decimation: int = 1,
+        before: int = 0,
+        units: Mapping[str, str] | None = None,
+        metadata: Mapping[str, Any] | None = None,
+        stopped: str | None = None,
+    ):
+        self._recording, self._columns = recording, dict(columns)
+        self.step, self.decimation, self.before = step, decimation, before
+        self.units, self.metadata, self.stopped = dict(units or {}), dict(metadata or {}), stopped
+
+    @property
+    def time(self) -> Floats:
+        """Time of each row in seconds: the doubles nearest to k times the step."""
+        rows = np.arange(self.before, self.before + len(self._recording), dtype=np.int64)
+        k = rows * (self.decimation * self.step.numerator)
+        return k / self.step.denominator
+
+    def __getitem__(self, name: str) -> Floats:
+        if not isinstance(name, str) or name not in self._columns:
+            raise UnknownNameError(self._without(name))
+        start, shape = self._columns[name]
+        values = self._recording[:, start : start + prod(shape)]
+        return values.reshape(len(values), *shape) if len(shape) != 1 else values
+
+    def _without(self, name: object) -> str:
+        """Return the sentence about a signal that is not there."""
+        if isinstance(name, list | tuple):
+            return (
+                f"A result gives one signal at a time, not {name!r}; result.to_pandas()[{list(name)!r}] gives several."
+            )
+        sentence = f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}"
+        block, _, port = str(name).rpartition(".")
+        if block and port and any(known.startswith(f"{block}.") for known in self._columns):
+            sentence += f" An input of a block is kept where it is named: simulate(..., record=['*', {name!r}])."
+        return sentence
+
+    # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def __repr__(self) -> str:
+        rows = len(self._recording)
+        end = float(self.time[-1]) if rows else 0.0
+        return f"<Result: {len(self)} signals, {rows} rows to t = {end:g} s{', stopped early' if self.stopped else ''}>"
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a table with a column for each scalar (``y[0]``, ``y[1]``, ...) and time in seconds as its index."""
+        import pandas as pd
+
+        names = [label for name in self for label in labels(name, self._columns[name][1])]
+        order = [start + i for start, shape in self._columns.values() for i in range(prod(shape))]
+        return pd.DataFrame(self._recording[:, order], index=pd.Index(self.time, name="time"), columns=names)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return a dataset with a variable for each signal over the coordinate ``time`` (seconds)."""
+        import xarray as xr
+
+        variables = {}
+        for name in self:
+            dimensions = ["time", *(f"{name}_{axis}" for axis in range(len(self._columns[name][1])))]
+            attributes = {"units": self.units[name]} if name in self.units else {}
+            variables[name] = (dimensions, self[name], attributes)
+        attributes = {"metadata": json.dumps(self.metadata), "stopped": self.stopped or ""}
+        return xr.Dataset(variables, coords={"time": ("time", self.time, {"units": "s"})}, attrs=attributes)
+
+    def to_control(
+        self, outputs: Iterable[str] | None = None, *, inputs: Iterable[str] = ()
+    ) -> control.TimeResponseData:
+        """Return the signals as a time response of python-control, one output for each scalar (``y[0]``, ``y[1]``, ...).
+
+        Parameters
+        ----------
+        outputs : iterable of str, optional
+            Names of the signals to take; all by default.
+        inputs : iterable of str
+            Names of those to take as its inputs.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no signal of that name.
+        """
+        import control
+
+        rows, names = self._scalars(list(self) if outputs is None else outputs)
+        driving, input_names = self._scalars(inputs)
+        given = {"inputs": driving, "input_labels": input_names} if input_names else {}
+        return control.TimeResponseData(
+            self.time, rows, output_labels=names, issiso=False, title="bayesftc", plot_inputs=False, **given
+        )
+
+    def _scalars(self, signals: Iterable[str]) -> tuple[Floats, list[str]]:
+        """Return the scalars of some signals, a row for each, and their names."""
+        chosen = [signals] if isinstance(signals, str) else list(signals)
+        columns = [self[name].reshape(len(self._recording), -1) for name in chosen]
+        names = [label for name in chosen for label in labels(name, self._columns[name][1])]
+        return np.hstack([np.empty((len(self._recording), 0)), *columns]).T, names
+
+    def plot(self, signals: Iterable[str] | None = None) -> Figure:
+        """Return a figure with one panel for each unit and kind of signal.
+
+        Parameters
+        ----------
+        signals : iterable of str, optional
+            Which signals; by default all scalars and vectors.
+        """
+        from bayesftc.cosim.judging.plotting import plot_signals
+
+        return plot_signals(self, signals)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the result to one file (a zip of NumPy arrays); it appears under its name only when it is whole.
+
+        Raises
+        ------
+        ResultFileError
+            If the file cannot be written.
+        """
+        path = Path(path)
+        header = {
+            "format": FORMAT,
+            "step": str(self.step),
+            "decimation": self.decimation,
+            "before": self.before,
+            "columns": {name: [start, list(shape)] for name, (start, shape) in self._columns.items()},
+            "units": self.units,
+            "metadata": self.metadata,
+            "stopped": self.stopped,
+        }
+        temporary = path.with_name(f"{path.name[:100]}.{secrets.token_hex(4)}.tmp")
+        try:
+            with open(temporary, "xb") as file:
+                np.savez_compressed(file, header=np.array(json.dumps(header)), recording=self._recording)
+            os.replace(temporary, path)
+        except OSError as error:
+            reason = error.strerror or error
+            raise ResultFileError(f"The result cannot be written to {path}: {reason}; choose another folder.") from None
+        finally:
+            with suppress(OSError):  # it is there only where the write has failed
+                temporary.unlink(missing_ok=True)
+        return path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Result:
+        """Read a result that `save` has written.
+
+        Raises
+        ------
+        ResultFileError
+            If the file is missing, damaged, or no result.
+        """
+        path = Path(path)
+        if not is_file(path):
+            raise ResultFileError(f"There is no result file {path}; check the path.")
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                header = json.loads(str(archive["header"]))
+                recording = archive["recording"]
+            if header["format"] != FORMAT:
+                raise KeyError(header["format"])
+            columns = {name: (start, tuple(shape)) for name, (start, shape) in header["columns"].items()}
+            ends = [start + prod(shape) for start, shape in columns.values()]
+            if recording.dtype != np.float64 or recording.ndim != 2 or max(ends, default=0) > recording.shape[1]:
+                raise ValueError(recording.shape)
+            return cls(
+                recording,
+                columns,
+                Fraction(header["step"]),
+                decimation=header["decimation"],
+                before=header.get("before", 0),  # files of earlier versions hold whole runs
+                units=header["units"],
+                metadata=header["metadata"],
+                stopped=header["stopped"],
+            )
+        except PermissionError as error:
+            raise ResultFileError(f"The result file {path} cannot be read: {error.strerror}.") from None
+        except _DAMAGE:
+            raise ResultFileError(
+                f"{path} is no result file of bayesftc, or it is damaged; run the simulation again."
+            ) from None

@@ -1,0 +1,270 @@
+"""The parts of a run: its FMUs are opened, its engine chosen, pieces run with Ctrl-C, progress and time limits in between.
+
+They are for runs that stay alive (`session`), of which a simulation is one that does not, and for what makes many (`_repeat`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, nullcontext
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.warnings_shown import warn_user
+from bayesftc.cosim.block import External, ExternalBlock
+from bayesftc.cosim.diagram.memory import TABLE
+from bayesftc.cosim.diagram.schedule import NOT_FINITE, Schedule
+from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
+from bayesftc.cosim.fmi.binaries.surroundings import kept
+from bayesftc.cosim.fmi.reading.embedded import interrupts
+from bayesftc.cosim.fmi.running.rounding import Roundable, warn_of_rounding
+from bayesftc.cosim.isolation.turns import one_processor
+from bayesftc.cosim.run.coupled.engines import check_groups, place_words
+from bayesftc.cosim.run.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
+from bayesftc.cosim.run.pacing import Pacer
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.run.recording import Selection
+    from bayesftc.cosim.run.result import Result
+
+BREATH = 0.05
+"""Seconds between two returns of the compiled loop to Python."""
+
+_MEMBERS = {name for name in (*vars(External), *External.__annotations__) if not name.startswith("_")}
+
+Progress = Callable[[int, int], None]
+
+
+def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection, steps: int, decimation: int) -> Run:
+    """Return a run at its beginning, whose FMUs the stack will close and whose recording is still empty.
+
+    Raises
+    ------
+    ModelError
+        If the recording does not fit into memory.
+    """
+    instances = {}
+    memory = schedule.initial.copy()
+    for i, node in enumerate(schedule.nodes):
+        if isinstance(node.block, ExternalBlock):
+            with kept():
+                instance = node.block.instantiate(schedule.step * node.every, node.name)
+            _check_instance(node.block, instance)
+            stack.callback(instance.close)
+            instances[i] = instance
+            rounding: Roundable | None = getattr(instance, "rounding", None)
+            if rounding is not None and rounding.wide_outputs:
+                rounding.let_round([name for name in rounding.wide_outputs if (i, name) not in schedule.connected])
+                stack.callback(warn_of_rounding, rounding, node.name)
+            _take_own_inputs(schedule, i, getattr(instance, "own_inputs", {}), memory)
+    run = Run(schedule, seed, memory, instances, selection.places, np.empty((0, 0)), decimation)
+    check_groups(run)
+    place_tables(run)
+    make_room(run, steps)
+    return run
+
+
+def _check_instance(block: ExternalBlock, instance: External) -> None:
+    """Refuse an instance that lacks something of what `External` says."""
+    missing = _MEMBERS - set(dir(type(instance))) - getattr(instance, "__dict__", {}).keys()
+    if missing:
+        raise KernelError(
+            f"What {type(block).__name__} has instantiated, a {type(instance).__name__}, lacks {' and '.join(sorted(missing))}; "
+            "give it all that the class External in bayesftc.cosim.block has."
+        )
+
+
+def _take_own_inputs(schedule: Schedule, node: int, values: Mapping[str, Floats], memory: Floats) -> None:
+    """Write into memory what an FMU has itself given to inputs, for those that nothing is connected to."""
+    begin = schedule.slots[node].start["inputs"]
+    for port in schedule.nodes[node].block.inputs:
+        if port.name in values:
+            memory[begin : begin + port.size] = values[port.name]
+        begin += port.size
+
+
+def place_tables(run: Run) -> None:
+    """Write into memory what compiled code needs to know of each FMU's instance.
+
+    Raises
+    ------
+    KernelError
+        If an instance needs more room than there is.
+    """
+    place_words(run)
+    for i, instance in run.instances.items():
+        if len(instance.table) > TABLE:
+            node = run.schedule.nodes[i]
+            raise KernelError(
+                f"The table of {node.name!r}, a {type(node.block).__name__}, has {len(instance.table)} words, and there is room "
+                f"for {TABLE}: keep what is more in memory of its own, and the address of that in the table."
+            )
+        start = run.schedule.slots[i].start["parameters"]
+        run.memory[start : start + len(instance.table)] = instance.table.view(np.float64)
+
+
+def make_room(run: Run, end: int) -> None:
+    """Give a run an empty recording of the steps that come after those done, up to step `end`.
+
+    Raises
+    ------
+    ModelError
+        If it does not fit into memory.
+    """
+    run.before = run.k // run.decimation + 1
+    rows, columns = end // run.decimation + 1 - run.before, len(run.recorded)
+    try:
+        run.recording = np.empty((rows, columns))
+    except (MemoryError, ValueError):
+        raise ModelError(
+            f"Recording {columns} numbers at {rows} steps takes {8e-9 * rows * columns:.3g} GB, more than this machine has; name "
+            "fewer signals with record=..., or keep every n-th step with decimation=n."
+        ) from None
+
+
+def choose_engine(wanted: str, run: Run) -> Engine:
+    """Return the engine of that name for a run; ``auto`` is compiled where every block allows it.
+
+    Raises
+    ------
+    ModelError
+        If there is no engine of that name.
+    KernelError
+        If a block that calls back into Python was to be compiled.
+    """
+    if wanted not in {"auto", "compiled", "interpreted"}:
+        raise ModelError(f"engine is {wanted!r}; it must be 'auto', 'compiled' or 'interpreted'.")
+    if wanted == "compiled" and not run.schedule.compiled:
+        names = [
+            n.name for n, d in zip(run.schedule.nodes, run.schedule.definitions, strict=True) if d and not d.compiled
+        ]
+        raise KernelError(
+            f"The blocks {', '.join(names)} call back into Python, so the diagram can only run interpreted."
+        )
+    if wanted == "interpreted" or not run.schedule.compiled:
+        return InterpretedEngine(run)
+    return CompiledEngine(run)
+
+
+def advance(
+    engine: Engine,
+    end: int,
+    run: Run,
+    progress: Progress | None = None,
+    time_limit: float | None = None,
+    pacer: Pacer | None = None,
+) -> str | None:
+    """Take a run on to step `end` in pieces of about `BREATH` seconds; return why it stopped early, if it did.
+
+    ``run.k`` is then the last complete step.
+    """
+    # The first piece is one step: a slow FMU must not keep Ctrl-C waiting for many.
+    begin, piece, started = max(run.k, 0), 1, time.perf_counter()
+    origin = begin
+    while True:
+        before = time.perf_counter()
+        until = min(begin + (pacer.pack if pacer else piece), end)
+        if pacer and run.k < 0:
+            until = 0  # what belongs to t_0 is not to wait for t_1
+        if pacer:
+            pacer.wait(until)
+        run.sound, run.ended = False, False
+        with (
+            one_processor(run.instances.values()),
+            kept() if run.instances else nullcontext() as changed,
+            interrupts() as heard,
+        ):
+            run.k, failure = engine.advance(begin, until, first=run.k < 0)
+        if changed:
+            warn_of_arithmetic(run)
+        now = time.perf_counter()
+        if failure:
+            reason = explain(failure, run)  # by which a failed FMU also knows what it must not be asked any more
+            if heard:
+                raise KeyboardInterrupt
+            return reason
+        run.sound = True
+        if pacer:
+            pacer.done(until)
+        if progress:
+            progress(until - origin, end - origin)
+        if until == end:
+            return None
+        if time_limit is not None and now - started > time_limit:
+            t = float(until * run.schedule.step)
+            return f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {until} of {end})."
+        if not pacer:
+            piece = max(1, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
+        begin = until
+
+
+def warn_of_arithmetic(run: Run) -> None:
+    """Warn that an FMU of a run has changed how this process computes; it was put back."""
+    suspects = " or ".join(repr(run.schedule.nodes[i].name) for i in run.instances)
+    warn_user(
+        f"The FMU of {suspects} has changed how this process rounds, or makes numbers below 2.2e-308 zero, for all that is "
+        "computed. It was put back, but the results of other blocks may differ in their last digits from what they should be: "
+        "isolate the FMU (isolate=True).",
+        RuntimeWarning,
+    )
+
+
+def explain(failure: Failure, run: Run) -> str:
+    """Return the sentence that says when, where and why a run stopped."""
+    node = run.schedule.nodes[failure.node]
+    t = float(failure.k * run.schedule.step)
+    when = f"at t = {t:g} s (step {failure.k})"
+    if failure.note:
+        for instance in run.instances.values():
+            _date_crash(instance, failure.k, t)
+        return f"The run stopped {when}: {failure.note}"
+    if failure.status >= NOT_FINITE:
+        place = failure.status - NOT_FINITE
+        value = run.memory[place]
+        name = run.schedule.output_name(failure.node, place - failure.outputs)
+        h = show(run.schedule.step * node.every)
+        return (
+            f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
+            f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
+        )
+    own = run.instances.get(failure.node)
+    detail = own.explain(failure.status) if own is not None else ""
+    run.ended = own is not None and own.has_ended
+    if run.ended:
+        return f"The run has ended {when}, as {node.name!r} wanted. {detail}"
+    if _date_crash(own, failure.k, t):
+        return f"The run stopped {when}: t{detail[1:]}"
+    return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
+
+
+def _date_crash(instance: External | None, k: int, t: float) -> bool:
+    """Tell the crash of an isolated FMU, if it is one, at which step it was noticed; return whether there is one."""
+    crash: FMUCrashed | None = getattr(instance, "crash", None)
+    if crash is not None:
+        crash.step, crash.time = k, t
+    return crash is not None
+
+
+def failed(stopped: str, result: Result, run: Run) -> SimulationError:
+    """Return what a run that had to stop raises: `FMUCrashed` where an isolated FMU was the reason."""
+    for instance in run.instances.values():
+        crash: FMUCrashed | None = getattr(instance, "crash", None)
+        if crash is not None and crash.step is not None:
+            return FMUCrashed(stopped, result, step=crash.step, time=crash.time, log=crash.log)
+    return SimulationError(stopped, result)
+
+
+__all__ = [
+    "advance",
+    "choose_engine",
+    "explain",
+    "failed",
+    "make_room",
+    "open_run",
+    "place_tables",
+    "warn_of_arithmetic",
+]

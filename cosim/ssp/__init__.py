@@ -1,0 +1,1 @@
+"""Systems of FMUs in the SSP standard's form, read and written."""

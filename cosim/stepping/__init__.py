@@ -1,0 +1,1 @@
+"""Step functions: run in Python, compiled, traced, differentiated."""

@@ -1,0 +1,254 @@
+"""A hash of all that a step function's compiled form depends on, and the check that it keeps the block contract.
+
+The hash is taken over code objects, not text: it follows every function that is called, in whichever file it stands (or in
+none: a notebook, the REPL), ignores comments and line numbers, and includes the constants that globals and closures hold.
+"""
+
+from __future__ import annotations
+
+import builtins
+import dis
+import hashlib
+import inspect
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
+from numbers import Number
+from pathlib import Path
+from types import CellType, CodeType, FunctionType, ModuleType
+from typing import Any
+
+from bayesftc.cosim import ops
+from bayesftc.cosim.errors import KernelError
+from bayesftc.cosim.stepping.instead import instead_of, line_of
+
+_OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
+_BUILTINS = frozenset({range, len})
+_ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
+_FORBIDDEN = {
+    "IMPORT_NAME": "imports inside; import from bayesftc.cosim.ops at the top of the file",
+    "STORE_GLOBAL": "writes a global variable; declare a state instead",
+    **dict.fromkeys(
+        ("BUILD_LIST", "BUILD_SET", "BUILD_MAP", "LIST_APPEND", "SET_ADD", "MAP_ADD"),
+        "makes a list, set or dictionary, but must allocate nothing; declare a state, or a constant outside of it",
+    ),
+    "STORE_DEREF": "writes a variable of the enclosing function; declare a state instead",
+}
+
+
+@cache
+def environment() -> str:
+    """Return what else compiled code depends on: versions, the processor, and this package's compiling modules."""
+    import platform
+
+    import llvmlite
+    import llvmlite.binding as llvm
+    import numba
+
+    from bayesftc.cosim.stepping import compiler as _compiler, numba_ops as _numba_ops
+
+    features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
+    # The code that this process has loaded, not the files, which may have been edited since.
+    options = _numba_ops.OPTIONS, _numba_ops.ENTRY_OPTIONS
+    sources = [str(options), *(_code_text(f._defn.__code__) for f in (_compiler.as_floats, _compiler.floats))]
+    sources += [_code_text(f.__code__) for _, f in sorted(vars(_numba_ops).items()) if isinstance(f, FunctionType)]
+    for pipeline in (o["pipeline_class"] for o in options if "pipeline_class" in o):
+        classes = [c for _, c in sorted(vars(sys.modules[pipeline.__module__]).items()) if isinstance(c, type)]
+        methods = [f for c in classes if c.__module__ == pipeline.__module__ for _, f in sorted(vars(c).items())]
+        sources += [_code_text(f.__code__) for f in methods if isinstance(f, FunctionType)]
+    parts = [platform.python_version(), numba.__version__, llvmlite.__version__, llvm.get_host_cpu_name(), features]
+    return "|".join(parts + sources)
+
+
+def functions_called(function: FunctionType) -> list[FunctionType]:
+    """Return `function` and every plain function it reaches, callees first, after checking each against the contract."""
+    ordered: list[FunctionType] = []
+    _visit(function, ordered, [])
+    return ordered
+
+
+def _visit(function: FunctionType, ordered: list[FunctionType], path: list[FunctionType]) -> None:
+    if function in path:
+        names = " -> ".join(f.__name__ for f in [*path, function])
+        at = where(path[-1], line_of(path[-1], function.__name__))
+        raise KernelError(
+            f"The step function calls itself ({names}): {at}; a recursion cannot be compiled: write a loop."
+        )
+    if function in ordered:
+        return
+    for name, value in references(function):
+        if isinstance(value, FunctionType) and value not in _OPERATIONS:
+            _visit(value, ordered, [*path, function])
+        elif not _allowed(value):
+            at = where(function, line_of(function, name))
+            raise KernelError(
+                f"Step function {at} uses {name!r} ({_describe(value)}); a step function may use only numbers, "
+                f"range, len, other such functions, and the mathematics of bayesftc.cosim.ops ({', '.join(ops.NAMES)})."
+                f"{instead_of(function, name, value)}"
+            )
+    _check_code(function, function.__code__)
+    ordered.append(function)
+
+
+def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Yield the name and value of each global and closure variable that `function` reads."""
+    for instruction in dis.get_instructions(function.__code__):
+        if instruction.opname == "LOAD_GLOBAL":
+            name = str(instruction.argval)
+            if name in function.__globals__:
+                yield name, function.__globals__[name]
+            elif hasattr(builtins, name):
+                yield name, getattr(builtins, name)
+            else:
+                at = where(function, line_of(function, name))
+                raise KernelError(f"Step function {at} uses {name!r}, which is not defined.")
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        try:
+            yield name, cell.cell_contents
+        except ValueError:  # the variable of the enclosing function has no value yet
+            raise KernelError(f"Step function {where(function)} uses {name!r}, which has no value yet.") from None
+
+
+def depends_on(function: FunctionType) -> list[Any]:
+    """Return all objects on which a step function's code depends.
+
+    While they are the same objects, so is the function's fingerprint, which costs more, and all that was made from its code.
+    """
+    found: list[Any] = []
+    functions = [function]
+    for reached in functions:  # the list grows by what it calls
+        values = [reached.__globals__.get(name) for name in reached.__code__.co_names]
+        values += reached.__closure__ or ()
+        values += [cell.cell_contents for cell in reached.__closure__ or () if _filled(cell)]
+        found += [reached.__code__, *values]
+        functions += [value for value in values if isinstance(value, FunctionType) and value not in functions]
+    return found
+
+
+def _filled(cell: CellType) -> bool:
+    try:
+        cell.cell_contents  # noqa: B018 - an empty cell raises
+    except ValueError:
+        return False
+    return True
+
+
+def _allowed(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(_allowed(item) for item in value)
+    return value is ops or isinstance(value, Number) or (callable(value) and value in _OPERATIONS | _BUILTINS)
+
+
+def _check_code(function: FunctionType, code: CodeType) -> None:
+    if any(isinstance(constant, CodeType) for constant in code.co_consts):
+        raise KernelError(
+            f"Step function {where(function)} has a function or comprehension inside; move the function outside, and write "
+            "a loop for the comprehension."
+        )
+    if not all(
+        _allowed(value) for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())
+    ):
+        raise KernelError(
+            f"Function {where(function)} has a default that is no number; a step function cannot call it so."
+        )
+
+    def at(instruction: dis.Instruction) -> str:
+        return where(function, instruction.positions.lineno if instruction.positions else None)
+
+    for instruction in dis.get_instructions(code):
+        if instruction.opname in _FORBIDDEN:
+            raise KernelError(f"Step function {at(instruction)} {_FORBIDDEN[instruction.opname]}.")
+        if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("@"):
+            raise KernelError(
+                f"Step function {at(instruction)} uses '@', which allocates and sums in another order; write loops."
+            )
+        if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("**"):
+            raise KernelError(
+                f"Step function {at(instruction)} uses '**', which rounds differently in compiled code: "
+                "multiply, or use ops.square, ops.sqrt or ops.exp."
+            )
+        if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and instruction.argval not in _ATTRIBUTES:
+            raise KernelError(
+                f"Step function {at(instruction)} uses the attribute {instruction.argval!r}; of arrays only shape, size and "
+                "indexing are available to a step function."
+            )
+
+
+def where(function: Callable[..., Any], line: int | None = None) -> str:
+    """Return a readable name and place of a function, or of a line in it."""
+    code = inspect.unwrap(function).__code__
+    return f"{function.__name__!r} ({Path(code.co_filename).name}, line {line or code.co_firstlineno})"
+
+
+def _describe(value: Any) -> str:
+    if isinstance(value, ModuleType):
+        return f"the module {value.__name__}"
+    return f"a {type(value).__name__}"
+
+
+def fingerprint(function: FunctionType, specialisation: str) -> str:
+    """Return a hexadecimal hash of `function`, all it calls, the sizes it is compiled for, and the environment."""
+    digest = hashlib.sha256(f"{environment()}\n{specialisation}\n".encode())
+    called = functions_called(function)
+    number = {reached: f"function {i}" for i, reached in enumerate(called)}
+    for reached in called:
+        digest.update(_code_text(reached.__code__).encode())
+        for name, value in references(reached):
+            digest.update(f"{name}={_text(value, number)};".encode())
+        digest.update(repr((reached.__defaults__, reached.__kwdefaults__)).encode())
+    return digest.hexdigest()[:24]
+
+
+def service_fingerprint(function: FunctionType, text: str) -> str:
+    """Return a hexadecimal hash of a service function of the engine, all that it calls, and the wrapper around it.
+
+    It is taken over the code that this process has loaded: the files may have been edited since.
+    """
+    digest = hashlib.sha256(f"{environment()}\n{text}\n".encode())
+    visited: list[FunctionType] = []
+    package = function.__module__.split(".")[0]
+
+    def visit(value: Any) -> None:
+        value = getattr(value, "_defn", value)  # an intrinsic's Python function
+        if isinstance(value, FunctionType) and value.__module__.split(".")[0] == package:
+            if value in visited:
+                digest.update(f"function {visited.index(value)}".encode())
+                return
+            visited.append(value)
+            digest.update(f"{_code_text(value.__code__)} {value.__defaults__!r}".encode())
+            for name in sorted(set(_names(value.__code__)) & value.__globals__.keys()):
+                digest.update(f"{name}=".encode())
+                visit(value.__globals__[name])
+            for cell in value.__closure__ or ():
+                visit(cell.cell_contents)
+        elif isinstance(value, ModuleType | FunctionType | type):
+            digest.update(f"{value.__name__};".encode())
+        elif isinstance(value, Number | str | tuple):
+            digest.update(f"{value!r};".encode())
+        else:
+            digest.update(f"{type(value).__name__};".encode())
+
+    visit(function)
+    return digest.hexdigest()[:24]
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+def _text(value: Any, number: dict[FunctionType, str]) -> str:
+    if isinstance(value, tuple):
+        return f"({','.join(_text(item, number) for item in value)})"
+    if isinstance(value, ModuleType):
+        return "ops"  # no other module passes the check
+    if callable(value):  # functions of the same name are told apart by their place among those called
+        return number.get(value) or f"{value.__module__}.{value.__name__}"
+    return f"{type(value).__name__} {value!r}"
+
+
+def _code_text(code: CodeType) -> str:
+    constants = [_code_text(c) if isinstance(c, CodeType) else repr(c) for c in code.co_consts]
+    return repr((code.co_code, code.co_names, code.co_varnames, code.co_freevars, constants))

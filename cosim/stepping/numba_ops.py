@@ -1,0 +1,114 @@
+"""What numba puts in place of each function of :mod:`bayesftc.cosim.ops`; imported only when something is compiled."""
+
+import math
+from importlib import import_module
+from typing import Any
+
+import numba
+import numpy as np
+from numba import extending
+
+from bayesftc.cosim import ops
+from bayesftc.cosim.base.warnings_shown import warn_user
+
+# numba compiles math.sqrt and friends to the C library's functions (or the correctly rounded instruction), which is what
+# CPython's math module calls too. Where CPython raises, these return what IEEE 754 says.
+
+
+def _select(condition, a, b):
+    return (float(a) if condition else float(b)) + 0.0  # the same number as from two terms, in half the operations
+
+
+def _minimum(a, b):
+    return _select(a < b, a, b)
+
+
+def _maximum(a, b):
+    return _select(a > b, a, b)
+
+
+def _both(a, b):
+    return bool(a) & bool(b)
+
+
+def _either(a, b):
+    return bool(a) | bool(b)
+
+
+def _negate(a):
+    return not a
+
+
+def _isnan(x):
+    return x != x
+
+
+def _sqrt(x):
+    return math.sqrt(x)
+
+
+def _exp(x):
+    return math.exp(x)
+
+
+def _log(x):
+    return math.log(x)
+
+
+def _sin(x):
+    return math.sin(x)
+
+
+def _cos(x):
+    return math.cos(x)
+
+
+def _floor(x):
+    return np.floor(x)
+
+
+def _absolute(x):
+    return math.fabs(x)
+
+
+def _square(x):
+    return float(x) * float(x)
+
+
+OPTIONS = {"error_model": "numpy", "forceinline": True}
+"""How every function called from a step function is compiled: 1/0 is infinite, and calls cost nothing."""
+
+ENTRY_OPTIONS: dict[str, Any] = {"error_model": "numpy", "forceinline": True}
+"""How the function around a step function is compiled, which the engine calls by its address."""
+
+KNOWN = (0, 69)
+"""The first version of numba whose inside nobody has compared with what our pipelines expect of it."""
+
+
+def _pipeline(module: str, name: str) -> Any:
+    """Return one of our pipelines, which take numba's inside for granted; None, with a warning, where that may be another."""
+    reason = f"it is newer than what this bayesftc knows, numba {KNOWN[0]}.{KNOWN[1] - 1}"
+    if numba.version_info.short < KNOWN:
+        try:
+            return getattr(import_module(f"bayesftc.cosim.{module}"), name)
+        except (ImportError, AttributeError) as error:
+            reason = f"its inside is not as expected ({error})"
+    warn_user(
+        f"numba {numba.__version__} compiles step functions in its own way, as {reason}: the numbers are the same, but compiling "
+        f"takes longer, and runs may. Take a newer bayesftc, or 'numba<{KNOWN[0]}.{KNOWN[1]}'."
+    )
+    return None
+
+
+if callee := _pipeline("_numba_callee", "Callee"):
+    OPTIONS |= {"pipeline_class": callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    # Before 0.62, LLVM's passes were ordered otherwise.
+    if numba.version_info.short >= (0, 62) and (entry := _pipeline("_numba_entry", "Entry")):
+        ENTRY_OPTIONS |= {"pipeline_class": entry}
+
+extending.register_jitable(**OPTIONS)(_select)
+_IMPLEMENTATIONS = {name: value for name, value in globals().items() if name[1:] in ops.NAMES}
+for _name in ops.NAMES:
+    extending.overload(getattr(ops, _name), jit_options=OPTIONS, strict=False)(
+        lambda *arguments, implementation=_IMPLEMENTATIONS[f"_{_name}"]: implementation
+    )

@@ -1,0 +1,86 @@
+"""Campaigns in other processes: isolated FMUs on a Dask cluster of this machine beside one process, and what processes cost."""
+
+from __future__ import annotations
+
+import time
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from bayesftc.bench._figures import Figure, Section, ratios
+from bayesftc.bench.measures.full_loop import EXPERIMENT, SETTING, full_diagram
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.campaign.campaign import Campaign
+    from bayesftc.cosim.campaign.executors.base import Executor
+
+STARTING = 0.25
+"""Part of the runs that are done when the clock begins: by then all workers are at work."""
+
+
+def measure(quick: bool = False) -> Section:
+    """Measure executors in turns: runs a second once all workers are at work, and how long that takes."""
+    from bayesftc import cosim
+
+    few, many, rounds = (16, 200, 1) if quick else (1_600, 60_000, 5)
+    isolated, inside = _campaign(few, few // 80, isolate=True), _campaign(many, many // 40)
+    measured: dict[str, tuple[Executor, Campaign]] = {
+        "process": (cosim.Processes(1), isolated),
+        "in_process": (cosim.Processes(1), inside),
+        "thread": (cosim.Threads(1), inside),
+    }
+    there = find_spec("distributed") is not None
+    if there:
+        measured["dask"] = cosim.DaskCluster(workers=2), isolated
+    rates: dict[str, list[float]] = {name: [] for name in (*measured, "dask")}
+    starts: dict[str, list[float]] = {name: [] for name in (*measured, "dask")}
+    for _ in range(rounds):
+        for name, (executor, campaign) in measured.items():
+            start, rate = _rate(campaign, executor)
+            starts[name].append(start)
+            rates[name].append(rate)
+    unit = "steps/s"
+    missing = None if there else "The package distributed is not installed."
+    return Section(
+        "executors",
+        f"Campaigns in other processes, runs of {EXPERIMENT} steps",
+        (
+            Figure("process", "isolated FMU, one process", unit, rates["process"]),
+            Figure("dask", "isolated FMU, Dask with two workers here", unit, rates["dask"], reason=missing),
+            Figure(
+                "dask_over_process",
+                "isolated FMU, Dask with two workers / one process",
+                "",
+                ratios(rates["dask"], rates["process"]),
+                at_least=1.5,
+                reason=missing,
+            ),
+            Figure(
+                "dask_start", "first runs of a Dask cluster here are done after", "s", starts["dask"], reason=missing
+            ),
+            Figure("process_start", "first runs of one process are done after", "s", starts["process"]),
+            Figure("in_process", "FMU in process, one process", unit, rates["in_process"]),
+            Figure("overhead", "one thread / one process", "", ratios(rates["thread"], rates["in_process"])),
+        ),
+    )
+
+
+def _campaign(runs: int, piece: int, *, isolate: bool = False) -> Campaign:
+    from bayesftc import cosim
+
+    error = cosim.RMSE("plant.v", "reference.y", shift=1)
+    return cosim.Campaign(
+        full_diagram(isolate=isolate),
+        duration=EXPERIMENT * SETTING.step,
+        seeds=runs,
+        metrics=[error],
+        piece=max(piece, 1),
+    )
+
+
+def _rate(campaign: Campaign, executor: Executor) -> tuple[float, float]:
+    """Return seconds until the first runs are done, and steps a second from `STARTING` on."""
+    began, told = time.perf_counter(), list[tuple[int, float]]()
+    campaign.run(executor=executor, progress=lambda done, of, failed: told.append((done, time.perf_counter())))
+    first = next(at for done, at in told if done) - began
+    ready, since = next((done, at) for done, at in told if done >= STARTING * campaign.runs)
+    return first, (campaign.runs - ready) * EXPERIMENT / (told[-1][1] - since)

@@ -1,0 +1,1 @@
+"""``bayesftc inspect``: what an FMU or an SSP has, and what works with it."""

@@ -1,0 +1,173 @@
+"""``bayesftc inspect``: what an FMU says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bayesftc.cli.inspection.verdicts import Verdict, verdicts
+from bayesftc.cosim.base.paths import exists, expanded
+from bayesftc.cosim.errors import FMUError, did_you_mean
+from bayesftc.cosim.fmi.fmu import describe
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bayesftc.cosim.fmi.fmu import FMUDescription
+    from bayesftc.cosim.fmi.reading.description import Value
+
+KINDS = {
+    "coSimulation": "co-simulation",
+    "modelExchange": "model exchange",
+    "scheduledExecution": "scheduled execution",
+}
+STYLES = {"yes": "green", "no": "red", "partly": "yellow"}
+ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParameter", "local", "independent")
+
+
+def inspect_fmu(name: str, *, validate: bool, json: bool, everything: bool = False) -> None:
+    """Print tables (or JSON) of a description and of what works.
+
+    Parameters
+    ----------
+    name : str
+        A file (FMU or SSP), or a shipped FMU.
+    validate : bool
+        Whether the description must keep the rules of FMI.
+    json : bool
+        Print JSON.
+    everything : bool
+        Print local variables as well.
+    """
+    if Path(name).suffix.lower() in {".ssp", ".ssd"}:
+        from bayesftc.cli.inspection.ssp import inspect_ssp
+
+        inspect_ssp(expanded(name), validate=validate, json=json)
+        return
+    path = find_fmu(name)
+    description = describe(path, validate=validate)
+    works = verdicts(path, description, validate=validate)
+    if json:
+        from bayesftc.cli.output import as_json
+
+        table = {v.what: {"works": v.works, "how": v.how} for v in works}
+        typer.echo(as_json({"path": str(path), **_plain(asdict(description)), "works": table}))
+        return
+    _print(path, description, works, everything)
+
+
+def find_fmu(name: str) -> Path:
+    """Return the file that is meant: a path, or else a shipped FMU's name."""
+    from bayesftc import fmus
+
+    path = expanded(name)
+    if exists(path) or path.suffix.lower() == ".fmu" or path.name != name:
+        return path
+    if name not in fmus.names():
+        raise FMUError(f"There is no FMU {name!r}, neither as a file nor shipped; {did_you_mean(name, fmus.names())}")
+    return fmus.path(name)
+
+
+def _print(path: Path, description: FMUDescription, works: list[Verdict], everything: bool) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    facts = Table(box=None, show_header=False, pad_edge=False)
+    facts.add_column(style="bold", no_wrap=True)
+    facts.add_column(overflow="fold")
+    for label, value in _facts(path, description):
+        facts.add_row(label, Text(value))
+    console.print(facts)
+    console.print()
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("what works", "", "how, or why not"):
+        table.add_column(column, overflow="fold")
+    for verdict in works:
+        table.add_row(Text(verdict.what), Text(verdict.works, style=STYLES[verdict.works]), Text(verdict.how))
+    console.print(table)
+    _print_variables(console, description, everything)
+
+
+def _print_variables(console: Console, description: FMUDescription, everything: bool) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("variable", "causality", "type", "unit", "start", "description"):
+        table.add_column(column, overflow="fold", justify="right" if column == "start" else "left")
+    shown = [v for v in description.variables if everything or v.causality in ORDER[:5]]
+    ranked = sorted(shown, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER))
+    for v in ranked:
+        kind = v.type + (f"[{', '.join(map(str, v.shape))}]" if v.shape else "")
+        cells = (v.name, v.causality, kind, v.unit or "", _short(v.start), v.description or "")
+        table.add_row(*(Text(cell) for cell in cells))
+    console.print(table)
+    hidden = len(description.variables) - len(shown)
+    if hidden:
+        console.print(f"{hidden} more (time and local variables): --all shows them.")
+
+
+def _short(start: Value | None) -> str:
+    """Return a start value in few characters; JSON has all digits."""
+    if start is None:
+        return ""
+    if isinstance(start, tuple):
+        return "[" + ", ".join(map(_short, start)) + "]"
+    return f"{start:.10g}" if isinstance(start, float) and len(str(start)) > 12 else f"{start}"
+
+
+def _facts(path: Path, description: FMUDescription) -> list[tuple[str, str]]:
+    experiment = ", ".join(f"{name} {value:g}" for name, value in description.default_experiment.items())
+    capabilities = ", ".join(
+        name if value is True else f"{name} {value}" for name, value in description.capabilities.items() if value
+    )
+    entries = [
+        ("model", description.name),
+        ("file", str(path)),
+        ("description", description.description),
+        ("FMI", description.fmi_version),
+        ("kinds", ", ".join(KINDS.get(kind, kind) for kind in description.kinds)),
+        ("platforms", ", ".join(description.platforms) or "none: it has no binaries"),
+        ("capabilities", capabilities or "none"),
+        ("default experiment", experiment),
+        ("made by", description.generation_tool),
+        ("timing", description.timing),
+        ("stands for", _stands_for(description)),
+        ("direct feedthrough", _feedthrough(description)),
+    ]
+    return [(label, value) for label, value in entries if value]
+
+
+def _stands_for(description: FMUDescription) -> str:
+    """Return from which blocks of a diagram the FMU was exported."""
+    if not description.blocks:
+        return ""
+    blocks = "block" if len(description.blocks) == 1 else "blocks"
+    return f"{', '.join(description.blocks)} (bayesftc verify runs it beside the {blocks})"
+
+
+def _feedthrough(description: FMUDescription) -> str:
+    """Return which outputs depend at the same instant on which inputs."""
+    if not any(v.causality == "input" for v in description.variables):
+        return "none"
+    told = [
+        f"{output} <- {'any input (it does not say)' if inputs is None else ', '.join(inputs)}"
+        for output, inputs in description.feedthrough.items()
+        if inputs != ()
+    ]
+    return "; ".join(told) or "none"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items() if key not in {"token", "log_categories"}}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value

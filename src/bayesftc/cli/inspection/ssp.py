@@ -1,0 +1,107 @@
+"""``bayesftc inspect`` of an SSP: its components, the values bound to them, and what is connected to what."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bayesftc.cosim.blocks.mathblocks import Gain
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.errors import SSPError
+from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.ssp.system import open_ssp
+
+
+def inspect_ssp(path: Path, *, validate: bool, json: bool) -> None:
+    """Print tables (or JSON) of the diagram that an SSP makes.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The ``.ssp`` or ``.ssd``.
+    validate : bool
+        Whether it and its FMUs must keep the rules of SSP and FMI.
+    json : bool
+        Print JSON.
+    """
+    try:
+        diagram = open_ssp(path, validate=validate)
+        step: str | None = str(diagram.step)
+    except SSPError as error:
+        if "give dt=" not in str(error):
+            raise
+        diagram, step = open_ssp(path, validate=validate, dt=1), None
+    found = {"path": str(path), "step": step, "components": _components(diagram), "connections": _connections(diagram)}
+    if json:
+        import typer
+
+        from bayesftc.cli.output import as_json
+
+        typer.echo(as_json(found))
+        return
+    _print(found)
+
+
+def _components(diagram: Diagram) -> dict[str, Any]:
+    return {
+        node.name: {
+            "fmu": Path(node.block.path).name,
+            "fmi_version": node.block.description.fmi_version,
+            "kind": node.block.kind,
+            "values": dict(node.block.parameters or {}),
+        }
+        for node in diagram.nodes
+        if isinstance(node.block, FMU)
+    }
+
+
+def _connections(diagram: Diagram) -> list[dict[str, Any]]:
+    """Return what feeds each input of each FMU; a `Gain` between two is a transformation."""
+    found = []
+    for node in diagram.nodes:
+        for port in node.block.inputs or () if isinstance(node.block, FMU) else ():
+            assert isinstance(port, Port)
+            source = diagram.source_of(node, port, 0)
+            if source is None:
+                continue
+            reference, linear = source[0], {}
+            block = reference.node.block
+            if isinstance(block, Gain):
+                linear = {"factor": block.gain, "offset": block.offset}
+                before = diagram.source_of(reference.node, block.inputs[0], 0)
+                assert before is not None
+                reference = before[0]
+            found.append(
+                {"from": f"{reference.node.name}.{reference.port.name}", "to": f"{node.name}.{port.name}", **linear}
+            )
+    return found
+
+
+def _print(found: dict[str, Any]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    console.print(Text(f"file  {found['path']}"))
+    console.print(Text(f"step  {found['step']} s" if found["step"] else "step  none is given: open_ssp(path, dt=...)"))
+    components = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("component", "FMU", "FMI", "used for", "values"):
+        components.add_column(column, overflow="fold")
+    for name, row in found["components"].items():
+        values = ", ".join(f"{variable} = {value}" for variable, value in row["values"].items())
+        components.add_row(*map(Text, (name, row["fmu"], row["fmi_version"], row["kind"], values)))
+    console.print(components)
+    connections = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in ("from", "to", "factor", "offset"):
+        connections.add_column(column, overflow="fold", justify="right" if column in {"factor", "offset"} else "left")
+    for row in found["connections"]:
+        numbers = (f"{row[n]:.10g}" if n in row else "" for n in ("factor", "offset"))
+        connections.add_row(*map(Text, (row["from"], row["to"], *numbers)))
+    if found["connections"]:
+        console.print(connections)
+
+
+__all__ = ["inspect_ssp"]

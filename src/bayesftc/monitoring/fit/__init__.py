@@ -1,0 +1,1 @@
+"""A monitor's model from a recording."""

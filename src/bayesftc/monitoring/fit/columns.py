@@ -1,0 +1,154 @@
+"""Which columns of CSV files are the times and the sensors, where nobody says it, and how often they are sampled."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from bayesftc.cosim.errors import RecordingError, did_you_mean
+from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.fit.settings import FIT
+from bayesftc.monitoring.recording import Recording, Signal, align
+
+TIMES = ("t", "time", "times", "timestamp", "seconds", "time_s", "time (s)", "t (s)", "time [s]", "t [s]")
+"""Names that a column of time stamps may have, in any case; without one of them it is the first column, if that increases."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a signal stands.
+
+    Parameters
+    ----------
+    file, column, time : str
+        Its file, its column and that of its times.
+    """
+
+    file: str
+    column: str
+    time: str
+
+
+def redundant_signals(
+    paths: Sequence[str | os.PathLike[str]], names: Sequence[str] = ()
+) -> tuple[dict[str, Place], dict[str, Signal]]:
+    """Return all signals of CSV files with numbers in them, besides the times, and where each stands.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Files, or folders with files.
+    names : sequence of str
+        Columns that are sensors; by default all.
+
+    Raises
+    ------
+    RecordingError
+        If a file is no table, has no times, or lacks a column that is named.
+    """
+    tables = Tables(paths)
+    places: dict[str, Place] = {}
+    signals: dict[str, Signal] = {}
+    columns: list[str] = []
+    for file in tables.files():
+        header = tables.numeric(file)
+        time = _time_column(tables, file, header)
+        columns += [name for name in header if name != time]
+        for column in header:
+            if column == time or (names and column not in names):
+                continue
+            name = column if column not in places else f"{file.stem}_{column}"
+            places[name] = Place(file.name, column, time)
+            times = tables.column(file, time, "the times")
+            try:
+                signals[name] = Signal(times, tables.column(file, column, "a sensor"))
+            except RecordingError as error:
+                raise RecordingError(f"{file}, the column {column!r}: {error}") from None
+    missing = [name for name in names if name not in columns]
+    if missing:
+        raise RecordingError(f"There is no column {missing[0]!r} with numbers; {did_you_mean(missing[0], columns)}")
+    if not signals:
+        raise RecordingError("There is no column with samples besides the times; give a file with two sensors or more.")
+    return places, signals
+
+
+def _time_column(tables: Tables, file: os.PathLike[str], header: Sequence[str]) -> str:
+    for name in header:
+        if name.lower() in TIMES:
+            return name
+    if header and np.all(np.diff(tables.column(file, header[0], "the times")) > 0):  # type: ignore[arg-type]
+        return header[0]
+    raise RecordingError(
+        f"{os.fspath(file)} has no column of times: none is called {', '.join(TIMES[:3])}, and the first does not increase. Name "
+        "the column of times 't'; it counts seconds."
+    )
+
+
+def sample_time(signals: Mapping[str, Signal]) -> Fraction:
+    """Return the interval of the fastest signal, or a part of it where its times jitter, rounded to a short number."""
+    times = min((np.asarray(s.time) for s in signals.values()), key=lambda t: float(np.median(np.diff(t))))
+    intervals = np.diff(times)
+    usual = intervals[intervals < 3 * np.median(intervals)]
+    interval = float(usual.mean())
+    for part in (1.0, 0.9, 0.8, 0.7, 0.6, 0.5):
+        steps = np.rint((times - times[0]) / (part * interval))
+        if part == 1.0 and np.ptp(usual) < 0.5 * interval:
+            break
+        if np.mean(np.diff(steps) == 0) <= FIT.collide:
+            break
+    return _short(part * interval)
+
+
+def _short(value: float) -> Fraction:
+    """Return the shortest decimal number within a ten-thousandth of a value."""
+    numbers = (Fraction(f"{value:.{digits}e}") for digits in range(7))
+    return next((n for n in numbers if abs(float(n) - value) < 1e-4 * value), Fraction(f"{value:.9e}"))
+
+
+def stretch_of(recording: Recording, start: float | None, stop: float | None) -> slice:
+    """Return the steps from one time to another.
+
+    Parameters
+    ----------
+    recording : Recording
+        Whose steps.
+    start, stop : float or None
+        The times in seconds; None: its own.
+
+    Raises
+    ------
+    RecordingError
+        If there is none.
+    """
+    time = recording.time
+    first = 0 if start is None else int(np.searchsorted(time, start))
+    last = len(time) if stop is None else int(np.searchsorted(time, stop, side="right"))
+    if first >= last:
+        raise RecordingError(
+            f"The recording, from {time[0]:g} to {time[-1]:g} s, has nothing in the stretch that was named; choose --from and "
+            "--to in it."
+        )
+    return slice(first, last)
+
+
+def recorded(signals: Mapping[str, Signal]) -> Recording:
+    """Return signals brought to steps of about their own interval; see `align`.
+
+    Parameters
+    ----------
+    signals : mapping of str to Signal
+        All of them sensors.
+
+    Raises
+    ------
+    RecordingError
+        As of `align`, or if a signal has a single sample.
+    """
+    for name, signal in signals.items():
+        if len(np.asarray(signal.time)) < 2:
+            raise RecordingError(f"The sensor {name!r} has a single sample; leave it out.")
+    return align(signals, {}, sample_time(signals))

@@ -1,0 +1,55 @@
+"""Robust moments of differences over many short windows: how far a quantity moves, and how far its sensors disagree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.settings import FIT
+
+MAD = 1.4826
+"""Standard deviation of a normal variable over the median of its absolute value."""
+
+
+def median(values: Floats, axis: int) -> Floats:
+    """Return the median along an axis, without the NaN; NaN where there is nothing else. Much faster than numpy's."""
+    ordered = np.sort(values, axis=axis)  # NaN comes last
+    count = np.isfinite(ordered).sum(axis=axis, keepdims=True)
+    low, high = (np.take_along_axis(ordered, np.maximum(at, 0), axis) for at in ((count - 1) // 2, count // 2))
+    return np.asarray(np.where(count > 0, (low + high) / 2, np.nan).squeeze(axis))
+
+
+def differences(y: Floats, lag: int, order: int) -> Floats:
+    """Return differences of an order over a lag along the first axis; NaN where a sample is missing."""
+    for _ in range(order):
+        y = y[lag:] - y[:-lag]
+    return y
+
+
+def windowed(x: Floats, lag: int) -> Floats:
+    """Return differences cut into windows (windows x samples x signals), each with its outliers cut back.
+
+    The scale of a window is that of its changes: samples that repeat themselves, or a coarse resolution, do not shrink it.
+
+    Parameters
+    ----------
+    x : ndarray, steps x signals
+        Differences.
+    lag : int
+        Over which they are taken, in steps.
+    """
+    length = max(min(max(FIT.least_window, FIT.window * lag), len(x) // FIT.fewest_windows), 1)
+    count = len(x) // length
+    x = x[: count * length].reshape(count, length, x.shape[1])
+    size = np.abs(x)
+    limit = FIT.clip * MAD * median(np.where(size > 0, size, np.nan), 1)[:, None, :]
+    limit = np.where(np.isfinite(limit), limit, 0.0)
+    return np.asarray(np.clip(x, -limit, limit))
+
+
+def mean(values: Floats, axis: int) -> Floats:
+    """Return the mean along an axis, without the NaN; NaN where fewer than a tenth, or three, are left."""
+    finite = np.isfinite(values)
+    count = finite.sum(axis=axis)
+    enough = (count >= 3) & (count >= values.shape[axis] / 10)
+    return np.asarray(np.where(enough, np.where(finite, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan))

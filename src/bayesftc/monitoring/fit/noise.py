@@ -1,0 +1,197 @@
+"""How far redundant sensors disagree: each one's noise, errors that last, and errors that two of them share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import nnls
+
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.moments import differences, mean, median, windowed
+from bayesftc.monitoring.fit.settings import FIT
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What one sensor, or a group of sensors together, has of errors.
+
+    Attributes
+    ----------
+    white : float
+        Variance from sample to sample.
+    lasting : tuple of tuple
+        Variance and time constant in steps of coloured noise, if there is any.
+    """
+
+    white: float
+    lasting: tuple[tuple[float, float], ...]
+
+    def times(self, factor: float) -> Noise:
+        """Return noise whose variance is larger by a factor."""
+        return Noise(factor * self.white, tuple((factor * variance, constant) for variance, constant in self.lasting))
+
+    def within(self, least: float, factor: float) -> Noise:
+        """Return noise of the same kind whose variance is at least `least`, and at most `factor` times this."""
+        variance = self.variance
+        return self.times(float(np.clip(variance, least, factor * least)) / variance) if variance > 0 else self
+
+    @property
+    def variance(self) -> float:
+        """Of all of them."""
+        return self.white + sum(variance for variance, _ in self.lasting)
+
+
+def awake(y: Floats) -> Floats:
+    """Return samples without those of windows in which their sensor does not change, as that of a parked car or a frozen one.
+
+    What is quiet for such a reason says nothing of the noise. Where too few samples would be left all stay.
+    """
+    count = len(y) // FIT.quiet
+    kept = y.copy()
+    for i, column in enumerate(y.T):
+        there = np.flatnonzero(np.isfinite(column))
+        changes = np.zeros(len(y), dtype=bool)
+        changes[there[1:]] = np.diff(column[there]) != 0
+        parts = changes[: count * FIT.quiet].reshape(count, FIT.quiet).any(axis=1)
+        asleep = np.append(
+            np.repeat(~parts, FIT.quiet), np.full(len(y) - count * FIT.quiet, not changes[count * FIT.quiet :].any())
+        )
+        if np.isfinite(column[~asleep]).sum() >= FIT.fewest:
+            kept[asleep, i] = np.nan
+    return kept
+
+
+def disagreement(y: Floats, lag: int) -> tuple[Floats, Floats]:
+    """Return the variance of the difference of each pair of sensors over a lag, in each window, and each sensor's own.
+
+    Of a sensor it is the variance of its differences less what they have in common with the quietest other one.
+
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples.
+    lag : int
+        In steps.
+
+    Returns
+    -------
+    apart : ndarray, windows x pairs
+    alone : ndarray, windows x sensors
+    """
+    pairs = list(combinations(range(y.shape[1]), 2))
+    apart = windowed(differences(np.column_stack([y[:, i] - y[:, j] for i, j in pairs]), lag, 1), lag)
+    x = windowed(differences(y, lag, 1), lag)
+    own = mean(x**2, 1)
+    quiet = np.argsort(median(own, 0))
+    partner = [int(quiet[1] if quiet[0] == i else quiet[0]) for i in range(y.shape[1])]
+    return mean(apart**2, 1), np.asarray(own - mean(x * x[:, :, partner], 1))
+
+
+def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
+    """Return the pairs of sensors that are nearer to each other than to all others; three sensors do not tell.
+
+    Parameters
+    ----------
+    apart : ndarray, pairs
+        Variance of the difference of each pair.
+    sensors : int
+        How many there are.
+    """
+    if sensors < 4 or not np.isfinite(apart).all():
+        return []
+    table = np.full((sensors, sensors), np.nan)
+    for (i, j), variance in zip(combinations(range(sensors), 2), apart, strict=True):
+        table[i, j] = table[j, i] = variance
+    found = []
+    for i, j in combinations(range(sensors), 2):
+        others = [k for k in range(sensors) if k not in (i, j)]
+        if table[i, j] < FIT.alike * min(float(np.median(table[k, others])) for k in (i, j)):
+            found.append((i, j))
+    return [pair for pair in found if sum(bool(set(pair) & set(other)) for other in found) == 1]
+
+
+def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Floats:
+    """Return the variances of each sensor and each group that add up to those of the pairs; NaN where no pair tells.
+
+    It is done in each window, of which the median counts: so a fault of one sensor is seen in this one only. The equations are
+    those of the three-cornered hat (Gray and Allan, 1974), solved by least squares of relative errors. Where the quantity moves
+    little, a sensor's own differences tell more: what scatters less from window to window counts.
+
+    Parameters
+    ----------
+    apart : ndarray, windows x pairs
+        From `disagreement`.
+    alone : ndarray, windows x sensors
+        From `alone`.
+    shared : list of tuple of int
+        From `groups`.
+    """
+    sensors = alone.shape[1]
+    typical = median(apart, 0)
+    known = np.isfinite(typical) & (typical > 0)
+    pairs = list(combinations(range(sensors), 2))
+    rows = [
+        [float(i in p) for i in range(sensors)] + [float((g[0] in p) != (g[1] in p)) for g in shared] for p in pairs
+    ]
+    matrix = np.array(rows)[known]
+    if not known.any():
+        return np.where(np.isfinite(typical).any(), 0.0, np.full(sensors + len(shared), np.nan))
+    weight = 1.0 / typical[known]
+    solve = np.linalg.pinv(matrix * weight[:, None])  # shares out evenly what no pair tells apart
+    of_windows = (apart[:, known] * weight) @ solve.T
+    parts = np.where(matrix.any(axis=0), median(of_windows, 0), np.nan)
+    if not shared:
+        other = median(alone, 0)
+        better = scatter(alone, other) < scatter(of_windows, parts)
+        parts = (
+            np.where(better, other, parts)
+            if sensors > 2
+            else np.clip(other, FIT.lesser * typical, (1 - FIT.lesser) * typical)
+        )
+    return np.asarray(np.maximum(parts, 0.0))
+
+
+def scatter(of_windows: Floats, typical: Floats) -> Floats:
+    """Return the median distance of the windows' values from the typical one."""
+    return median(np.abs(of_windows - typical), 0)
+
+
+def decompose(lags: Floats, variances: Floats, *, white: bool) -> Noise:
+    """Return the white noise and lasting errors whose differences have these variances over these lags, in steps.
+
+    Parameters
+    ----------
+    lags, variances : ndarray
+        Of the differences.
+    white : bool
+        Whether there is white noise at all; without, what is white has the shortest time constant.
+    """
+    known = np.isfinite(variances)
+    lags, variances = lags[known], variances[known]
+    lags, variances = (of[lags <= FIT.long * lags[:1]] for of in (lags, variances))
+    if not len(lags) or not variances.max() > 0:
+        return Noise(0.0, ())
+    constants = [0.3] * (not white) + [
+        float(lags[0] * 2**power) for power in range(int(np.log2(lags[-1] / lags[0])) + 1)
+    ]
+    columns = [1.0 - np.exp(-lags / constant) for constant in constants]
+    matrix = 2.0 * np.column_stack([np.ones(len(lags))] * white + columns)
+    weight = 1.0 / np.maximum(variances, 1e-3 * variances.max())
+    parts, _ = nnls(matrix * weight[:, None], variances * weight)
+    level, of_constants = (float(parts[0]), parts[1:]) if white else (0.0, parts)
+    times = np.asarray(constants)
+    lasting = []
+    variance = float(of_constants.sum())
+    if variance > 0:
+        lasting.append((variance, float(np.exp(of_constants @ np.log(times) / variance))))
+    if not white:
+        return Noise(0.0, tuple(lasting))
+    kept = [part for part in lasting if part[0] > FIT.counts * level]
+    level += sum(part[0] for part in lasting if part not in kept)
+    total = level + sum(part[0] for part in kept)
+    if level < FIT.white * total:
+        factor = (1 - FIT.white) * total / (total - level)
+        level, kept = FIT.white * total, [(factor * variance, constant) for variance, constant in kept]
+    return Noise(level, tuple(kept))

@@ -1,0 +1,92 @@
+"""A fitted model as a monitor's model file, and in words."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+
+from bayesftc.monitoring.fit.columns import Place
+from bayesftc.monitoring.fit.fit import FittedModel
+from bayesftc.monitoring.fit.settings import FIT
+from bayesftc.monitoring.models import ConstantRate
+from bayesftc.monitoring.recording import Recording
+
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+"""A key that needs no quotes in TOML."""
+
+
+def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str, Place]) -> str:
+    """Return the text of a model file that `load_monitor` reads.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        What was found.
+    recording : Recording
+        In what.
+    places : mapping of str to Place
+        Where each sensor stands.
+    """
+    several = len({place.file for place in places.values()}) > 1
+    time = next(iter(places.values())).time
+    lines = [
+        f"# Fitted by bayesftc monitor --fit to {recording.time[0]:g} to {recording.time[-1]:g} s.",
+        "",
+        f"dt = {float(recording.dt):.10g}  # s, of a step",
+        f"time = {_text(time)}  # the column of times",
+        "",
+        "[model]",
+        *_plant(fitted),
+    ]
+    for name, sensor in fitted.sensors.items():
+        place = places[name]
+        lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.0%} of the steps are without a sample"]
+        if several:
+            lines.append(f"file = {_text(place.file)}")
+        if place.column != name:
+            lines.append(f"column = {_text(place.column)}")
+        if place.time != time:
+            lines.append(f"time = {_text(place.time)}")
+        lines += [
+            f"std = {_number(sensor.std)}  # of its white noise",
+            f"bias = {_number(sensor.bias)}  # its constant difference from the typical sensor",
+            f"resolution = {_number(sensor.resolution)}" + ("" if sensor.resolution else "  # too fine to matter"),
+            f"repeats = {_number(sensor.repeats)}  # share of its samples that equal the one before",
+        ]
+    for errors in fitted.errors:
+        named = ", ".join(map(_text, errors.sensors or ()))
+        lines += [
+            "",
+            "[[errors]]  # " + ("that these sensors share" if errors.common else "that last"),
+            f"sensors = [{named}]",
+            f"std = {_number(errors.std)}",
+            f"time_constant = {_number(errors.time_constant)}  # s",
+            *(["common = true"] if errors.common else []),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _plant(fitted: FittedModel) -> list[str]:
+    kind, std = type(fitted.plant).__name__, _number(fitted.plant.std)
+    if not isinstance(fitted.plant, ConstantRate):
+        return [f'kind = "{kind}"  # a level that wanders', f"std = {std}  # of its change in a second"]
+    spread = max(FIT.uncertain * fitted.spread, fitted.plant.std)
+    return [
+        f'kind = "{kind}"  # a level with a rate that wanders',
+        f"std = {std}  # of the rate's change in a second",
+        f"initial_mean = [{_number(fitted.level)}, 0.0]  # level and rate before the first sample",
+        f"initial_std = [{_number(spread)}, {_number(max(fitted.rate, fitted.plant.std))}]",
+    ]
+
+
+def _number(value: object) -> str:
+    return f"{float(value):.5g}"  # type: ignore[arg-type]
+
+
+def _text(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _key(name: str) -> str:
+    return name if BARE.fullmatch(name) else _text(name)

@@ -1,0 +1,116 @@
+"""The file of a monitor, in TOML."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bayesftc.controllers.precision.base import PrecisionLearner
+from bayesftc.controllers.registry import LEARNERS
+from bayesftc.controllers.switching.actuator_settings import check_controls
+from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.paths import expanded
+from bayesftc.monitoring.alarms import Alarm
+from bayesftc.monitoring.columns import Input, Sensor, SensorErrors
+from bayesftc.monitoring.models import PLANT_MODELS
+from bayesftc.monitoring.monitor import Monitor
+from bayesftc.scenario._files import read_toml
+from bayesftc.scenario._place import Place
+from bayesftc.scenario._schema import as_table, build, build_one_of
+
+SECTIONS = ("dt", "time", "invalid", "model", "sensors", "inputs", "errors", "precision", "alarm")
+
+
+@dataclass(frozen=True)
+class _Start:
+    """What ``[model]`` may say of the beginning."""
+
+    initial_mean: float | Sequence[float] | None = None
+    initial_std: float | Sequence[float] | None = None
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What stands above all sections."""
+
+    dt: float | str
+    time: str = "t"
+    invalid: Sequence[float] = ()
+
+
+def load_monitor(path: str | os.PathLike[str]) -> Monitor:
+    """Read a model file and check all that it says.
+
+    Parameters
+    ----------
+    path : str or path
+        A TOML file.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, has an unknown key, lacks one, or one of a wrong type: the sentence says which and where.
+    BayesFTCError
+        What is wrong with a setting, with its place in the file.
+    """
+    file = expanded(path)
+    content, root = read_toml(file), Place(str(file))
+    root.refuse_unknown(content, SECTIONS, "section")
+    for name in ("dt", "model", "sensors"):
+        if name not in content:
+            raise root.error(f"lacks {name!r}; a model file needs dt = ..., [model] and [sensors.<name>].")
+    head: _Head = build(_Head, {key: content[key] for key in ("dt", "time", "invalid") if key in content}, root)
+    table = dict(as_table(content["model"], root / "model"))
+    start: _Start = build(
+        _Start, {key: table.pop(key) for key in ("initial_mean", "initial_std") if key in table}, root / "model"
+    )
+    sensors = _named(content["sensors"], Sensor, root / "sensors")
+    errors = content.get("errors", [])
+    if not isinstance(errors, list):
+        raise (root / "errors").error("must be a list of tables: write [[errors]], with two brackets, above each.")
+    precision, own_loss = _precision(content.get("precision"), root / "precision")
+    monitor = Monitor(
+        dt=head.dt,
+        plant=build_one_of(PLANT_MODELS, table, root / "model"),
+        sensors=sensors,
+        inputs=_named(content.get("inputs", {}), Input, root / "inputs"),
+        errors=tuple(_errors(table, root / "errors" / i, sensors) for i, table in enumerate(errors)),
+        precision=precision,
+        own_loss=own_loss,
+        alarm=build(Alarm, content.get("alarm", {}), root / "alarm"),
+        time=head.time,
+        invalid=head.invalid,
+        initial_mean=start.initial_mean,
+        initial_std=start.initial_std,
+    )
+    with root.named():
+        model = monitor.model
+        if precision is not None:
+            if monitor.inputs:
+                check_controls(precision.actuator_modes, model, [f"the input {name!r}" for name in monitor.inputs])
+            precision.learner(model)
+    return monitor
+
+
+def _named(table: object, cls: type[Any], place: Place) -> dict[str, Any]:
+    """Return an instance of `cls` for each table in a table."""
+    tables = as_table(table, place)
+    if not tables and cls is Sensor:
+        raise place.error("names no sensor; write [sensors.<name>] with std = ... below it.")
+    return {name: build(cls, value, place / name) for name, value in tables.items()}
+
+
+def _errors(table: object, place: Place, sensors: Mapping[str, Sensor]) -> SensorErrors:
+    errors: SensorErrors = build(SensorErrors, table, place)
+    place.refuse_unknown(errors.sensors or (), sensors, "sensor")
+    return errors
+
+
+def _precision(table: object, place: Place) -> tuple[PrecisionLearner | None, bool]:
+    """Return the learner, and whether its loss is left to the sensors' own rates."""
+    if table is None:
+        return None, False
+    learner: PrecisionLearner = build_one_of(LEARNERS, table, place)
+    return learner, isinstance(learner, SwitchingPrecision) and "loss" not in as_table(table, place)

@@ -1,0 +1,108 @@
+"""Models that a monitor can be given by name, with a few numbers that have a meaning each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import Matrix, as_covariance, as_matrix, check_number
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.cosim.types import Floats
+
+
+@dataclass(frozen=True)
+class PlantModel:
+    """Base of all models of ``[model]``: how the state moves; what the sensors read of it stands with them."""
+
+    def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
+        """Return A, B (None: no input has an effect) and the covariance of the process noise per step."""
+        raise TypeError(f"{type(self).__name__} does not say how the state moves: give it a method matrices(dt).")
+
+    def linear(self, dt: Fraction, inputs: int, C: Floats, sensor_covariance: Floats) -> LinearModel:
+        """Return the linear model with its sensors."""
+        A, B, Q = self.matrices(float(dt))
+        B = np.zeros((len(A), max(inputs, 1))) if B is None else B
+        return LinearModel(A, B, C, Q, sensor_covariance, dt)
+
+
+@dataclass(frozen=True)
+class RandomWalk(PlantModel):
+    """A quantity that wanders: a level, a temperature.
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation of its change in a second.
+    """
+
+    std: float
+
+    def __post_init__(self) -> None:
+        check_number(self, "std", above=0)
+
+    def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
+        """See `PlantModel.matrices`."""
+        return np.eye(1), None, np.full((1, 1), self.std**2 * dt)
+
+
+@dataclass(frozen=True)
+class Integrator(RandomWalk):
+    """A quantity of which the only input is the rate of change: a speed, of which an acceleration is measured.
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation of what it changes in a second without the input's doing.
+    """
+
+    def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
+        """See `PlantModel.matrices`."""
+        return np.eye(1), np.full((1, 1), dt), np.full((1, 1), self.std**2 * dt)
+
+
+@dataclass(frozen=True)
+class ConstantRate(RandomWalk):
+    """A quantity and its rate, which wanders: a position whose speed is not measured.
+
+    Parameters
+    ----------
+    std : float
+        Standard deviation of the rate's change in a second.
+    """
+
+    def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
+        """See `PlantModel.matrices`."""
+        q = self.std**2
+        return np.array([[1.0, dt], [0.0, 1.0]]), None, q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+
+
+@dataclass(frozen=True)
+class Matrices(PlantModel):
+    """A linear model by its matrices, for the monitor's sample time.
+
+    Parameters
+    ----------
+    A : matrix
+        Transition of the state in one step.
+    process_covariance : number, vector or matrix
+        Covariance of the process noise per step.
+    B : matrix, optional
+        Effect of the inputs, a column for each.
+    """
+
+    A: Sequence[Sequence[float]]
+    process_covariance: Matrix
+    B: Sequence[Sequence[float]] | None = None
+
+    def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
+        """See `PlantModel.matrices`."""
+        A = as_matrix("The model's A", self.A)
+        B = None if self.B is None else as_matrix("The model's B", self.B, rows=len(A))
+        return A, B, as_covariance("The model's process_covariance", self.process_covariance, len(A), singular=True)
+
+
+PLANT_MODELS: tuple[type[PlantModel], ...] = (RandomWalk, Integrator, ConstantRate, Matrices)
+"""To add a model, write it as those above and name it here."""

@@ -1,0 +1,279 @@
+"""A monitor: a recording's columns, the model of what they measure, and how faults are looked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.block import extended_mean
+from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.controllers.diagnosis.diagnose import ModelFinding, diagnose_recording
+from bayesftc.controllers.estimation.absurd import EXPLICABLE
+from bayesftc.controllers.learning.learn_modes import LearnedModes, RecordedRun, learn_modes
+from bayesftc.controllers.models.checks import as_vector
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.precision.base import FixedPrecision, PrecisionLearner
+from bayesftc.controllers.switching.fault_modes import Frozen
+from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.errors import ModelError, RecordingError
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.alarms import Alarm
+from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
+from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.models import PlantModel
+from bayesftc.monitoring.precision import default_precision
+from bayesftc.monitoring.recording import Recording, Signal, align
+from bayesftc.monitoring.run import Monitored, monitor_recording
+
+FLAT = 10.0
+"""The first samples begin the belief; so that they do not count twice, it is this many times less certain than they are."""
+
+SMALL = 1e-9
+
+OPENING = 9
+"""The first sample must not be absurd beside the median of so many."""
+
+
+@dataclass(frozen=True, eq=False)
+class Monitor:
+    """What a model file says: the recording's columns, the model, the learner, the alarm.
+
+    Parameters
+    ----------
+    dt : float, str or Fraction
+        Sample time in seconds.
+    plant : PlantModel
+        How the state moves.
+    sensors, inputs : mapping of str to Sensor or Input
+        By name.
+    errors : sequence of SensorErrors
+        Errors of the sensors that are estimated.
+    precision : PrecisionLearner, optional
+        By default that of `monitor_recording`.
+    own_loss : bool
+        Whether a `SwitchingPrecision` takes its loss from the sensors' own rates.
+    alarm : Alarm
+        When there is one.
+    time : str
+        The column of the time stamps, in seconds.
+    initial_mean, initial_std : optional
+        Belief about the plant's states before the first sample; by default from the first samples.
+    invalid : sequence of float
+        Values that devices record in place of a sample, of all sensors and inputs.
+    """
+
+    dt: float | str | Fraction
+    plant: PlantModel
+    sensors: Mapping[str, Sensor]
+    inputs: Mapping[str, Input] = field(default_factory=dict)
+    errors: Sequence[SensorErrors] = ()
+    precision: PrecisionLearner | None = None
+    own_loss: bool = False
+    alarm: Alarm = field(default_factory=Alarm)
+    time: str = "t"
+    initial_mean: float | Sequence[float] | None = None
+    initial_std: float | Sequence[float] | None = None
+    invalid: Sequence[float] = ()
+
+    @property
+    def _input_errors(self) -> bool:
+        return any(given.error_std or given.error_walk for given in self.inputs.values())
+
+    @property
+    def model(self) -> LinearModel:
+        """The linear model, with the errors of inputs and sensors as states."""
+        A, B, _ = self.plant.matrices(1.0)
+        wanted, states = 0 if B is None else B.shape[1], len(A)
+        if len(self.inputs) != wanted:
+            named = ", ".join(map(repr, self.inputs)) or "none"
+            remedy = "name each in [inputs.<name>]" if len(self.inputs) < wanted else "take out what it would not use"
+            raise ModelError(
+                f"The model {type(self.plant).__name__} takes {wanted or 'no'} input{'s' * (wanted != 1)}, but [inputs] names "
+                f"{named}; {remedy}, or take another model: Integrator takes one input, Matrices one for each column of B, the "
+                "others none."
+            )
+        first = [1.0] + [0.0] * (states - 1)
+        C = np.array(
+            [
+                as_vector(f"'reads' of the sensor {name!r}", first if s.reads is None else s.reads, states)
+                for name, s in self.sensors.items()
+            ]
+        )
+        noise = np.diag([sensor.std**2 for sensor in self.sensors.values()])
+        model = self.plant.linear(rational_step(self.dt), len(self.inputs), C, noise)
+        if self._input_errors:
+            # The covariance must be positive, also that of an error which never changes.
+            walks = [max(given.error_walk, SMALL) for given in self.inputs.values()]
+            model = model.with_disturbance([walk**2 * float(model.step) for walk in walks])
+        order = list(self.sensors)
+        for errors in self.errors:
+            chosen = None if errors.sensors is None else [order.index(name) for name in errors.sensors]
+            model = model.with_sensor_errors(errors.std, errors.time_constant, chosen, common=errors.common)
+        return model
+
+    def read(self, paths: Sequence[str | os.PathLike[str]]) -> Recording:
+        """Read the recording from CSV files, or folders of them, and bring it to the model's steps.
+
+        Raises
+        ------
+        RecordingError
+            As of `signals` and `align`.
+        """
+        return align(*self.signals(paths), self.dt)
+
+    def signals(self, paths: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Signal], dict[str, Signal]]:
+        """Return the sensors' and the inputs' signals from CSV files, or folders of them, by name.
+
+        Raises
+        ------
+        RecordingError
+            If a file or column is missing, or holds something else than increasing times and numbers.
+        """
+        tables = Tables(paths)
+
+        def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
+            file = tables.find(given.file, f"The {what} {name!r}")
+            time = tables.column(file, given.time or self.time, f"the times of the {what} {name!r}")
+            values = tables.column(file, given.column or name, f"the {what} {name!r}")
+            try:
+                invalid = (*self.invalid, *given.invalid)
+                return Signal(time, values, bias=given.bias, delay=given.delay, invalid=invalid, **more)
+            except RecordingError as error:
+                raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
+
+        return (
+            {name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit) for name, s in self.sensors.items()},
+            {
+                name: signal(name, i, "input", smooth=i.smooth, resolution=0.0, unit=i.unit)
+                for name, i in self.inputs.items()
+            },
+        )
+
+    def compare(self, recording: Recording) -> ModelFinding | None:
+        """Compare what the model, driven by the recorded inputs, predicts with what the sensors read.
+
+        Parameters
+        ----------
+        recording : Recording
+            From `read`.
+
+        Returns
+        -------
+        ModelFinding or None
+            How the model is wrong, by `bayesftc.controllers.diagnose_recording`; None if nothing speaks against it, or the
+            recording has no input by which to judge it.
+        """
+        if not recording.u.shape[1]:
+            return None
+        model = self.model
+        mean, _ = self.start(recording, model)
+        start: Any = extended_mean(model, np.array(mean), mean)
+        return diagnose_recording(model, recording.y, recording.u, start)
+
+    def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:
+        """Run the estimator over a recording; see `monitor_recording`.
+
+        Parameters
+        ----------
+        recording : Recording
+            From `read`.
+        compiled : bool, optional
+            As of `monitor_recording`.
+        """
+        model = self.model
+        mean, covariance = self.start(recording, model)
+        return monitor_recording(
+            recording,
+            model,
+            self._precision(recording),
+            initial_mean=mean,
+            initial_covariance=covariance,
+            alarm=self.alarm,
+            compiled=compiled,
+        )
+
+    def learn(
+        self, recordings: Sequence[Recording], *, iterations: int = 20, compiled: bool | None = None
+    ) -> LearnedModes:
+        """Learn from recordings how often faults come and go and how large they are; see `learn_modes`.
+
+        ``replace(monitor, precision=learned.precision)`` is the monitor that knows it.
+
+        Parameters
+        ----------
+        recordings : sequence of Recording
+            From `read`; the first one says the sensors' rates and resolutions.
+        iterations, compiled
+            As of `learn_modes`.
+
+        Raises
+        ------
+        ModelError
+            If the precision learner has no modes, or there is no recording.
+        """
+        model = self.model
+        runs = [RecordedRun(r.y, r.u, *self.start(r, model)) for r in recordings]
+        first = self._precision(recordings[0]) if runs else None
+        return learn_modes(runs, model, first, iterations=iterations, compiled=compiled)  # type: ignore[arg-type]
+
+    def _precision(self, recording: Recording) -> PrecisionLearner:
+        """Return the learner, which knows the sensors' rates, resolutions and repetitions."""
+        known = {
+            "resolution": recording.resolution,
+            "healthy_repeats": tuple(sensor.repeats for sensor in self.sensors.values()),
+        }
+        if self.precision is None:
+            return default_precision(recording.loss, *known.values())
+        if not isinstance(self.precision, SwitchingPrecision):
+            return self.precision
+
+        def told(mode: Frozen) -> Frozen:
+            """Return the mode with what its settings leave open."""
+            more: dict[str, Any] = {k: v for k, v in known.items() if getattr(mode, k) == getattr(Frozen, k)}
+            return replace(mode, **more)
+
+        modes = [told(mode) if isinstance(mode, Frozen) else mode for mode in self.precision.modes]
+        return replace(self.precision, modes=modes, loss=recording.loss if self.own_loss else self.precision.loss)
+
+    def start(self, recording: Recording, model: LinearModel) -> tuple[tuple[float, ...], Floats]:
+        """Return the belief before the first sample: as given, else from each sensor's first sample.
+
+        Raises
+        ------
+        ModelError
+            If the sensors alone do not determine the state, and it is not given.
+        """
+        plant = model.states - model.disturbances
+        covariance = np.array(StateEstimator(model, FixedPrecision()).initial_covariance)
+        if self._input_errors:
+            variances = [max(given.error_std, SMALL) ** 2 for given in self.inputs.values()]
+            covariance[plant : plant + len(variances), plant : plant + len(variances)] = np.diag(variances)
+        C = model.matrix("C")
+        given = self.initial_mean is not None and self.initial_std is not None
+        if not given and np.linalg.matrix_rank(C[:, :plant]) < plant:
+            raise ModelError(
+                "The sensors alone do not determine all states of the model; give initial_mean and initial_std in [model]."
+            )
+        stds = np.sqrt(np.diag(model.matrix("sensor_covariance")))
+        first = np.array([_first(column, std) for column, std in zip(recording.y.T, stds, strict=True)])
+        inverse = np.linalg.pinv(C[:, :plant])
+        mean = inverse @ first if self.initial_mean is None else as_vector("initial_mean", self.initial_mean, plant)
+        if self.initial_std is None:
+            errors = C[:, plant:] @ covariance[plant:, plant:] @ C[:, plant:].T + model.matrix("sensor_covariance")
+            covariance[:plant, :plant] = FLAT**2 * inverse @ errors @ inverse.T
+        else:
+            covariance[:plant, :plant] = np.diag(as_vector("initial_std", self.initial_std, plant) ** 2)
+        return tuple(map(float, mean)), (covariance + covariance.T) / 2
+
+
+def _first(samples: Floats, std: float) -> float:
+    """Return the first sample that is not absurd."""
+    opening = samples[np.isfinite(samples)][:OPENING]
+    near = np.abs(opening - np.median(opening)) <= np.sqrt(EXPLICABLE) * std
+    return float(opening[near][0] if near.any() else opening[0])

@@ -1,0 +1,47 @@
+"""The learner that a monitor has by default."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bayesftc.controllers.switching.default_time import DefaultTime
+from bayesftc.controllers.switching.fault_modes import (
+    HEALTHY_REPEATS,
+    Burst,
+    Drifting,
+    DroppedOut,
+    Frozen,
+    Noisier,
+    Offset,
+)
+from bayesftc.controllers.switching.learner import SwitchingPrecision
+
+
+def default_precision(
+    loss: Sequence[float], resolution: Sequence[float], repeats: float | Sequence[float] = HEALTHY_REPEATS
+) -> SwitchingPrecision:
+    """Return the learner of a monitor: every kind of fault, each once in an hour, and harmless bursts of noise.
+
+    Offsets may be large and drifts fast, for nobody knows how a recording's faults are; times are in seconds and sizes in the
+    sensors' own standard deviations, so that it fits any quantity. Sensors are judged one by one: in the joint form, on a real
+    drive, a fault that has been found casts doubt on sensors that share errors with the faulty one.
+
+    Parameters
+    ----------
+    loss : sequence of float
+        As of `SwitchingPrecision`.
+    resolution : sequence of float
+        Of each sensor, in its unit.
+    repeats : float or sequence of float
+        Share of the samples that a healthy sensor repeats, for all or for each.
+    """
+    rare = {"time_to_fault": DefaultTime(3600.0)}
+    modes = (
+        Frozen(**rare, dither=0.001, resolution=tuple(resolution), healthy_repeats=repeats),
+        Offset(**rare, jump=30.0, walk=0.02),
+        Drifting(**rare, slope=0.1),
+        Noisier(**rare, scale=5.0),
+        DroppedOut(**rare),
+        Burst(scale=5.0),
+    )
+    return SwitchingPrecision(modes, loss=tuple(loss), joint=False)

@@ -1,0 +1,215 @@
+"""Recorded samples of sensors and inputs, each at its own times, brought to the steps of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bayesftc.controllers.learning.resolution import find_resolution
+from bayesftc.controllers.models.checks import check_number
+from bayesftc.cosim.base.invalid import invalid_values
+from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.errors import RecordingError
+from bayesftc.cosim.types import Floats
+
+MOST_STEPS = 20_000_000
+"""Longer recordings than this are a wrong unit of time more often than two days at 100 samples a second."""
+
+LEAST_LOSS, MOST_LOSS = 0.01, 0.999
+"""Between these the share of steps without a sample is taken for one that a healthy sensor has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """What one sensor or input has recorded.
+
+    Parameters
+    ----------
+    time : array_like
+        Time stamps in seconds, increasing.
+    values : array_like
+        A sample at each; one that is not finite is none.
+    bias : float
+        Known offset, which is taken off.
+    delay : float
+        Seconds by which the time stamps are late.
+    smooth : float
+        Seconds over which an input is averaged, up to each step's end; at least over the step.
+    resolution : float
+        Of a sensor, in its unit: its samples are whole multiples of it; 0 if it is too fine to matter. By default it is found in
+        the samples: a file has few decimals, and samples that are equal for that reason are no freeze.
+    unit : str
+        Of the values, for figures and tables.
+    invalid : sequence of float
+        Values that a device records in place of a sample, as ``[-9999, 65535]``: they are left out.
+
+    Raises
+    ------
+    RecordingError
+        If times and values do not fit, or times do not increase.
+    ModelError
+        If a setting is no number, or negative where it must not be.
+    """
+
+    time: ArrayLike
+    values: ArrayLike
+    bias: float = 0.0
+    delay: float = 0.0
+    smooth: float = 0.0
+    resolution: float | None = None
+    unit: str = ""
+    invalid: Sequence[float] = ()
+
+    def __post_init__(self) -> None:
+        time, values = (np.asarray(given, dtype=np.float64) for given in (self.time, self.values))
+        if time.ndim != 1 or time.shape != values.shape:
+            raise RecordingError(f"A signal has {time.shape} times and {values.shape} values; give one value a time.")
+        for name in ("bias", "delay"):
+            check_number(self, name)
+        check_number(self, "smooth", least=0)
+        check_number(self, "resolution", optional=True, least=0)
+        kept = np.isfinite(values) & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
+        if not np.isfinite(time[kept]).all():
+            raise RecordingError("A signal has samples without a time; take them out.")
+        time, values = time[kept], values[kept]
+        if not len(time):
+            raise RecordingError("A signal has not a single sample; leave it out, or check its column.")
+        back = np.flatnonzero(np.diff(time) <= 0)
+        if len(back):
+            raise RecordingError(
+                f"A signal's times do not increase: {time[back[0] + 1]:g} s follows on {time[back[0]]:g} s; sort the recording."
+            )
+        if self.resolution is None:
+            object.__setattr__(self, "resolution", find_resolution(values))
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "values", values)
+
+    @property
+    def corrected(self) -> tuple[Floats, Floats]:
+        """When the samples were taken, in seconds, and what they were, without delay and bias."""
+        return np.asarray(self.time) - self.delay, np.asarray(self.values) - self.bias
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Samples and inputs at the steps of a model; made by `align`.
+
+    Attributes
+    ----------
+    start : float
+        Time in seconds of the first step: from here on every sensor has sent.
+    dt : Fraction
+        Seconds between two steps.
+    sensors : tuple of str
+        Their names.
+    y : ndarray, steps x sensors
+        Samples; NaN where there is none.
+    u : ndarray, steps x inputs
+        Inputs from each step to the next; NaN before their first sample.
+    loss : tuple of float
+        Share of the steps at which a healthy sensor has no sample, from its median interval.
+    resolution : tuple of float
+        Of each sensor.
+    replaced : tuple of int
+        How many samples of each sensor were left out because a later one fell on the same step.
+    units : tuple of str
+        Of each sensor; empty if not known.
+    inputs, input_units : tuple of str
+        Names of the inputs, and the unit of each.
+    """
+
+    start: float
+    dt: Fraction
+    sensors: tuple[str, ...]
+    y: Floats
+    u: Floats
+    loss: tuple[float, ...]
+    resolution: tuple[float, ...]
+    replaced: tuple[int, ...]
+    units: tuple[str, ...]
+    inputs: tuple[str, ...] = ()
+    input_units: tuple[str, ...] = ()
+
+    @property
+    def time(self) -> Floats:
+        """Times of the steps in seconds."""
+        return np.asarray(self.start + np.arange(len(self.y)) * float(self.dt), dtype=np.float64)
+
+
+def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float | str | Fraction) -> Recording:
+    """Bring signals to common steps: each sample to the step that is nearest, each input to its mean up to the step's end.
+
+    Nothing is interpolated: a sensor that was not due at a step has no sample there. Inputs look back only, as they would on
+    board; between two samples the last one goes on.
+
+    Parameters
+    ----------
+    sensors, inputs : mapping of str to Signal
+        In the order of the model's sensors and inputs.
+    dt : float, str or Fraction
+        Seconds between two steps, at most the interval of the fastest sensor, or samples are lost.
+
+    Raises
+    ------
+    RecordingError
+        If there is no sensor, the signals do not overlap in time, or there would be too many steps.
+    """
+    step = rational_step(dt, "The monitor's sample time")
+    if not sensors:
+        raise RecordingError("There is no sensor to monitor; name at least one.")
+    start, end = _overlap({**sensors, **inputs}, sensors)
+    if (end - start) / float(step) > MOST_STEPS:
+        raise RecordingError(
+            f"The recording of {end - start:g} s has more than {MOST_STEPS:,} steps of {show(step)} s; are its times in "
+            "seconds?"
+        )
+    if end - start < float(step) and any(len(signal.corrected[0]) > 1 for signal in sensors.values()):
+        raise RecordingError(
+            f"The recording from {start:g} s, when every sensor has begun, to {end:g} s is shorter than one step of "
+            f"{show(step)} s; give a smaller dt, about the interval of the fastest sensor."
+        )
+    steps = int(np.rint((end - start) / float(step))) + 1
+    y, loss, replaced = np.full((steps, len(sensors)), np.nan), [], []
+    for i, signal in enumerate(sensors.values()):
+        time, values = signal.corrected
+        at = np.rint((time - start) / float(step)).astype(np.int64)
+        inside = at >= 0
+        y[at[inside], i] = values[inside]
+        replaced.append(int(inside.sum() - np.isfinite(y[:, i]).sum()))
+        interval = float(np.median(np.diff(time))) if len(time) > 1 else float("inf")
+        loss.append(float(np.clip(1.0 - float(step) / interval, LEAST_LOSS, MOST_LOSS)))
+    ends: Floats = start + np.arange(1.0, steps + 1.0) * float(step)
+    u = np.zeros((steps, max(len(inputs), 1)))
+    for j, signal in enumerate(inputs.values()):
+        u[:, j] = _mean_before(signal, ends, max(signal.smooth, float(step)))
+    resolution, units = zip(
+        *((float(signal.resolution or 0.0), signal.unit) for signal in sensors.values()), strict=True
+    )
+    of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
+    return Recording(start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units, *of_inputs)
+
+
+def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tuple[float, float]:
+    """Return when every sensor has begun to send, and when the last one ends."""
+    spans = {name: (float(s.corrected[0][0]), float(s.corrected[0][-1])) for name, s in signals.items()}
+    late, early = max(spans, key=lambda name: spans[name][0]), min(spans, key=lambda name: spans[name][1])
+    if spans[late][0] > spans[early][1]:
+        raise RecordingError(
+            f"The recordings of {early!r} ({spans[early][0]:g} to {spans[early][1]:g} s) and {late!r} ({spans[late][0]:g} to "
+            f"{spans[late][1]:g} s) do not overlap; check their times, and that all count seconds from the same instant."
+        )
+    return max(spans[name][0] for name in sensors), max(spans[name][1] for name in sensors)
+
+
+def _mean_before(signal: Signal, ends: Floats, window: float) -> Floats:
+    """Return the mean of the samples in the window that ends at each time; where there is none, the last one before."""
+    time, values = signal.corrected
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    upto = np.searchsorted(time, ends, side="right")
+    first = np.minimum(np.searchsorted(time, ends - window, side="right"), np.maximum(upto - 1, 0))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((total[upto] - total[first]) / (upto - first))

@@ -1,0 +1,203 @@
+"""The run of the estimator over a recording, and the faults that it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.controllers.bayesian.recorded import estimate
+from bayesftc.controllers.models.checks import Matrix
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.precision.base import PrecisionLearner
+from bayesftc.controllers.switching.actuator_settings import check_controls
+from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.signals import Flags
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.alarms import ActuatorEvent, Alarm, FaultEvent, actuator_events, sensor_events
+from bayesftc.monitoring.precision import default_precision
+from bayesftc.monitoring.recording import Recording
+from bayesftc.monitoring.rest import at_rest, held
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+HEALTHY = "healthy"
+ACTUATOR_SIGNALS = ("fault_probability", "mode_probability", "fault_size")
+Event = TypeVar("Event", FaultEvent, ActuatorEvent)
+
+
+@dataclass(frozen=True, eq=False)
+class Monitored:
+    """What a monitor has found in a recording.
+
+    Attributes
+    ----------
+    recording : Recording
+        The samples.
+    model : LinearModel
+        What was believed.
+    fault_probability : ndarray, steps x sensors
+        Of each sensor at each step; NaN where the learner says nothing.
+    kinds : tuple of str
+        Names of the modes, the first being ``"healthy"``; empty if the learner knows none.
+    mode_probability : ndarray, steps x sensors x modes
+        Probability of each.
+    x_hat : ndarray, steps x states
+        The belief's mean.
+    innovation : ndarray, steps x sensors
+        Samples minus what was expected.
+    events : tuple of FaultEvent
+        Alarms in the order of their start.
+    rest : ndarray, steps
+        Whether all sensors repeat themselves at once, as of a parked car: then the quantity or the logger is at rest, which is no
+        fault. Probabilities of sensors' faults stay what they were before.
+    why_no_probability : str or None
+        Why there are no probabilities, as a sentence.
+    actuators : tuple of str
+        Names of the inputs of whose faults the learner knows; empty if it knows of none.
+    actuator_fault_probability : ndarray, steps x actuators
+        Of each.
+    actuator_kinds : tuple of str
+        Names of their modes, the first being ``"healthy"``.
+    actuator_mode_probability : ndarray, steps x actuators x modes
+        Probability of each.
+    actuator_events : tuple of ActuatorEvent
+        Their alarms in the order of their start.
+    """
+
+    recording: Recording
+    model: LinearModel
+    fault_probability: Floats
+    kinds: tuple[str, ...]
+    mode_probability: Floats
+    x_hat: Floats
+    innovation: Floats
+    events: tuple[FaultEvent, ...]
+    rest: Flags
+    why_no_probability: str | None = None
+    actuators: tuple[str, ...] = ()
+    actuator_fault_probability: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    actuator_kinds: tuple[str, ...] = ()
+    actuator_mode_probability: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
+    actuator_events: tuple[ActuatorEvent, ...] = ()
+
+    @property
+    def time(self) -> Floats:
+        """Times of the steps in seconds."""
+        return self.recording.time
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a table with a row for each step: the time ``t``, and for each sensor its fault probability and kind.
+
+        The columns have the sensors' names, and these with ``_kind`` (the most probable mode) where the learner knows modes;
+        those of actuators begin with ``actuator_``.
+        """
+        import pandas as pd
+
+        columns: dict[str, Any] = {"t": self.time}
+        for i, sensor in enumerate(self.recording.sensors):
+            columns[sensor] = self.fault_probability[:, i]
+            if self.kinds:
+                columns[f"{sensor}_kind"] = np.array(self.kinds)[self.mode_probability[:, i].argmax(axis=1)]
+        for j, name in enumerate(self.actuators):
+            columns[f"actuator_{name}"] = self.actuator_fault_probability[:, j]
+            most = self.actuator_mode_probability[:, j].argmax(axis=1)
+            columns[f"actuator_{name}_kind"] = np.array(self.actuator_kinds)[most]
+        return pd.DataFrame(columns)
+
+    def plot(self) -> Figure:
+        """Return the figure: samples and belief, the samples' distance from it, and the fault probabilities."""
+        from bayesftc.monitoring.figure import plot_monitored
+
+        return plot_monitored(self)
+
+
+def monitor_recording(
+    recording: Recording,
+    model: LinearModel,
+    precision: PrecisionLearner | None = None,
+    *,
+    initial_mean: float | tuple[float, ...] = 0.0,
+    initial_covariance: Matrix | None = None,
+    alarm: Alarm | None = None,
+    compiled: bool | None = None,
+) -> Monitored:
+    """Run the estimator over a recording and list the faults that it finds.
+
+    Parameters
+    ----------
+    recording : Recording
+        Samples and inputs, from `align`.
+    model : LinearModel
+        With a row of C for each sensor, a column of B for each input, and the recording's sample time.
+    precision : PrecisionLearner, optional
+        By default a `SwitchingPrecision` for recordings, with the sensors' own rates.
+    initial_mean, initial_covariance : optional
+        Belief before the first sample, as for `StateEstimator`.
+    alarm : Alarm, optional
+        When there is one; by default from a fault probability of 0.9 on.
+    compiled : bool, optional
+        False to step through the plain Python form, with the same numbers; by default a short recording does, which is over
+        before anything is compiled.
+
+    Raises
+    ------
+    ModelError
+        If model and recording do not fit together.
+    """
+    shape = (model.sensors, model.controls, model.step)
+    if shape != (recording.y.shape[1], recording.u.shape[1], recording.dt):
+        raise ModelError(
+            f"The model has {model.sensors} sensors, {model.controls} input(s) and steps of {float(model.step):g} s; the "
+            f"recording has {recording.y.shape[1]}, {recording.u.shape[1]} and {float(recording.dt):g} s. They must be the same."
+        )
+    if precision is None:
+        precision = default_precision(recording.loss, recording.resolution)
+    actuators = recording.inputs or tuple(f"input {j}" for j in range(model.controls))
+    actuator_modes = precision.actuator_modes
+    check_controls(actuator_modes, model, [f"the input {name!r}" for name in actuators])
+    estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
+    known = precision if isinstance(precision, SwitchingPrecision) else None
+    modes = known.modes if known else ()
+    judged = ["fault_probability", *(["mode_probability", "fault_size", "fault_onset"] if modes else [])]
+    names = ["x_hat", "innovation", *judged]
+    names += [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if actuator_modes else []
+    rest = at_rest(recording.y)
+    signals = held(estimate(estimator, recording.y, recording.u, names, compiled), judged, recording.y, rest)
+    alarm = alarm or Alarm()
+    found = Monitored(
+        recording,
+        model,
+        signals["fault_probability"],
+        _kinds(modes),
+        signals.get("mode_probability", np.empty((len(recording.y), model.sensors, 0))),
+        signals["x_hat"],
+        signals["innovation"],
+        _in_order(sensor_events(recording, signals, modes, alarm)),
+        rest,
+        precision.why_no_probability,
+    )
+    if not actuator_modes:
+        return found
+    return replace(
+        found,
+        actuators=actuators,
+        actuator_fault_probability=signals["actuator_fault_probability"],
+        actuator_kinds=_kinds(actuator_modes),
+        actuator_mode_probability=signals["actuator_mode_probability"],
+        actuator_events=_in_order(actuator_events(recording, actuators, signals, actuator_modes, alarm)),
+    )
+
+
+def _kinds(modes: Sequence[object]) -> tuple[str, ...]:
+    return (HEALTHY, *(type(mode).__name__ for mode in modes)) if modes else ()
+
+
+def _in_order(events: Iterable[Event]) -> tuple[Event, ...]:
+    return tuple(sorted(events, key=lambda event: event.start))

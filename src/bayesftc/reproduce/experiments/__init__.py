@@ -1,0 +1,1 @@
+"""The experiments, each in a folder: what it computes, prints and draws."""

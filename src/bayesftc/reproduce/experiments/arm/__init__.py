@@ -1,0 +1,1 @@
+"""Experiment 1: a robot arm with a frozen encoder."""

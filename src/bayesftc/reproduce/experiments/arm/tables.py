@@ -1,0 +1,97 @@
+"""What ``bayesftc reproduce arm`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.reproduce.shared.tables import table
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+LABELS = {
+    "none": "no fault tolerance",
+    "implicit": "PL, always on",
+    "explicit": "PL, on detection",
+    "deterministic": "told of the fault",
+    "switching": "SwitchingPrecision",
+}
+JOINTS = {"faulty": "joint with frozen encoder", "healthy": "joint with healthy encoder"}
+
+
+def show(report: dict[str, Any]) -> Iterator[RenderableType]:
+    """Yield the errors beside the paper's, how the explicit detection did, and what unpublished settings are worth."""
+    yield _errors(report)
+    settings = report["settings"]
+    names = {
+        "explicit": f"The explicit detection (Chebyshev, alpha {settings['alpha']:g}, on encoders and camera)",
+        "switching": f"SwitchingPrecision ({', '.join(settings['fault_modes'])}; a fault probability of one half)",
+    }
+    for name, found in report["detection"].items():
+        missed = "in no run" if not found["missed"] else f"in {found['missed']} of {found['n']} runs"
+        yield (
+            f"{names[name]} finds the frozen encoder after {found['delay_mean'] * 1e3:.0f} ms on average and misses it {missed}; "
+            f"without a fault it sees one in {100 * found['healthy_share']:.2g} % of the time."
+        )
+    if report["grid"] is not None:
+        yield from _grid(report)
+
+
+def _errors(report: dict[str, Any]) -> RenderableType:
+    def cell(technique: str, joint: str) -> str:
+        ours, papers = report["mse"][technique][joint], report["paper"].get(technique)
+        low, high = ours["ci"]
+        return f"{ours['mean']:.2e} ± {(high - low) / 2:.0e}" + (f" ({papers[joint]:.2e})" if papers else " " * 11)
+
+    title = (
+        f"Mean squared error of the belief about a joint (rad^2), mean over {report['settings']['runs']} runs ± 95 %, in "
+        "brackets the paper's (of being told its predecessor's); PL is precision learning"
+    )
+    rows = {label: [cell(name, joint) for joint in JOINTS] for name, label in LABELS.items() if name in report["mse"]}
+    return table(title, list(JOINTS.values()), rows)
+
+
+def _grid(report: dict[str, Any]) -> Iterator[RenderableType]:
+    forms = {
+        "switch": "{:g} s",
+        "camera_precision": "precision {:g}",
+        "learning_rate": "{:g}",
+        "lower_bound": "bound {:g}",
+    }
+    titles = {
+        "none": "No fault tolerance: switch of the goal and precision of the camera",
+        "implicit": "PL, always on: learning rate and lower bound of the precision",
+    }
+    for kind, title in titles.items():
+        down, across = (name for name in report["grid"][kind][0] if name in forms)
+        cells = {(c[down], c[across]): c for c in report["grid"][kind]}
+        rows, columns = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+        yield table(
+            f"{title}; error of the joint with the frozen encoder / the other, 1e-6 rad^2",
+            [forms[across].format(column) for column in columns],
+            {
+                forms[down].format(row): [
+                    f"{_millionths(cells[row, column]['faulty'])} / {_millionths(cells[row, column]['healthy'])}"
+                    for column in columns
+                ]
+                for row in rows
+            },
+            corner=down.replace("_", " "),
+        )
+    if report["grid"]["switching"]:
+        yield _further_modes(report["grid"]["switching"])
+
+
+def _further_modes(cells: list[dict[str, Any]]) -> RenderableType:
+    return table(
+        "SwitchingPrecision with further modes, which are told by the error of the belief: joint with the frozen encoder / the "
+        "other, rad^2",
+        ["error"],
+        {", ".join(c["fault_modes"]): [f"{c['faulty']:.2g} / {c['healthy']:.2g}"] for c in cells},
+        corner="modes",
+    )
+
+
+def _millionths(value: float) -> str:
+    return f"{1e6 * value:.{0 if value > 1e-5 else 1}f}"

@@ -1,0 +1,1 @@
+"""Beyond the paper: fault modes whose settings are wrong."""

@@ -1,0 +1,222 @@
+"""Beyond the paper: how wrong the settings of `SwitchingPrecision` may be.
+
+Nobody knows how often sensors will fail, for how long and by how much. So each row multiplies or divides some of the settings by
+a factor, and is compared with the row in which they are as they were: by the tracking error with faults of all kinds and sizes,
+and by the fault probabilities on the detection experiment's streams. A further part has coarse sensors, whose resolution is
+known rightly or wrongly; another has settings that are learned from streams in which nobody has marked the faults.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bayesftc import controllers
+from bayesftc.cosim.statistics import rms_ratio
+from bayesftc.reproduce.experiments.beliefs.streams import (
+    DEFAULTS,
+    LEARNED,
+    TOLD,
+    Learners,
+    Scores,
+    account,
+    learn,
+    score,
+)
+from bayesftc.reproduce.experiments.tracking.bench import ORACLE, Bench, Errors, Scenario
+from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
+from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING, switching
+from bayesftc.reproduce.shared.streams import Streams
+
+FORMS = {SWITCHING: True, PER_SENSOR: False}
+"""By name whether it is the joint form."""
+UNCHANGED = "unchanged"
+"""The row whose settings are as they were."""
+SETTINGS = {
+    "to fault": ("time_to_fault",),
+    "recovery": ("time_to_recovery",),
+    "times": ("time_to_fault", "time_to_recovery"),
+    "sizes": ("jump", "slope"),
+}
+"""What is wrong in a row, and the settings of the modes that this means."""
+COARSE_SETTINGS = {"resolution": ("resolution",)}
+"""The same where sensors are coarse."""
+
+Table = dict[str, dict[str, Any]]
+"""By row and cell."""
+
+
+def run(
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    runs: int | None = None,
+    beyond: bool = True,
+    settings: Beliefs | None = None,
+    tracking: Tracking | None = None,
+    detection: Detection | None = None,
+    car: Car | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the experiment and return what ``beliefs.json`` holds.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all noise and faults.
+    jobs : int
+        Number of threads; the results are the same to the last bit for any.
+    runs : int, optional
+        Runs of each cell of tracking errors, instead of the settings'.
+    beyond : bool
+        Without effect, for nothing here is in the paper.
+    settings, tracking, detection, car : Beliefs, Tracking, Detection, Car, optional
+        Other settings than those of `bayesftc.reproduce.settings`; `tracking` has those of the runs, `detection` those of the
+        streams.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If a seed, a number of jobs or a number of runs cannot be one.
+    """
+    settings, detection, car = Beliefs.of(settings, runs), detection or Detection(), car or Car()
+    tracking = (tracking or Tracking()).of_size(settings.runs)
+    ensemble = Ensemble(seed, jobs, progress)
+    fine = Bench(tracking, car, ensemble)
+    coarse = replace(fine, car=replace(car, resolution=settings.resolution))
+    errors, oracle = _tracked(fine, settings.reference, settings.faults, {f: learners(settings, f) for f in FORMS})
+    at_coarse, oracle_at_coarse = _tracked(
+        coarse, settings.reference, settings.coarse_faults, {f: coarse_learners(settings, f) for f in FORMS}
+    )
+    scores, learned = _detected(Streams(detection, car), ensemble, settings)
+    return {
+        "settings": {
+            "seed": seed,
+            **settings.to_dict(),
+            "tracking": tracking.to_dict(),
+            "detection": detection.to_dict(),
+            "car": car.to_dict(),
+        },
+        "oracle": oracle,
+        "errors": errors,
+        "coarse": {"oracle": oracle_at_coarse, "errors": at_coarse},
+        "worst": {form: _worst([errors[form], at_coarse[form]]) for form in FORMS},
+        "detection": scores,
+        "learned": learned,
+        "paper": {},
+    }
+
+
+def wrong(
+    learner: controllers.SwitchingPrecision, factor: float, of: Mapping[str, Sequence[str]] = SETTINGS
+) -> dict[str, controllers.SwitchingPrecision]:
+    """Return a learner as it is, and for each row with settings of all its modes multiplied and divided by a factor.
+
+    All its modes are those of sensors, of actuators and of the process.
+
+    Parameters
+    ----------
+    learner : SwitchingPrecision
+        Whose settings they are.
+    factor : float
+        By how much they are wrong.
+    of : mapping
+        The settings of each row; modes without one stay as they are.
+    """
+
+    def times(names: Sequence[str], by: float) -> controllers.SwitchingPrecision:
+        def changed(modes: Sequence[Any]) -> list[Any]:
+            return [replace(m, **{n: by * getattr(m, n) for n in names if hasattr(m, n)}) for m in modes]
+
+        return replace(
+            learner,
+            modes=changed(learner.modes),
+            actuator_modes=changed(learner.actuator_modes),
+            process_modes=changed(learner.process_modes) if learner.joint else learner.process_modes,
+        )
+
+    rows = {UNCHANGED: learner}
+    for name, settings in of.items():
+        rows |= {f"{name} x {factor:g}": times(settings, factor), f"{name} / {factor:g}": times(settings, 1.0 / factor)}
+    return rows
+
+
+def default(joint: bool) -> controllers.SwitchingPrecision:
+    """Return a form with its default settings."""
+    return controllers.SwitchingPrecision(joint=joint)
+
+
+def learners(settings: Beliefs, form: str) -> Learners:
+    """Return the rows of a form, about its default settings."""
+    return wrong(default(FORMS[form]), settings.factor)
+
+
+def coarse_learners(settings: Beliefs, form: str) -> Learners:
+    """Return the rows of a form that knows the resolution of coarse sensors, rightly or wrongly."""
+    start = default(FORMS[form])
+    told = [replace(m, resolution=settings.resolution) if isinstance(m, controllers.Frozen) else m for m in start.modes]
+    return wrong(replace(start, modes=told), settings.factor, COARSE_SETTINGS)
+
+
+def _tracked(
+    bench: Bench, reference: str, faults: Iterable[tuple[str, float]], forms: Mapping[str, Learners]
+) -> tuple[dict[str, Table], dict[str, float]]:
+    """Return for each form the errors of all rows over the oracle's and over the unchanged row's, and the oracle's in m/s."""
+    scenarios = {_title(fault, size): Scenario(fault, reference, size or None) for fault, size in faults}
+    cells = list(scenarios.values())
+    oracles = bench.measure("The oracle", cells, {ORACLE: controllers.FixedPrecision()}, told=True).errors()
+    found = {form: bench.measure(form, cells, rows).errors() for form, rows in forms.items()}
+    table: dict[str, Table] = {
+        form: {
+            row: {c: _entry(found[form][cell], row, oracles[cell][ORACLE]) for c, cell in scenarios.items()}
+            for row in rows
+        }
+        for form, rows in forms.items()
+    }
+    return table, {c: float(np.sqrt(np.mean(oracles[cell][ORACLE] ** 2))) for c, cell in scenarios.items()}
+
+
+def _entry(errors: Errors, row: str, oracle: Any) -> dict[str, Any]:
+    over = rms_ratio(errors[row], errors[UNCHANGED])
+    return {**rms_ratio(errors[row], oracle), "over_unchanged": over["ratio"], "over_unchanged_ci": over["ratio_ci"]}
+
+
+def _title(fault: str, size: float) -> str:
+    return f"{fault} {size:g}" if size else fault
+
+
+def _worst(tables: Iterable[Table]) -> dict[str, Any]:
+    """Return the entry that is largest over that of its unchanged row, with the names of its row and cell."""
+    entries = [
+        {"row": row, "cell": cell, **entry}
+        for table in tables
+        for row, cells in table.items()
+        for cell, entry in cells.items()
+    ]
+    return max(entries, key=lambda entry: float(entry["over_unchanged"]))
+
+
+def _detected(
+    source: Streams, ensemble: Ensemble, settings: Beliefs
+) -> tuple[dict[str, Scores], dict[str, dict[str, Any]]]:
+    """Return for each form the scores of all rows on streams, and what it learns from other streams, with the scores of that.
+
+    The unchanged row knows the true times, so it is what both parts are compared with.
+    """
+    learned = learn(source, ensemble, settings, {form: default(joint) for form, joint in FORMS.items()})
+    forms: dict[str, dict[str, Learners]] = {}
+    for form, joint in FORMS.items():
+        alike = wrong(switching(source.settings, joint), settings.factor) | {DEFAULTS: default(joint)}
+        forms[form] = {row: dict.fromkeys(learned[form], learner) for row, learner in alike.items()}
+        forms[form][LEARNED] = {size: modes.precision for size, modes in learned[form].items()}
+    scores, found = score(source, ensemble, settings, forms), {}
+    for form, rows in scores.items():
+        own = {row: rows.pop(row) for row in (DEFAULTS, LEARNED)} | {TOLD: rows[UNCHANGED]}
+        found[form] = {"scores": own, "fits": {size: account(modes) for size, modes in learned[form].items()}}
+    return scores, found

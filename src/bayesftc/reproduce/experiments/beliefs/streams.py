@@ -1,0 +1,136 @@
+"""Fault probabilities on the detection experiment's streams, and modes learned from such streams without labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim.judging.metrics import auc as area
+from bayesftc.cosim.judging.probabilities import reliability
+from bayesftc.cosim.statistics import interval
+from bayesftc.reproduce.settings import Beliefs
+from bayesftc.reproduce.shared.car import model
+from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.streams import Faults, Streams
+
+PROBABILITY = "controller.fault_probability"
+MEASURES = ("auc", "ece", "brier")
+"""What a stream is judged by: AUC, expected calibration error, Brier score."""
+DEFAULTS, LEARNED, TOLD = "defaults", "learned", "told the times"
+"""Rows: the settings from which learning begins, those that it finds, and those that know the streams' mean times."""
+
+Learners = Mapping[str, controllers.SwitchingPrecision]
+"""By name."""
+Scores = dict[str, dict[str, Any]]
+"""By row and size of the faults."""
+
+
+def sizes_of(settings: Beliefs) -> dict[str, Faults]:
+    """Return the sizes of the faults by their names."""
+    return {
+        f"injection {injection:g}, drift {drift:g}": Faults(injection, drift) for injection, drift in settings.sizes
+    }
+
+
+def score(
+    source: Streams, ensemble: Ensemble, settings: Beliefs, forms: Mapping[str, Mapping[str, Learners]]
+) -> dict[str, Scores]:
+    """Return for each form and row mean and interval of each measure on the streams of each size of the faults.
+
+    Parameters
+    ----------
+    source, ensemble, settings : Streams, Ensemble, Beliefs
+        What makes the streams, how, and how many.
+    forms : mapping
+        By form and row the learner for each size.
+    """
+    sizes = sizes_of(settings)
+    cells = [(form, row, size) for form, rows in forms.items() for row, size in product(rows, sizes)]
+    own = {size: ensemble.seeds(f"beliefs/{size}", settings.streams) for size in sizes}
+    every, _ = ensemble.each(
+        "Streams",
+        [source.loop(sizes[size], forms[form][row][size]) for form, row, size in cells],
+        [own[size] for *_, size in cells],
+        1,
+        partial(_judged, source),
+    )
+    table: dict[str, Scores] = {form: {row: {} for row in rows} for form, rows in forms.items()}
+    for (form, row, size), streams in zip(cells, every, strict=True):
+        columns = np.array([judged for few in streams for judged in few]).T
+        table[form][row][size] = {
+            name: {"mean": float(v.mean()), "ci": interval(v)} for name, v in zip(MEASURES, columns, strict=True)
+        }
+    return table
+
+
+def _judged(source: Streams, loop: cosim.Diagram, seeds: Sequence[int]) -> list[tuple[float, ...]]:
+    """Return the measures of the fault probabilities of each stream."""
+    found: list[tuple[float, ...]] = []
+    rows = slice(source.settings.skipped, None)
+    for stream in source.run(loop, seeds, [PROBABILITY]):
+        probability, faulty = stream.result[PROBABILITY][rows], stream.faulty[rows]
+        honest = reliability(probability, faulty, bins=source.settings.bins)
+        found.append((area(faulty, probability), honest.calibration_error, honest.brier))
+    return found
+
+
+def learn(
+    source: Streams, ensemble: Ensemble, settings: Beliefs, starts: Learners
+) -> dict[str, dict[str, controllers.LearnedModes]]:
+    """Return what each form learns for each size of the faults, from streams on seeds that none is judged on.
+
+    Parameters
+    ----------
+    source, ensemble, settings : Streams, Ensemble, Beliefs
+        What makes the streams, how, and how many.
+    starts : mapping
+        By form the settings from which learning begins; they also run while the streams are recorded.
+    """
+    sizes = sizes_of(settings)
+    cells = list(product(starts, sizes))
+    own = {size: ensemble.seeds(f"beliefs/training/{size}", settings.training_streams) for size in sizes}
+    every, _ = ensemble.each(
+        "Recording",
+        [source.loop(sizes[size], starts[form]) for form, size in cells],
+        [own[size] for _, size in cells],
+        1,
+        partial(_recorded, source),
+    )
+    learned: dict[str, dict[str, controllers.LearnedModes]] = {form: {} for form in starts}
+    # One after the other: learning steps through the samples in Python, which threads make no faster.
+    for done, ((form, size), runs) in enumerate(zip(cells, every, strict=True)):
+        if ensemble.progress:
+            ensemble.progress("Learning", done, len(cells))
+        recordings = [run for few in runs for run in few]
+        learned[form][size] = controllers.learn_modes(recordings, model(source.car), starts[form])
+    return learned
+
+
+def _recorded(source: Streams, loop: cosim.Diagram, seeds: Sequence[int]) -> list[controllers.RecordedRun]:
+    """Return samples and controls of each stream."""
+    samples, control = f"fault_{source.car.sensors - 1}.y", "controller.u"
+    belief = {"initial_mean": source.settings.offset, "initial_covariance": source.car.initial_variance}
+    return [
+        controllers.RecordedRun(s.result[samples], s.result[control], **belief)
+        for s in source.run(loop, seeds, [samples, control])
+    ]
+
+
+def account(learned: controllers.LearnedModes) -> dict[str, Any]:
+    """Return what the report says of one learning: its steps, and the settings of the modes that it found."""
+    modes = [
+        {"mode": type(mode).__name__, **asdict(mode), "onsets": onsets}  # type: ignore[call-overload]
+        for mode, onsets in zip(learned.precision.modes, learned.onsets, strict=True)
+    ]
+    return {
+        "iterations": len(learned.log_likelihood),
+        "settled": learned.settled,
+        "log_likelihood": list(learned.log_likelihood),
+        "modes": modes,
+    }

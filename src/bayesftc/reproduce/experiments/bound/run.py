@@ -1,0 +1,201 @@
+"""How close to the best is a detector? The residuals of the detection experiment beside the exact posterior's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bayesftc import cosim
+from bayesftc.cosim.judging.metrics import auc as area
+from bayesftc.cosim.judging.probabilities import reliability
+from bayesftc.cosim.judging.signals import Flags
+from bayesftc.cosim.statistics import interval, mean_reliability
+from bayesftc.cosim.types import Floats
+from bayesftc.reproduce.experiments.bound.filter import PosteriorFilter
+from bayesftc.reproduce.experiments.detection.run import GROUP, Bench
+from bayesftc.reproduce.settings import Bound, Car, Detection
+from bayesftc.reproduce.shared import residuals as _residuals
+from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.residuals import Residual
+from bayesftc.reproduce.shared.streams import Faults
+
+BOUND = "bound"
+CERTAIN = 700.0
+"""Log odds beyond which a fault counts as certain: their exponential is still a number."""
+
+
+class Record(NamedTuple):
+    """What the filter sees of a stream, and the truth."""
+
+    y: Floats
+    u: Floats
+    faulty: Flags
+
+
+def run(
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    runs: int | None = None,
+    beyond: bool = True,
+    settings: Bound | None = None,
+    detection: Detection | None = None,
+    car: Car | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the experiment and return what ``bound.json`` holds.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the streams that are judged.
+    jobs : int
+        Number of threads; the results are the same to the last bit for any.
+    runs : int, optional
+        Number of streams for each size of the faults, instead of the settings'.
+    beyond : bool
+        Whether learners that are not in the paper stand beside the bound.
+    settings, detection, car : Bound, Detection, Car, optional
+        Other settings than those of `bayesftc.reproduce.settings`; `detection` has those of the streams and residuals.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If a seed, a number of jobs or a number of streams cannot be one, there are more than three sensors, or the AUC still
+        moves with the largest number of particles.
+    """
+    settings, detection, car = Bound.of(settings, runs), detection or Detection(), car or Car()
+    bench = Bench(detection, car, Ensemble(seed, jobs, progress))
+    cells = [Faults(injection, drift, settings.reference) for injection, drift in settings.cells]
+    records, betas, areas = [], [], []
+    for i, faults in enumerate(cells):
+        beta, _ = bench.choose(faults, bench.ensemble.seeds(f"bound/choice/{i}", settings.choice_streams))
+        residuals = {**_residuals.papers(detection, beta), **(_residuals.posteriors(detection) if beyond else {})}
+        own = bench.ensemble.seeds(f"bound/streams/{i}", settings.streams)
+        records.append(_records(bench, faults, own))
+        areas.append(_areas(bench, faults, own, residuals))
+        betas.append({name: getattr(beta, name) for name in ("forgetting", "prior_shape")})
+    found = _converged(bench, settings, cells, records)
+    return {
+        "settings": {"seed": seed, **settings.to_dict(), "detection": detection.to_dict(), "car": car.to_dict()},
+        "particles": found[-1].particles,
+        "moved": _moved(*found[-2:]),
+        "doublings": [{"particles": f.particles, "auc": f.areas.mean(axis=1).tolist()} for f in found],
+        "cells": [
+            {
+                **asdict(faults),
+                "beta": betas[i],
+                **_compared(areas[i], found[-1].areas[i]),
+                "calibration": _calibration(bench, records[i], found[-1].odds[i]),
+            }
+            for i, faults in enumerate(cells)
+        ],
+        "paper": {},
+    }
+
+
+def _records(bench: Bench, faults: Faults, own: Sequence[int]) -> list[Record]:
+    """Return what reaches the filter, from the loop of the plain Kalman controller; the posterior is the same in any loop."""
+    loop = bench.loop(faults, _residuals.PLAIN)
+    samples = f"fault_{bench.car.sensors - 1}.y"
+
+    def each(loop: cosim.Diagram, few: Sequence[int]) -> list[Record]:
+        streams = bench.source.run(loop, few, [samples, "controller.u"])
+        return [Record(s.result[samples], s.result["controller.u"].ravel(), s.faulty) for s in streams]
+
+    (groups,), _ = bench.ensemble.each("Streams", [loop], [own], GROUP, each)
+    return [record for group in groups for record in group]
+
+
+def _areas(bench: Bench, faults: Faults, own: Sequence[int], residuals: Mapping[str, Residual]) -> dict[str, Floats]:
+    """Return the AUC of each residual on each whole stream."""
+    return dict(zip(residuals, bench.areas("Residuals", [(faults, r) for r in residuals.values()], own), strict=True))
+
+
+class Posterior(NamedTuple):
+    """What the filter has found with a number of particles.
+
+    Attributes
+    ----------
+    particles : int
+        Their number.
+    odds : list of lists of ndarray
+        Log odds of each stream of each cell.
+    areas : ndarray of shape (cells, streams)
+        The AUC.
+    """
+
+    particles: int
+    odds: list[list[Floats]]
+    areas: Floats
+
+
+def _converged(
+    bench: Bench, settings: Bound, cells: Sequence[Faults], records: Sequence[Sequence[Record]]
+) -> list[Posterior]:
+    """Double the particles until no stream's AUC moves; return what was found with each number of them."""
+    found = [_posterior(bench, settings, cells, records, settings.particles)]
+    while len(found) < 2 or _moved(*found[-2:]) >= settings.moves:
+        particles = 2 * found[-1].particles
+        if particles > settings.most_particles:
+            raise cosim.ModelError(
+                f"The AUC of a stream may still move by {settings.moves:g} with more than {found[-1].particles} particles; raise "
+                "most_particles."
+            )
+        found.append(_posterior(bench, settings, cells, records, particles))
+    return found
+
+
+def _posterior(
+    bench: Bench, settings: Bound, cells: Sequence[Faults], records: Sequence[Sequence[Record]], particles: int
+) -> Posterior:
+    filters = [PosteriorFilter(bench.settings, bench.car, faults, particles, settings.tolerance) for faults in cells]
+    tasks: list[Callable[[], Floats]] = [
+        partial(each.log_odds, record.y, record.u)
+        for each, mine in zip(filters, records, strict=True)
+        for record in mine
+    ]
+    done = iter(bench.ensemble.run(tasks, f"Bound, {particles} particles"))
+    odds = [[next(done) for _ in mine] for mine in records]
+    skipped = bench.settings.skipped
+    areas = [
+        [area(r.faulty[skipped:], o[skipped:]) for r, o in zip(mine, of, strict=True)]
+        for mine, of in zip(records, odds, strict=True)
+    ]
+    return Posterior(particles, odds, np.array(areas))
+
+
+def _moved(before: Posterior, after: Posterior) -> float:
+    """Return how far the AUC of a stream has moved at most."""
+    return float(np.abs(after.areas - before.areas).max())
+
+
+def _compared(residuals: Mapping[str, Floats], bound: Floats) -> dict[str, Any]:
+    """Return mean and interval of each AUC, and of its ratio to the bound's, stream by stream."""
+    every = {**residuals, BOUND: bound}
+    return {
+        "auc": {name: {"mean": float(v.mean()), "ci": interval(v)} for name, v in every.items()},
+        "ratio": {
+            name: {"mean": float((v / bound).mean()), "ci": interval(v / bound)} for name, v in residuals.items()
+        },
+        "streams": {name: v.tolist() for name, v in every.items()},
+    }
+
+
+def _calibration(bench: Bench, records: Sequence[Record], odds: Sequence[Floats]) -> dict[str, Any]:
+    """Return how well the filter's probabilities agree with the truth: the exact posterior's do."""
+    skipped = bench.settings.skipped
+    found = [
+        reliability(
+            1.0 / (1.0 + np.exp(-np.clip(o[skipped:], -CERTAIN, CERTAIN))), r.faulty[skipped:], bins=bench.settings.bins
+        )
+        for r, o in zip(records, odds, strict=True)
+    ]
+    means = mean_reliability(found)
+    return {name: means[name] for name in ("ece", "brier")}

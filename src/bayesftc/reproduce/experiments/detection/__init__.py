@@ -1,0 +1,1 @@
+"""Experiment 3: which residual tells that a sensor is faulty."""

@@ -1,0 +1,133 @@
+"""The SER baseline by filterpy's Kalman filter beside ours: in the loop of tracking, over the samples of detection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.controllers import SERFDI, ser_reference
+from bayesftc.reproduce.shared import residuals as _residuals
+from bayesftc.reproduce.shared.car import model
+from bayesftc.reproduce.shared.streams import Faults
+from bayesftc.reproduce.shared.tables import table
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from bayesftc.reproduce.experiments.detection.run import Bench as DetectionBench
+    from bayesftc.reproduce.experiments.tracking.bench import Bench as TrackingBench, Errors, Scenario
+
+SER_FT = "SER FT"
+"""The technique's name in the tracking experiment."""
+
+
+def track(bench: TrackingBench, ours: Mapping[Scenario, Errors]) -> dict[str, Any]:
+    """Return the tracking errors of the first runs of each scenario with filterpy's filter in the loop, beside ours.
+
+    Parameters
+    ----------
+    bench : Bench
+        Of the experiment; its setting ``filterpy_runs`` says how many runs.
+    ours : mapping
+        The errors of all runs of the compiled techniques.
+
+    Returns
+    -------
+    dict
+        ``runs``, and for each scenario ``ours`` and ``filterpy`` (means over these runs in m/s) and ``largest_difference`` (of a
+        run, relative).
+    """
+    s = bench.settings
+    runs = min(s.runs, s.filterpy_runs)
+    fewer = replace(bench, settings=replace(s, runs=runs))
+    learner = SERFDI(threshold=s.ser_threshold, filter="filterpy")
+    theirs = fewer.measure("SER by filterpy", list(ours), {SER_FT: learner}).errors()
+    cells = {}
+    for scenario, errors in theirs.items():
+        mine, reference = ours[scenario][SER_FT][:runs], errors[SER_FT]
+        cells[scenario.kind] = {
+            "ours": float(mine.mean()),
+            "filterpy": float(reference.mean()),
+            "largest_difference": float(np.max(np.abs(mine / reference - 1.0))),
+        }
+    return {"runs": runs, "scenarios": cells}
+
+
+def detect(bench: DetectionBench, faults: Faults, seeds: Sequence[int]) -> list[dict[str, Any]]:
+    """Return the AUC of the innovation by filterpy's filter over the samples of the SER baseline's loop, beside ours.
+
+    Parameters
+    ----------
+    bench : Bench
+        Of the experiment.
+    faults : Faults
+        How large faults are.
+    seeds : sequence of int
+        Of the streams.
+
+    Returns
+    -------
+    list of dict
+        For each stream ``seed``, ``ours`` and ``filterpy`` (AUC on the test part), and ``largest_difference`` of an innovation,
+        in standard deviations of a sensor.
+    """
+    s, car = bench.settings, bench.car
+    residual = _residuals.ser(s)
+    loop = bench.loop(faults, residual.learners[0])
+    samples = f"fault_{car.sensors - 1}.y"
+    found = []
+    for seed, stream in zip(
+        seeds, bench.source.run(loop, seeds, (*_residuals.SIGNALS, samples, "controller.u")), strict=True
+    ):
+        reference = ser_reference(
+            model(car),
+            stream.result[samples],
+            stream.result["controller.u"],
+            threshold=s.ser_threshold,
+            initial_mean=s.offset,
+            initial_covariance=car.initial_variance,
+        )
+        difference = np.abs(stream.result["controller.innovation"] - reference.innovation) / car.sensor_variance**0.5
+        theirs = deepcopy(stream)
+        theirs.result["controller.innovation"][:] = reference.innovation
+        found.append(
+            {
+                "seed": seed,
+                "ours": bench.area(residual, [stream]),
+                "filterpy": bench.area(residual, [theirs]),
+                "largest_difference": float(difference.max()),
+            }
+        )
+    return found
+
+
+def show_tracking(report: Mapping[str, Any]) -> Iterator[RenderableType]:
+    """Yield the tracking errors by filterpy beside ours."""
+    yield table(
+        f"SER FT by filterpy's Kalman filter in the loop, on the same noise: root-mean-square tracking error (m/s), mean over "
+        f"the first {report['runs']} runs, and the largest relative difference of a run",
+        [SER_FT, "filterpy", "difference"],
+        {
+            kind: [f"{cell['ours']:.3f}", f"{cell['filterpy']:.3f}", f"{cell['largest_difference']:.0e}"]
+            for kind, cell in report["scenarios"].items()
+        },
+        corner="fault/reference",
+    )
+
+
+def show_detection(streams: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
+    """Yield the AUC by filterpy beside ours."""
+    yield table(
+        "SER by filterpy's Kalman filter over the same samples: AUC on the test part, and the largest difference of an "
+        "innovation in standard deviations of a sensor",
+        ["SER", "filterpy", "difference"],
+        {
+            f"{i}": [f"{stream['ours']:.4f}", f"{stream['filterpy']:.4f}", f"{stream['largest_difference']:.0e}"]
+            for i, stream in enumerate(streams)
+        },
+        corner="stream",
+    )

@@ -1,0 +1,1 @@
+"""Beyond the paper: every learner in faults that none expects."""

@@ -1,0 +1,1 @@
+"""Beyond the paper: learners where the model is wrong."""

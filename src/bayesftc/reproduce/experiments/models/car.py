@@ -1,0 +1,239 @@
+"""The car, the road and the sensors as they are, which need not be as the controller believes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cache
+from math import atan, exp, inf, sin
+from typing import Any
+
+import numpy as np
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.ops import absolute, maximum, minimum, select
+from bayesftc.cosim.ports import Port
+from bayesftc.reproduce.settings import Car, Models
+from bayesftc.reproduce.shared.car import model
+
+GRAVITY = 9.81
+"""m/s^2."""
+
+
+def _look(speed, v):
+    v[0] = speed[0]
+
+
+def _move(force, disturbance, speed, engine, sent, h, mass, drag, quadratic, pull, limit, follows):
+    last = sent.shape[0] - 1
+    sent[last] = force[0]
+    v, told = speed[0], maximum(minimum(sent[0], limit[0]), -limit[0])
+    for k in range(last):
+        sent[k] = sent[k + 1]
+    engine[0] = select(follows[0] >= 1.0, told, engine[0] + follows[0] * (told - engine[0]))
+    pushed = engine[0] - quadratic[0] * v * absolute(v) - pull[0]
+    speed[0] = (1.0 - drag[0] / mass[0] * h[0]) * v + h[0] / mass[0] * pushed + disturbance[0]
+
+
+@dataclass(frozen=True)
+class TrueCar(Block):
+    """``v <- (1 - b/m h) v + h/m (force - c v |v| - m g sin(slope)) + disturbance``; the force is limited, late and lags behind.
+
+    With the defaults for all that stands below `drag` it is the FMU ``CruiseControl``, bit for bit.
+
+    Parameters
+    ----------
+    start_speed : float
+        m/s.
+    mass : float
+        kg.
+    drag : float
+        b, in N s/m.
+    quadratic_drag : float
+        c, in N s^2/m^2.
+    slope : float
+        Of the road, rise over run.
+    force_limit : float
+        N, to both sides.
+    lag : float
+        Time constant in s with which the force follows what is asked for.
+    delay : int
+        Samples by which it comes late.
+    """
+
+    start_speed: float
+    mass: float
+    drag: float
+    quadratic_drag: float = 0.0
+    slope: float = 0.0
+    force_limit: float = inf
+    lag: float = 0.0
+    delay: int = 0
+
+    checks_finite = True
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Inputs ``force`` (N) and ``disturbance`` (m/s a step)."""
+        return (
+            Port("force", unit="N", feedthrough=False),
+            Port("disturbance", unit="m/s", feedthrough=False, default=0.0),
+        )
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``v``, m/s."""
+        return (Port("v", unit="m/s"),)
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        parameters = {
+            "h": float(step),
+            "mass": self.mass,
+            "drag": self.drag,
+            "quadratic": self.quadratic_drag,
+            "pull": self.mass * GRAVITY * sin(atan(self.slope)),
+            "limit": self.force_limit,
+            "follows": 1.0 - exp(-float(step) / self.lag) if self.lag else 1.0,
+        }
+        state: dict[str, Any] = {"speed": self.start_speed, "engine": 0.0, "sent": np.zeros(self.delay + 1)}
+        return Definition(_look, _move, state=state, parameters=parameters)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is not as the controller believes.
+
+    Attributes
+    ----------
+    text : str
+        In words.
+    label : str
+        In few words, as they stand in figures.
+    car : mapping
+        Parameters of `TrueCar` that differ.
+    noise : float
+        True standard deviation of the sensors over the believed one.
+    ageing : float
+        The same at the end of the run, up to which the noise grows.
+    known_limit : bool
+        Whether the controller knows the limit of the force.
+    """
+
+    text: str
+    label: str
+    car: Mapping[str, float] = field(default_factory=dict)
+    noise: float = 1.0
+    ageing: float = 1.0
+    known_limit: bool = False
+
+
+RIGHT = "right"
+"""The condition in which all is as the controller believes."""
+
+
+def conditions(settings: Models, car: Car) -> dict[str, Condition]:
+    """Return the conditions by name: of words of at most five letters, which head the columns of the tables."""
+    s = settings
+    limit = {"force_limit": s.force_limit}
+    return {
+        RIGHT: Condition("all is as the controller believes", "all as believed"),
+        "mass up": Condition(
+            f"the mass is {s.heavier:g} times the believed one", f"mass x {s.heavier:g}", {"mass": s.heavier * car.mass}
+        ),
+        "mass down": Condition(
+            f"the mass is {s.lighter:g} times the believed one", f"mass x {s.lighter:g}", {"mass": s.lighter * car.mass}
+        ),
+        "drag": Condition(
+            f"a drag of {s.quadratic_drag:g} N s^2/m^2 times the squared speed on top",
+            "further drag",
+            {"quadratic_drag": s.quadratic_drag},
+        ),
+        "hill": Condition(f"a slope of {s.slope:.0%}", f"hill of {100 * s.slope:g} %", {"slope": s.slope}),
+        "sd up": Condition(
+            f"the sensors' sd is {s.noisier:g} times the believed one", f"sensor noise x {s.noisier:g}", noise=s.noisier
+        ),
+        "sd down": Condition(
+            f"the sensors' sd is {s.quieter:g} times the believed one", f"sensor noise x {s.quieter:g}", noise=s.quieter
+        ),
+        "worn": Condition(
+            f"the sensors' sd grows to {s.ageing:g} times the believed one",
+            f"noise grows to x {s.ageing:g}",
+            ageing=s.ageing,
+        ),
+        "lag": Condition(
+            f"the force follows what is asked for with a time constant of {s.lag:g} s",
+            f"lag of {s.lag:g} s",
+            {"lag": s.lag},
+        ),
+        "late": Condition(
+            f"the force comes {s.delay:g} s late", f"delay of {s.delay:g} s", {"delay": round(s.delay / car.step)}
+        ),
+        UNKNOWN_LIMIT: Condition(
+            f"the actuator gives no more than {s.force_limit:g} N to either side", "force limit, untold", limit
+        ),
+        "sat. told": Condition(
+            "the same, and the controller knows the limit", "force limit, told", limit, known_limit=True
+        ),
+    }
+
+
+UNKNOWN_LIMIT = "sat."
+"""The condition that no estimate of a disturbance mends: see the page on reproduction."""
+
+
+def believed(settings: Models, car: Car) -> dict[str, controllers.LinearModel]:
+    """Return the controller's models: as it is, and with a force that it does not know of estimated besides."""
+    return {"as it is": model(car), "with disturbance": disturbed(settings, car, settings.unmodelled_time)}
+
+
+def disturbed(settings: Models, car: Car, time: float) -> controllers.LinearModel:
+    """Return the model with an unknown force whose random walk goes as far as it may be large within `time` seconds."""
+    return model(car).with_disturbance(settings.unmodelled_force**2 * car.step / time)
+
+
+@cache
+def _controller(
+    believed: controllers.LinearModel,
+    learner: controllers.PrecisionLearner,
+    start_speed: float,
+    variances: tuple[float, ...],
+    limit: float,
+) -> controllers.BayesianController:
+    return controllers.BayesianController(
+        believed,
+        precision=learner,
+        initial_mean=start_speed,
+        initial_covariance=np.diag(variances[: believed.states]),
+        u_min=-limit,
+        u_max=limit,
+    )
+
+
+def loop(
+    settings: Models,
+    car: Car,
+    condition: Condition,
+    believed: controllers.LinearModel,
+    learner: controllers.PrecisionLearner,
+    faults: Sequence[cosim.Fault] = (),
+) -> cosim.Diagram:
+    """Return the car of a condition under a controller that believes in a model; car and belief start on the reference."""
+    s, std = settings, car.sensor_variance**0.5
+    limit = s.force_limit if condition.known_limit else inf
+    own: dict[str, Any] = {"mass": car.mass, "drag": car.drag, **condition.car}
+    # Noise of growing variance: at the end its own and what is added make up the sd that is asked for.
+    growth = std * (condition.ageing**2 - 1.0) ** 0.5 / s.duration
+    ageing = [cosim.NoiseGrowth(slope=growth, sensor=i) for i in range(car.sensors)] if growth else []
+    return cosim.closed_loop(
+        TrueCar(s.mean_speed, **own),
+        _controller(believed, learner, s.mean_speed, (car.initial_variance, s.unmodelled_force**2), limit),
+        control="force",
+        measured="v",
+        noise={"disturbance": cosim.Gaussian(std=car.process_variance**0.5)},
+        sensors=cosim.Sensors(count=car.sensors, std=condition.noise * std, resolution=car.resolution),
+        faults=[*ageing, *faults],
+        reference=cosim.Sine(s.amplitude, s.period, offset=s.mean_speed),
+    )

@@ -1,0 +1,334 @@
+"""Beyond the paper: whether learners blame healthy sensors where the model is wrong.
+
+The paper's 'ageing and other non-fault phenomena': each technique tracks with a car, a road or sensors that are not as the
+controller believes, with healthy sensors and with one that fails, with the controller's model as it is and with a force that it
+does not know of estimated besides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from itertools import product
+from operator import add
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim.judging.alarms import Alarms, alarm_threshold, judge_alarms
+from bayesftc.cosim.judging.signals import ALARM
+from bayesftc.cosim.run.repeat import repeat
+from bayesftc.cosim.statistics import ratio
+from bayesftc.cosim.types import Floats
+from bayesftc.reproduce.experiments.models.car import RIGHT, Condition, believed, conditions, disturbed, loop
+from bayesftc.reproduce.experiments.tracking.bench import CHUNK, HEALTHY, ORACLE, PAPERS, RECORD, techniques
+from bayesftc.reproduce.settings import Car, Models, Tracking
+from bayesftc.reproduce.shared.ensemble import Ensemble, Progress, chunks
+from bayesftc.reproduce.shared.residuals import SWITCHING
+
+FIXED = "No FT"
+"""Fixed precision, with which all techniques are compared where the sensors are healthy."""
+
+
+class Detector(NamedTuple):
+    """When a learner says that a sensor is faulty.
+
+    Attributes
+    ----------
+    signal : str
+        What of the controller tells: ``fault_probability``, ``detected``, or ``precision`` (the less, the more it looks faulty).
+    threshold : float
+        The least score of an alarm: of the signal, or of the negative precision.
+    """
+
+    signal: str
+    threshold: float = ALARM
+
+    @property
+    def record(self) -> str:
+        """Name of the signal in a result."""
+        return f"controller.{self.signal}"
+
+    def score(self, result: cosim.Result) -> Floats:
+        """Return what is the higher the more a sample looks faulty."""
+        return -result[self.record] if self.signal == "precision" else result[self.record]
+
+
+ACTUATOR = Detector("actuator_fault_probability")
+"""When a learner with modes of actuators blames one of those."""
+
+
+Detectors = tuple[Detector | None, Detector | None]
+"""Of faults of sensors, and of those of the actuator."""
+
+
+class Runs(NamedTuple):
+    """The runs of one cell.
+
+    Attributes
+    ----------
+    rmse : ndarray of shape (runs,)
+        Root-mean-square tracking error of each run, in m/s.
+    alarms, actuator_alarms : Alarms or None
+        All alarms for sensors and for the actuator, if there is a detector.
+    """
+
+    rmse: Floats
+    alarms: Alarms | None
+    actuator_alarms: Alarms | None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A loop that is run: with which model, in which condition, with which fault, under which technique."""
+
+    model: str
+    condition: str
+    case: str
+    technique: str
+
+    def over(self, technique: str) -> Cell:
+        """Return the same under another technique."""
+        return replace(self, technique=technique)
+
+
+def run(
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    runs: int | None = None,
+    beyond: bool = True,
+    settings: Models | None = None,
+    car: Car | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the experiment and return what ``models.json`` holds.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all noise.
+    jobs : int
+        Number of threads; all is the same to the last bit for any.
+    runs : int, optional
+        Runs of each cell with a failed sensor, instead of the settings'.
+    beyond : bool
+        Whether techniques that are not in the paper are run as well.
+    settings, car : Models, Car, optional
+        Other settings than those of `bayesftc.reproduce.settings`.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If a seed, a number of jobs or a number of runs cannot be one.
+    """
+    settings, car = Models.of(settings, runs), car or Car()
+    known = learners(beyond)
+    bench = _Bench(settings, car, Ensemble(seed, jobs, progress), conditions(settings, car), believed(settings, car))
+    detectors = bench.detectors(known)
+    found = bench.measure("Wrong models", bench.cells(bench.models, (HEALTHY, *bench.faults), known), known, detectors)
+    table: dict[str, Any] = {m: {c: {} for c in bench.conditions} for m in bench.models}
+    for cell, its in found.items():
+        if cell.technique != ORACLE:
+            entry = _errors(its, found[cell.over(FIXED if cell.case == HEALTHY else ORACLE)])
+            if cell.case == HEALTHY:
+                for kind in ("alarms", "actuator_alarms"):
+                    entry[kind] = None if (alarms := getattr(its, kind)) is None else alarms.to_dict()
+            table[cell.model][cell.condition].setdefault(cell.technique, {})[cell.case] = entry
+    return {
+        "settings": {
+            "seed": seed,
+            **settings.to_dict(),
+            "car": car.to_dict(),
+            "techniques": {name: repr(learner) for name, learner in known.items()},
+            "conditions": {name: condition.text for name, condition in bench.conditions.items()},
+            "labels": {name: condition.label for name, condition in bench.conditions.items()},
+        },
+        "errors": table,
+        "oracle": {
+            m: {
+                c: {case: float(found[Cell(m, c, case, ORACLE)].rmse.mean()) for case in bench.faults}
+                for c in bench.conditions
+            }
+            for m in bench.models
+        },
+        "detectors": {m: {n: d._asdict() for n in known if (d := detectors[m, n])} for m in bench.models},
+        "above_the_bar": _above(table, settings.bar),
+        "grid": _grid(bench, known) if beyond else None,
+        "paper": {},
+    }
+
+
+def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
+    """Return the tracking experiment's techniques, and those that may blame sensors only, or actuators as well."""
+    known = techniques(Tracking())
+    if not beyond:
+        return {name: known[name] for name in PAPERS}
+    modes = [controllers.InputOffset(), controllers.LostEffect(), controllers.StuckActuator()]
+    given = {"input offset": modes[:1], "actuator modes": modes}
+    return known | {
+        f"{SWITCHING}, sensors only": controllers.SwitchingPrecision(process_modes=()),
+        **{f"{SWITCHING}, {name}": controllers.SwitchingPrecision(actuator_modes=of) for name, of in given.items()},
+    }
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """Runs techniques in all conditions."""
+
+    settings: Models
+    car: Car
+    ensemble: Ensemble
+    conditions: Mapping[str, Condition]
+    models: Mapping[str, controllers.LinearModel]
+
+    @property
+    def faults(self) -> dict[str, cosim.Fault]:
+        s = self.settings
+        when: dict[str, Any] = {"sensor": s.faulty_sensor, "start": s.fault_start, "stop": s.fault_stop}
+        return {
+            "freeze": cosim.Freeze(**when),
+            "injection": cosim.Injection(magnitude=s.injection, **when),
+            "drift": cosim.Drift(slope=s.drift, **when),
+        }
+
+    def loop(
+        self,
+        model: str,
+        condition: str,
+        learner: controllers.PrecisionLearner,
+        case: str = HEALTHY,
+        *,
+        told: bool = False,
+    ) -> cosim.Diagram:
+        """Return a loop; if `told`, the faulty sensor's samples are missing."""
+        faults = [] if case == HEALTHY else [self.faults[case]]
+        if told:
+            faults += [cosim.Dropout(sensor=f.sensor, start=f.start, stop=f.stop) for f in faults]
+        return loop(self.settings, self.car, self.conditions[condition], self.models[model], learner, faults)
+
+    def detectors(self, known: Mapping[str, controllers.PrecisionLearner]) -> dict[tuple[str, str], Detector | None]:
+        """Return by model and technique what counts as an alarm; None if nothing does.
+
+        That is what a learner says itself, by a probability or a detection. One that says nothing is taken at its precision,
+        at a threshold that is set with the right model and healthy sensors.
+        """
+        s = self.settings
+        found = {(m, n): _own_detector(known[n], self.models[m]) for m, n in product(self.models, known)}
+        own = self.ensemble.seeds("models/thresholds", s.threshold_runs)
+        for (m, n), detector in found.items():
+            if detector is not None and detector.signal == "precision":
+                loop = self.loop(m, RIGHT, known[n])
+                parts, _ = self.ensemble.each(
+                    "Thresholds", [loop], [own], CHUNK, partial(_scores, s.duration, detector)
+                )
+                scores = [score for part in parts[0] for score in part]
+                level = alarm_threshold(scores, step=self.car.step, per_hour=s.alarms_per_hour)
+                found[m, n] = detector._replace(threshold=level)
+        return found
+
+    def cells(self, models: Iterable[str], cases: Iterable[str], known: Iterable[str]) -> list[Cell]:
+        """Return the cells of every technique in every condition, and of the oracle where there is a fault."""
+        cells = [Cell(*of) for of in product(models, self.conditions, cases, [*known, ORACLE])]
+        return [cell for cell in cells if cell.technique != ORACLE or cell.case != HEALTHY]
+
+    def measure(
+        self,
+        what: str,
+        cells: Sequence[Cell],
+        known: Mapping[str, controllers.PrecisionLearner],
+        detectors: Mapping[tuple[str, str], Detector | None],
+    ) -> dict[Cell, Runs]:
+        """Return all runs of cells; each case has its noise, whatever model, condition and technique."""
+        s = self.settings
+        learners = {**known, ORACLE: controllers.FixedPrecision()}
+        loops = [
+            self.loop(c.model, c.condition, learners[c.technique], c.case, told=c.technique == ORACLE) for c in cells
+        ]
+        self.ensemble.prepare(loops)
+        runs = {case: s.runs * (s.healthy_factor if case == HEALTHY else 1) for case in (HEALTHY, *self.faults)}
+        seeds = {case: chunks(self.ensemble.seeds(f"models/{case}", runs[case]), CHUNK) for case in runs}
+        tasks = []
+        for cell, each in zip(cells, loops, strict=True):
+            watched: Detectors = (None, None)
+            if cell.case == HEALTHY:
+                ports = learners[cell.technique].learner(self.models[cell.model]).ports
+                blames = ACTUATOR.signal in {port.name for port in ports}
+                watched = (detectors.get((cell.model, cell.technique)), ACTUATOR if blames else None)
+            tasks += [partial(_run, s.duration, watched, each, few) for few in seeds[cell.case]]
+        done = iter(self.ensemble.run(tasks, what))
+        parts = {cell: [next(done) for _ in seeds[cell.case]] for cell in cells}
+        return {cell: _pooled(mine) for cell, mine in parts.items()}
+
+
+def _grid(bench: _Bench, known: Mapping[str, controllers.PrecisionLearner]) -> dict[str, Any]:
+    """Return the errors with healthy sensors where the estimated disturbance changes faster or slower."""
+    s = bench.settings
+    models = {f"{time:g}": disturbed(s, bench.car, time) for time in s.unmodelled_times}
+    fewer = replace(bench, settings=replace(s, healthy_factor=1), models=models)
+    found = fewer.measure("Other disturbances", fewer.cells(models, [HEALTHY], known), known, {})
+    return {
+        time: {
+            c: {n: _errors(found[cell := Cell(time, c, HEALTHY, n)], found[cell.over(FIXED)]) for n in known}
+            for c in fewer.conditions
+        }
+        for time in models
+    }
+
+
+def _own_detector(learner: controllers.PrecisionLearner, model: controllers.LinearModel) -> Detector | None:
+    """Return what a learner says by itself, or its precision with a threshold that is still to be found."""
+    if learner.why_no_probability is None:
+        return Detector("fault_probability")
+    if "detected" in {port.name for port in learner.learner(model).ports}:
+        return Detector("detected")
+    return None if isinstance(learner, controllers.FixedPrecision) else Detector("precision")
+
+
+def _scores(duration: float, detector: Detector, loop: cosim.Diagram, own_seeds: Sequence[int]) -> list[Floats]:
+    return [detector.score(r) for r in repeat(loop, duration, own_seeds, (detector.record,))]
+
+
+def _run(duration: float, detectors: Detectors, loop: cosim.Diagram, own_seeds: Sequence[int]) -> Runs:
+    """Make runs of one cell; the controller aims at the goal of t_k with the state of t_k+1."""
+    results = list(repeat(loop, duration, own_seeds, (*RECORD, *(d.record for d in detectors if d))))
+    errors = np.array([r["plant.v"][1:] - r["reference.y"][:-1] for r in results])
+    return Runs(np.sqrt(np.mean(errors**2, axis=1)), *(_judged(results, d) for d in detectors))
+
+
+def _judged(results: Sequence[cosim.Result], detector: Detector | None) -> Alarms | None:
+    """Return all alarms of fault-free runs."""
+    if detector is None:
+        return None
+    scores, step = [detector.score(r) for r in results], float(results[0].step)
+    return _sum([judge_alarms(x, np.zeros(x.shape, bool), threshold=detector.threshold, step=step) for x in scores])
+
+
+def _sum(alarms: Sequence[Alarms | None]) -> Alarms | None:
+    known = [each for each in alarms if each is not None]
+    return reduce(add, known) if known else None
+
+
+def _pooled(parts: Sequence[Runs]) -> Runs:
+    rmse, alarms, actuator = zip(*parts, strict=True)
+    return Runs(np.concatenate(rmse), _sum(alarms), _sum(actuator))
+
+
+def _errors(its: Runs, over: Runs) -> dict[str, Any]:
+    value, bounds = ratio(its.rmse, over.rmse)
+    return {"rmse_mean": float(its.rmse.mean()), "n": len(its.rmse), "ratio": value, "ratio_ci": bounds}
+
+
+def _above(table: Mapping[str, Any], bar: float) -> dict[str, dict[str, list[str]]]:
+    """Return for each model and technique the conditions in which its error with healthy sensors is above the bar."""
+    found: dict[str, dict[str, list[str]]] = {m: {} for m in table}
+    for m, of in table.items():
+        for condition, cells in of.items():
+            for technique, cell in cells.items():
+                if cell[HEALTHY]["ratio"] > bar:
+                    found[m].setdefault(technique, []).append(condition)
+    return found

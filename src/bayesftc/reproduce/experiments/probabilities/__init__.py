@@ -1,0 +1,1 @@
+"""Beyond the paper: whether fault probabilities are true."""

@@ -1,0 +1,66 @@
+"""Random faults of many kinds and sizes, one in each run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesftc import cosim
+from bayesftc.cosim.types import Floats
+from bayesftc.reproduce.settings import Probabilities
+
+
+@dataclass(frozen=True)
+class RandomFault:
+    """A fault of one sensor, drawn at random.
+
+    Attributes
+    ----------
+    kind : str
+        One of `KINDS`.
+    faults : tuple of Fault
+        What the sensor goes through.
+    """
+
+    kind: str
+    faults: tuple[cosim.Fault, ...]
+
+    def truth(self, time: Floats, sensors: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """Return an array of shape (steps, sensors): with which samples the fault was present."""
+        fault, there = self.faults[0], np.zeros((len(time), sensors), bool)
+        there[:, fault.sensor] = (fault.start <= time) & (time < fault.stop)
+        return there
+
+
+def _dithered(size: float, sign: float, period: float, **when: Any) -> tuple[cosim.Fault, ...]:
+    return cosim.Freeze(**when), cosim.NoiseIncrease(std=size, **when)
+
+
+KINDS: Mapping[str, Callable[..., tuple[cosim.Fault, ...]]] = {
+    "freeze": lambda size, sign, period, **when: (cosim.Freeze(**when),),
+    "freeze with dither": _dithered,
+    "injection": lambda size, sign, period, **when: (cosim.Injection(magnitude=sign * size, **when),),
+    "drift": lambda size, sign, period, **when: (cosim.Drift(slope=sign * size, **when),),
+    "gain": lambda size, sign, period, **when: (cosim.GainFault(factor=size, **when),),
+    "oscillation": lambda size, sign, period, **when: (cosim.Injection(amplitude=size, period=period, **when),),
+    "noise": lambda size, sign, period, **when: (cosim.NoiseIncrease(std=(size**2 - 1.0) ** 0.5, **when),),
+    "low-pass": lambda size, sign, period, **when: (cosim.Lag(time_constant=size, **when),),
+}
+"""By the name of a kind what makes its faults, on sensors of standard deviation 1, from size, sign and period."""
+
+
+def random_fault(settings: Probabilities, lengths: tuple[float, float], sensors: int, seed: int) -> RandomFault:
+    """Return a fault of a random kind, size, onset, sensor and length, which is within the given ones."""
+    rng = np.random.default_rng(seed)
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    kind, smallest, largest = settings.kinds[int(rng.integers(len(settings.kinds)))]
+    size, sign, period = between(smallest, largest), float(rng.choice([-1.0, 1.0])), between(*settings.periods)
+    start, length = float(rng.uniform(*settings.starts)), between(*lengths)
+    when = {"sensor": int(rng.integers(sensors)), "start": start, "stop": start + length}
+    return RandomFault(kind, KINDS[kind](size, sign, period, **when))

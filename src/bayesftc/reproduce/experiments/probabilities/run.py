@@ -1,0 +1,260 @@
+"""Beyond the paper: whether fault probabilities are true.
+
+Of the samples that are said to be faulty with a probability of .3, three in ten should be: over runs with faults of random kinds
+and sizes, of which most are in no learner's list. And where only one kind of fault is possible and the sequence is short, the
+probability can be computed exactly, by all courses of events: a further part says how far `SwitchingPrecision` is from that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from math import inf
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bayesftc import controllers, cosim
+from bayesftc.cosim.judging.metrics import NAN, without_nan
+from bayesftc.cosim.run.repeat import repeat
+from bayesftc.cosim.statistics import calibration
+from bayesftc.cosim.types import Floats
+from bayesftc.reproduce.experiments.probabilities import exact_cases as _exact_cases
+from bayesftc.reproduce.experiments.probabilities.random_faults import RandomFault, random_fault
+from bayesftc.reproduce.experiments.tracking.bench import CHUNK
+from bayesftc.reproduce.settings import Car, Probabilities, Tracking
+from bayesftc.reproduce.shared.car import closed_loop, model
+from bayesftc.reproduce.shared.ensemble import Ensemble, Progress, chunks
+from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
+
+TOLD, GAMMA = f"{SWITCHING}, told the times", "GammaPrecision, calibrated"
+PROBABILITY = "controller.fault_probability"
+RESAMPLES = 2_000
+"""Of the bootstrap: an interval's ends are then known to a few percent of its width."""
+
+Learners = Mapping[str, controllers.PrecisionLearner]
+
+
+class Run(NamedTuple):
+    """Fault probabilities of a run and what was there, both of shape (steps, sensors)."""
+
+    probability: Floats
+    faulty: np.ndarray[Any, np.dtype[np.bool_]]
+
+
+def run(
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    runs: int | None = None,
+    beyond: bool = True,
+    settings: Probabilities | None = None,
+    car: Car | None = None,
+    learners: Learners | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the experiment and return what ``probabilities.json`` holds.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all noise and faults.
+    jobs : int
+        Number of threads; the results are the same to the last bit for any.
+    runs : int, optional
+        Runs of each learner, instead of the settings'; also the largest number of sequences of each mode and size.
+    beyond : bool
+        Without effect, for nothing here is in the paper.
+    settings, car : Probabilities, Car, optional
+        Other settings than those of `bayesftc.reproduce.settings`.
+    learners : mapping of str to PrecisionLearner, optional
+        Whose probabilities are judged, by default those of `judged_learners`.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If a seed, a number of jobs or a number of runs cannot be one.
+    """
+    settings, car = Probabilities.of(settings, runs), car or Car()
+    settings = replace(settings, sequences=min(settings.sequences, settings.runs))
+    ensemble = Ensemble(seed, jobs, progress)
+    reliability, names = {}, {}
+    for lengths in settings.lengths:
+        known = learners or judged_learners(settings, lengths, car)
+        title = f"{lengths[0]:g} to {lengths[1]:g} s"
+        reliability[title] = _reliability(settings, lengths, car, ensemble, known, title)
+        names[title] = {name: repr(learner) for name, learner in known.items()}
+    report: dict[str, Any] = without_nan(
+        {
+            "settings": {"seed": seed, **settings.to_dict(), "car": car.to_dict(), "learners": names},
+            "reliability": reliability,
+            "exact": _exact_cases.distances(settings, model(car), Tracking.constant, ensemble),
+            "paper": {},
+        }
+    )
+    return report
+
+
+def judged_learners(
+    settings: Probabilities, lengths: tuple[float, float], car: Car
+) -> dict[str, controllers.PrecisionLearner]:
+    """Return the learners by name: with default settings, with others that bring them closer, and a rate with a fitted map."""
+    to_fault, to_recovery = mean_times(settings, lengths, car)
+    default = controllers.SwitchingPrecision()
+    told = [
+        replace(mode, time_to_fault=len(default.modes) * to_fault, time_to_recovery=to_recovery)
+        for mode in default.modes
+    ]
+    larger = [replace(mode, jump=settings.jump) if type(mode) is controllers.Offset else mode for mode in default.modes]
+    gamma = controllers.GammaPrecision()
+    fitted = controllers.calibrate(model(car), controllers.Hazards(to_fault, to_recovery), precision=gamma)
+    return {
+        SWITCHING: default,
+        PER_SENSOR: replace(default, joint=False),
+        TOLD: replace(default, modes=told, duration_shape=inf),
+        f"{SWITCHING}, jump {settings.jump:g}": replace(default, modes=larger),
+        GAMMA: replace(gamma, calibration=fitted.calibration),
+    }
+
+
+def mean_times(settings: Probabilities, lengths: tuple[float, float], car: Car) -> tuple[float, float]:
+    """Return the mean time to a fault of one sensor, and to its recovery, in seconds."""
+    shortest, longest = lengths
+    mean = shortest if shortest == longest else (longest - shortest) / float(np.log(longest / shortest))
+    return car.sensors * settings.duration - mean, mean
+
+
+def _reliability(
+    settings: Probabilities,
+    lengths: tuple[float, float],
+    car: Car,
+    ensemble: Ensemble,
+    known: Learners,
+    title: str,
+) -> dict[str, dict[str, Any]]:
+    """Return for each learner how reliable its probabilities are, over the same faults and the same noise."""
+    seeds = ensemble.seeds(f"probabilities/faults/{title}", settings.runs)
+    faults = [random_fault(settings, lengths, car.sensors, own) for own in seeds]
+    kinds = [fault.kind for fault in faults]
+    return {
+        name: judged(settings, _runs(settings, car, ensemble, faults, learner), kinds)
+        for name, learner in known.items()
+    }
+
+
+def _runs(
+    settings: Probabilities,
+    car: Car,
+    ensemble: Ensemble,
+    faults: Sequence[RandomFault],
+    learner: controllers.PrecisionLearner,
+) -> list[Run]:
+    """Return the runs of a learner, one with each fault."""
+    reference = cosim.Sine(Tracking.sine_amplitude, Tracking.sine_period, offset=Tracking.constant)
+    loops = [closed_loop(car, learner, fault.faults, reference, Tracking.constant) for fault in faults]
+    ensemble.prepare(list({fault.kind: loop for fault, loop in zip(faults, loops, strict=True)}.values()))
+    seeds = ensemble.seeds("probabilities/noise", settings.runs)
+    groups = chunks(range(settings.runs), CHUNK)
+    done = ensemble.run(
+        [partial(_simulated, settings, [(loops[k], faults[k], seeds[k]) for k in few]) for few in groups],
+        "Random faults",
+    )
+    return [one for few in done for one in few]
+
+
+def _simulated(settings: Probabilities, runs: Sequence[tuple[cosim.Diagram, RandomFault, int]]) -> list[Run]:
+    found = []
+    for loop, fault, seed in runs:
+        (result,) = repeat(loop, settings.duration, [seed], [PROBABILITY])
+        probability = result[PROBABILITY]
+        found.append(Run(probability, fault.truth(result.time, probability.shape[1])))
+    return found
+
+
+def judged(settings: Probabilities, runs: Sequence[Run], kinds: Sequence[str]) -> dict[str, Any]:
+    """Return the reliability of probabilities: diagram with intervals over runs, the worst bin, and what each kind does to it.
+
+    Parameters
+    ----------
+    settings : Probabilities
+        How many bins, and what is enough.
+    runs : sequence of Run
+        Each counts as one, for its samples depend on each other.
+    kinds : sequence of str
+        Of the fault in each run.
+
+    Returns
+    -------
+    dict
+        ``bins``: for each ``samples``, ``runs`` with a sample there, ``predicted``, ``observed`` with its ``ci``, ``gap``
+        (predicted minus observed) and ``by_kind``, the parts of the gap that the runs of each kind bring, which sum up to it.
+        ``largest``: largest absolute gap of a bin that has enough samples, with its ``ci`` by the bootstrap over runs, and the
+        number of that ``bin``. ``brier``, ``ece`` (calibration error) and their ``ci``.
+    """
+    found = calibration(
+        [r.probability for r in runs], [r.faulty for r in runs], bins=settings.bins, equal="widths"
+    )  # fmt: skip
+    samples, gaps = _gaps(settings, runs)
+    each = {kind: np.array([k == kind for k in kinds]) for kind in dict.fromkeys(name for name, *_ in settings.kinds)}
+    pooled, bins = found.pooled, []
+    for b in range(settings.bins):
+        total = max(samples[:, b].sum(), 1.0)
+        bins.append(
+            {
+                "samples": int(samples[:, b].sum()),
+                "runs": int((samples[:, b] > 0).sum()),
+                "predicted": float(pooled.predicted[b]),
+                "observed": float(pooled.observed[b]),
+                "ci": [float(found.observed_low[b]), float(found.observed_high[b])],
+                "gap": float(pooled.predicted[b] - pooled.observed[b]),
+                "by_kind": {kind: float(gaps[own, b].sum() / total) for kind, own in each.items()},
+            }
+        )
+    return {
+        "bins": bins,
+        "largest": _largest(samples, gaps, samples.sum(axis=0) >= settings.enough),
+        "brier": pooled.brier,
+        "brier_ci": list(found.brier_interval),
+        "ece": pooled.calibration_error,
+        "ece_ci": list(found.calibration_error_interval),
+    }
+
+
+def _gaps(settings: Probabilities, runs: Sequence[Run]) -> tuple[Floats, Floats]:
+    """Return for each run and bin the number of samples, and the sum of what is predicted less what happened."""
+    counts, gaps = np.zeros((2, len(runs), settings.bins))
+    for k, one in enumerate(runs):
+        known = ~np.isnan(one.probability)
+        p = one.probability[known]
+        place = np.minimum((p * settings.bins).astype(int), settings.bins - 1)
+        counts[k] = np.bincount(place, minlength=settings.bins)
+        gaps[k] = np.bincount(place, p - one.faulty[known], settings.bins)
+    return counts, gaps
+
+
+def _distance(gaps: Floats, samples: Floats) -> Floats:
+    distance: Floats = np.abs(gaps) / np.maximum(samples, 1.0)
+    return distance
+
+
+def _largest(samples: Floats, gaps: Floats, enough: np.ndarray[Any, np.dtype[np.bool_]]) -> dict[str, Any]:
+    """Return the largest distance from the diagonal over the bins that have enough samples, its bin, and its interval.
+
+    The interval is that of the bootstrap over runs.
+    """
+    if not enough.any():
+        return {"bin": None, "distance": NAN, "ci": [NAN, NAN]}
+    rng, runs, drawn = np.random.default_rng(0), len(samples), []
+    for _ in range(RESAMPLES):
+        weights = np.bincount(rng.integers(runs, size=runs), minlength=runs).astype(np.float64)
+        drawn.append(_distance(weights @ gaps, weights @ samples)[enough].max())
+    distance = np.where(enough, _distance(gaps.sum(axis=0), samples.sum(axis=0)), -1.0)
+    worst = int(np.argmax(distance))
+    return {
+        "bin": worst,
+        "distance": float(distance[worst]),
+        "ci": [float(v) for v in np.quantile(drawn, [0.025, 0.975])],
+    }

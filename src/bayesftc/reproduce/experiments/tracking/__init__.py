@@ -1,0 +1,1 @@
+"""Experiment 2: a car whose speed sensor fails."""

@@ -1,0 +1,168 @@
+"""Experiment 2: nine scenarios of fault and reference, every technique on the same noise (paper, section 5.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
+
+from bayesftc import controllers
+from bayesftc.cosim.statistics import merit_counts, outcomes, total_merit
+from bayesftc.reproduce import paper
+from bayesftc.reproduce.experiments.detection import filterpy as _filterpy
+from bayesftc.reproduce.experiments.tracking.bench import (
+    ORACLE,
+    PAPERS,
+    REFERENCES,
+    Bench,
+    Errors,
+    Measured,
+    Scenario,
+    effdi,
+    summary,
+    techniques,
+)
+from bayesftc.reproduce.experiments.tracking.oracle import over_oracle
+from bayesftc.reproduce.settings import Car, Tracking
+from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.residuals import SWITCHING
+
+CURVES = "injection/sine"
+"""The scenario of which the paper shows the mean absolute error over time."""
+USER_STEPS = 5_000
+"""Steps for which the loop with fmpy and filterpy is timed."""
+
+
+def run(
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    runs: int | None = None,
+    beyond: bool = True,
+    settings: Tracking | None = None,
+    car: Car | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the experiment and return what ``tracking.json`` holds.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all noise.
+    jobs : int
+        Number of threads; all but ``speed`` is the same to the last bit for any.
+    runs : int, optional
+        Runs of each technique in each scenario, instead of the settings'.
+    beyond : bool
+        Whether what is not in the paper is run as well: further techniques, faults of other sizes, and how close each comes to
+        the oracle.
+    settings, car : Tracking, Car, optional
+        Other settings than those of `bayesftc.reproduce.settings`.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If a seed, a number of jobs or a number of runs cannot be one.
+    """
+    settings, car = Tracking.of(settings, runs), car or Car()
+    bench = Bench(settings, car, Ensemble(seed, jobs, progress))
+    known = techniques(settings)
+    papers = {name: known[name] for name in PAPERS}
+    known = known if beyond else papers
+    headline = [Scenario(fault, r, size) for (fault, size), r in product(_headline(settings).items(), REFERENCES)]
+    table = bench.measure("The paper's table", headline, papers)
+    speed = _speed(table, jobs)
+    others = bench.measure("Further techniques", headline, {n: known[n] for n in known if n not in papers})
+    told = bench.measure("The oracle", headline, {ORACLE: controllers.FixedPrecision()}, told=True)
+    cells, further, oracle = table.errors(), others.errors(), told.errors()
+    everything = {s: cells[s] | further[s] for s in headline}
+    of_papers, of_all = (
+        merit_counts(list(errors.values()), names, settings.significance)
+        for errors, names in ((cells, PAPERS), (everything, tuple(known)))
+    )
+    curves = [part.runs[s] for part in (table, others, told) for s in headline if s.kind == CURVES]
+    return {
+        "settings": {
+            "seed": seed,
+            **settings.to_dict(),
+            "car": car.to_dict(),
+            "techniques": {name: repr(learner) for name, learner in known.items()},
+        },
+        "scenarios": {s.kind: {name: summary(e) for name, e in everything[s].items()} for s in headline},
+        "merit": of_papers,
+        "total_merit": total_merit(of_papers),
+        "filterpy": _filterpy.track(bench, cells),
+        "oracle": {s.kind: summary(oracle[s][ORACLE]) for s in headline},
+        "paper": {"merit": paper.MERIT, "total_merit": paper.TOTAL_MERIT},
+        "merit_of_all": of_all,
+        "total_merit_of_all": total_merit(of_all),
+        "lost": _lost(headline, everything, settings.significance),
+        "mean_absolute_error": {name: r.absolute.tolist() for runs in curves for name, r in runs.items()},
+        "grid": _grid(bench, cells, papers) if beyond else None,
+        "over_oracle": over_oracle(bench, known, [n for n in known if n.startswith(SWITCHING)]) if beyond else None,
+        "speed": speed,
+    }
+
+
+def _speed(measured: Measured, jobs: int) -> dict[str, float]:
+    """Return the closed-loop steps per second of our runs, and those of a loop with fmpy and filterpy."""
+    from bayesftc.bench.measures.full_loop import user_rate
+
+    ours, users = measured.steps / measured.seconds, user_rate(USER_STEPS)
+    return {
+        "steps": measured.steps,
+        "seconds": measured.seconds,
+        "jobs": jobs,
+        "steps_per_second": ours,
+        "user_loop_steps_per_second": users,
+        "ratio": ours / users,
+    }
+
+
+def _headline(settings: Tracking) -> dict[str, float | None]:
+    return {"freeze": None, "injection": settings.injection, "drift": settings.drift}
+
+
+def _lost(
+    scenarios: Sequence[Scenario], errors: Mapping[Scenario, Errors], significance: float
+) -> dict[str, list[str]]:
+    """Return the scenarios in which precision learning is significantly worse than some technique, and than which."""
+    worse = {}
+    for s in scenarios:
+        rivals = [name for name in errors[s] if name != "PL"]
+        lost = outcomes([errors[s]["PL"]] * len(rivals), [errors[s][name] for name in rivals], significance) < 0
+        worse[s.kind] = [name for name, worst in zip(rivals, lost, strict=True) if worst]
+    return {kind: names for kind, names in worse.items() if names}
+
+
+def _grid(
+    bench: Bench, known: Mapping[Scenario, Errors], papers: Mapping[str, controllers.PrecisionLearner]
+) -> dict[str, Any]:
+    """Return the errors for faults of other sizes, and the merit table for each pair of sizes and duration of EF-FDI."""
+    s = bench.settings
+    injections, drifts = sorted({s.injection, *s.injections}), sorted({s.drift, *s.drifts})
+    sizes = [("injection", size) for size in injections] + [("drift", size) for size in drifts]
+    scenarios = [Scenario(fault, r, size) for (fault, size), r in product([("freeze", None), *sizes], REFERENCES)]
+    others = {f"EF-FDI {d:g} s": effdi(s, d) for d in s.effdi_durations}
+    sized = bench.measure("Faults of other sizes", [c for c in scenarios if c not in known], papers)
+    errors = sized.errors() | dict(known)
+    longer = bench.measure("EF-FDI of other durations", scenarios, others).errors()
+    tables = []
+    for injection, drift, column in product(injections, drifts, ("EF-FDI", *others)):
+        chosen = [c for c in scenarios if c.size in {None, injection if c.fault == "injection" else drift}]
+        cells = [errors[c] | {"EF-FDI": (errors[c] | longer[c])[column]} for c in chosen]
+        table = merit_counts(cells, PAPERS, s.significance)
+        duration = s.effdi_duration if column == "EF-FDI" else others[column].duration
+        tables.append(
+            {
+                "injection": injection,
+                "drift": drift,
+                "effdi_duration": duration,
+                "merit": table,
+                "total_merit": total_merit(table),
+            }
+        )
+    cells_of = {c.name: {n: summary(e) for n, e in (errors[c] | longer[c]).items()} for c in scenarios}
+    return {"scenarios": cells_of, "tables": tables}

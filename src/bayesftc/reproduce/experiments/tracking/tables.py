@@ -1,0 +1,137 @@
+"""What ``bayesftc reproduce tracking`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.reproduce.experiments.detection import filterpy as _filterpy
+from bayesftc.reproduce.experiments.tracking import oracle_tables as _oracle_tables
+from bayesftc.reproduce.shared.residuals import SWITCHING
+from bayesftc.reproduce.shared.tables import sentence_list, table
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+
+COLUMNS = 3
+"""Techniques beside each other: class names are long."""
+
+
+def show(report: dict[str, Any]) -> Iterator[RenderableType]:
+    """Yield the merit table beside the paper's, the errors, where precision learning loses, and the speed."""
+    settings, scenarios, oracle = report["settings"], report["scenarios"], report["oracle"]
+    yield _merit(report)
+    yield from _orders(report)
+    names = list(next(iter(scenarios.values())))
+    papers, extra = [n for n in names if n in report["merit"]], [n for n in names if n not in report["merit"]]
+    cells = {kind: {**scenarios[kind], "oracle": oracle[kind]} for kind in scenarios}
+    title = f"Root-mean-square tracking error (m/s), mean over {settings['runs']} runs"
+    yield _errors(f"{title}; the oracle knows which sensor is faulty", cells, [*papers, "oracle"])
+    yield from _filterpy.show_tracking(report["filterpy"])
+    for first in range(0, len(extra), COLUMNS):
+        yield _errors(f"{title}: techniques that are not in the paper's table", cells, extra[first : first + COLUMNS])
+    if extra:
+        merit = report["total_merit_of_all"]
+        ahead = [name for name in merit if merit[name] > merit["PL"]]
+        yield (
+            f"With {sentence_list(extra)} in the comparison as well, total merits are "
+            f"{sentence_list([f'{n} {merit[n]}' for n in sorted(merit, key=merit.__getitem__, reverse=True)])}. "
+            + (f"{sentence_list(ahead)} {'is' if len(ahead) == 1 else 'are'} ahead of PL." if ahead else "PL leads.")
+        )
+    yield from _against_the_papers(report)
+    yield from _where_it_loses(report)
+    if report["over_oracle"] is not None:
+        yield from _oracle_tables.show(report["over_oracle"]["cells"])
+    speed = report["speed"]
+    yield (
+        f"Speed: {speed['steps_per_second'] / 1e6:.2f} million closed-loop steps per second with {speed['jobs']} jobs "
+        f"({speed['steps']:,} steps in {speed['seconds']:.2f} s), a loop with fmpy and filterpy "
+        f"{speed['user_loop_steps_per_second'] / 1e6:.3f} million: {speed['ratio']:.0f} times as fast."
+    )
+
+
+def _merit(report: dict[str, Any]) -> RenderableType:
+    ours, papers = report["merit"], report["paper"]["merit"]
+    rows = {row: [f"{ours[row][column]:d} ({papers[row][column]:d})" for column in ours] for row in ours}
+    totals = [f"{report['total_merit'][c]:d} ({report['paper']['total_merit'][c]:d})" for c in ours]
+    title = (
+        "Merit, in brackets the paper's: scenarios in which the column's technique tracks significantly better than the row's, "
+        "minus those in which it tracks worse"
+    )
+    return table(title, list(ours), {**rows, "total merit": totals})
+
+
+def _orders(report: dict[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each two techniques whose order is not the paper's."""
+    ours, papers = report["total_merit"], report["paper"]["total_merit"]
+    for a, b in combinations(ours, 2):
+        if (ours[a] - ours[b]) * (papers[a] - papers[b]) < 0:
+            yield (
+                f"{a} ({ours[a]}) and {b} ({ours[b]}) stand in reverse order to the paper's ({papers[a]} and {papers[b]})."
+            )
+
+
+def _against_the_papers(report: dict[str, Any]) -> Iterator[str]:
+    """Yield how the forms of `SwitchingPrecision` fare against the paper's other techniques."""
+    rivals = [name for name in report["merit"] if name != "PL"]
+    tests = len(rivals) * len(report["scenarios"])
+    table = report["merit_of_all"]
+    for name in (name for name in table if name.startswith(SWITCHING)):
+        won = sum(table[rival][name] for rival in rivals)
+        yield f"{name}: merit {won} of {tests} against {sentence_list(rivals)}."
+
+
+def _errors(title: str, cells: dict[str, Any], names: list[str]) -> RenderableType:
+    rows = {kind: [f"{techniques[n]['rmse_mean']:.3f}" for n in names] for kind, techniques in cells.items()}
+    return table(title, names, rows, corner="fault/reference")
+
+
+def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
+    papers, every = list(report["merit"]), len(report["scenarios"])
+    lost = {kind: [n for n in names if n in papers] for kind, names in report["lost"].items()}
+    places = [f"on {kind} than {sentence_list(names)}" for kind, names in lost.items() if names]
+    yield (
+        f"Precision learning (PL) tracks significantly worse {'; '.join(places)}."
+        if places
+        else "Precision learning (PL) tracks significantly worse than none of the paper's other techniques in any scenario."
+    )
+    others = [name for names in report["lost"].values() for name in names if name not in papers]
+    if counts := {name: others.count(name) for name in dict.fromkeys(others)}:
+        shown = [f"{name} in {count}" for name, count in counts.items()]
+        yield f"Of the {every} scenarios, others are significantly better than PL: {sentence_list(shown)}."
+    if report["grid"] is None:
+        return
+    settings = report["settings"]
+    tables = [t for t in report["grid"]["tables"] if t["effdi_duration"] == settings["effdi_duration"]]
+    totals = {(t["injection"], t["drift"]): t["total_merit"] for t in tables}
+    injections, drifts = (sorted({pair[i] for pair in totals}) for i in (0, 1))
+
+    def leaders(merit: dict[str, int]) -> list[str]:
+        return [name for name in merit if merit[name] > merit["PL"]]
+
+    def cell(pair: tuple[float, float]) -> str:
+        merit = totals[pair]
+        return f"{merit['PL']} : {merit['SER FT']} {'*' if leaders(merit) else ' '}"
+
+    yield table(
+        "Faults of other sizes: total merit of PL : SER FT; injection in m/s, drift in m/s per second",
+        [f"drift {d:g}  " for d in drifts],
+        {f"{i:g}": [cell((i, d)) for d in drifts] for i in injections},
+        corner="injection",
+    )
+    if ahead := dict.fromkeys(name for merit in totals.values() for name in leaders(merit)):
+        yield f"* {sentence_list(list(ahead))} ahead of PL."
+    every = report["grid"]["tables"]
+    lost_to = [t for t in every if t["total_merit"]["PL"] < max(t["total_merit"].values())]
+    if not lost_to:
+        yield f"PL has the highest total merit in all {len(every)} tables of the grid."
+        return
+    smallest = min(lost_to, key=lambda t: (t["drift"], t["injection"]))
+    yield (
+        f"The order reverses for large faults: in {len(lost_to)} of the {len(every)} tables of the grid (with all durations of "
+        f"EF-FDI) PL does not have the highest total merit, the mildest being an injection of {smallest['injection']:g} m/s "
+        f"with a drift of {smallest['drift']:g} m/s per second. A threshold, once set, sees a large fault at once, while "
+        "learning takes some samples to distrust a sensor, and some more to trust it again."
+    )

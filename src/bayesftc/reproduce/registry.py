@@ -1,0 +1,84 @@
+"""The list of the experiments.
+
+To add one you must:
+
+1. put its settings, each with its reason, into ``settings.py``, and what the paper prints into ``paper.py``;
+2. write ``run(*, seed, jobs, runs, beyond, progress)``, which returns a dictionary of plain data with the keys ``settings``
+   (with the ``seed``, which is printed above the tables) and ``paper`` among others: what the JSON file holds. ``runs`` makes
+   the experiment smaller, for a quick look (None: the settings' size); ``beyond=False`` leaves out what is not in the paper.
+   The same seed must give the same bits for any number of jobs: `_ensemble` has what that takes;
+3. write ``show(report)``, which yields what is printed (strings and tables), and for each figure a function that returns it
+   as a matplotlib figure, or None where the report has nothing to draw; all know the report alone. The figures' names are
+   those of their files: a run removes those that an earlier one has left in its folder, and no other file;
+4. name it in `EXPERIMENTS`, and in the package's ``__init__.py`` twice: in ``__all__``, and for type checkers among the imports
+   below ``TYPE_CHECKING``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.reproduce.experiments.arm import figures as _arm_figures, run as _arm, tables as _arm_tables
+from bayesftc.reproduce.experiments.beliefs import run as _beliefs, tables as _beliefs_tables
+from bayesftc.reproduce.experiments.bound import figures as _bound_figures, run as _bound, tables as _bound_tables
+from bayesftc.reproduce.experiments.detection import (
+    figures as _detection_figures,
+    run as _detection,
+    tables as _detection_tables,
+)
+from bayesftc.reproduce.experiments.family import figures as _family_figures, run as _family, tables as _family_tables
+from bayesftc.reproduce.experiments.models import figures as _models_figures, run as _models, tables as _models_tables
+from bayesftc.reproduce.experiments.probabilities import (
+    figures as _probabilities_figures,
+    run as _probabilities,
+    tables as _probabilities_tables,
+)
+from bayesftc.reproduce.experiments.tracking import (
+    figures as _tracking_figures,
+    run as _tracking,
+    tables as _tracking_tables,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import RenderableType
+
+Report = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """An experiment, the paper's or beyond it: what it computes, prints and draws."""
+
+    name: str
+    run: Callable[..., Report]
+    show: Callable[[Report], Iterable[RenderableType]]
+    figures: Mapping[str, Callable[[Report], Figure | None]]
+    beyond: bool = False
+    """Whether it is not in the paper: then ``all --paper-only`` leaves it out."""
+    filtered: bool = False
+    """Whether its `run` also takes ``cases`` and ``learners``, names or patterns of those that are to run, and ``unseen``."""
+
+
+EXPERIMENTS = {
+    e.name: e
+    for e in (
+        Experiment("arm", _arm.run, _arm_tables.show, _arm_figures.FIGURES),
+        Experiment("tracking", _tracking.run, _tracking_tables.show, _tracking_figures.FIGURES),
+        Experiment("detection", _detection.run, _detection_tables.show, _detection_figures.FIGURES),
+        Experiment("bound", _bound.run, _bound_tables.show, _bound_figures.FIGURES, beyond=True),
+        Experiment("models", _models.run, _models_tables.show, _models_figures.FIGURES, beyond=True),
+        Experiment("beliefs", _beliefs.run, _beliefs_tables.show, {}, beyond=True),
+        Experiment(
+            "probabilities",
+            _probabilities.run,
+            _probabilities_tables.show,
+            _probabilities_figures.FIGURES,
+            beyond=True,
+        ),
+        Experiment("family", _family.run, _family_tables.show, _family_figures.FIGURES, beyond=True, filtered=True),
+    )
+}
+"""All experiments by name, in the order in which ``bayesftc reproduce all`` runs them."""

@@ -1,0 +1,1 @@
+"""What the experiments share: loops, streams, tables, figures."""

@@ -1,0 +1,163 @@
+"""Many runs on all cores, by the machinery of campaigns: what an experiment does with each loop is a task of an executor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from bayesftc.cosim.campaign.designs.plan import Piece
+from bayesftc.cosim.campaign.designs.seeds import hashed_seeds
+from bayesftc.cosim.campaign.executors.base import Threads, check_jobs as check_workers
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.random import check_seed
+from bayesftc.cosim.run.many import Wanted
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram.diagram import Diagram
+
+R = TypeVar("R")
+Progress = Callable[[str, int, int], None]
+"""Called as ``progress(what, done, of)``."""
+
+
+def check_jobs(jobs: int) -> int:
+    """Return the number of threads; raise a ModelError if it cannot be one."""
+    if jobs is None:
+        raise ModelError("jobs is None; it must be a whole number of threads, at least 1.")
+    check_workers(jobs)
+    return jobs
+
+
+@dataclass(frozen=True)
+class _Tasks(Generic[R]):
+    """Tasks as the pieces of a job, which an executor has done."""
+
+    tasks: Sequence[Callable[[], R]]
+
+    def run(self, piece: Piece, wanted: Wanted = lambda: True) -> tuple[int, R]:
+        """Do a task; return its number and what it returns."""
+        return piece.index, self.tasks[piece.index]()
+
+    def close(self) -> None:
+        """Free nothing: each task does so itself."""
+
+
+def in_parallel(
+    tasks: Sequence[Callable[[], R]], jobs: int, progress: Progress | None = None, what: str = "Simulating"
+) -> list[R]:
+    """Run all tasks on `jobs` threads and return their results in the order of the tasks.
+
+    No task knows which others run, so the results are the same bits for any number of jobs. Ctrl-C and errors wait for the tasks
+    that have begun, of which each should be short, and drop the rest.
+
+    Parameters
+    ----------
+    tasks : sequence of callables without arguments
+        What to do.
+    jobs : int
+        Number of threads, at least 1.
+    progress : callable, optional
+        Called as ``progress(what, done, of)`` after each task.
+    what : str
+        Name of the work, for the progress.
+    """
+    results: dict[int, R] = {}
+    pieces = [Piece(i, i, i + 1) for i in range(len(tasks))]
+    if progress:
+        progress(what, 0, len(tasks))
+    with closing(Threads(check_jobs(jobs)).run(_Tasks(tasks), pieces)) as done:
+        for number, result in done:
+            results[number] = result
+            if progress:
+                progress(what, len(results), len(tasks))
+    return [results[i] for i in range(len(tasks))]
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """What all runs of an experiment have in common.
+
+    Parameters
+    ----------
+    seed : int
+        Of all noise.
+    jobs : int
+        Number of threads.
+    progress : callable, optional
+        Called as ``progress(what, done, of)``.
+
+    Raises
+    ------
+    ModelError
+        If the seed or the number of threads cannot be one.
+    """
+
+    seed: int
+    jobs: int = 1
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+        check_jobs(self.jobs)
+
+    def seeds(self, purpose: str, count: int) -> list[int]:
+        """Return seeds for one purpose, see `hashed_seeds`."""
+        return hashed_seeds(self.seed, purpose, count)
+
+    def prepare(self, loops: Sequence[Diagram]) -> None:
+        """Make one step with each loop, so that all is compiled before threads would wait for each other's compiling."""
+        for i, loop in enumerate(loops):
+            if self.progress:
+                self.progress("Preparing", i, len(loops))
+            loop.simulate(loop.step, record=[])
+
+    def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
+        """Run all tasks, see `in_parallel`."""
+        return in_parallel(tasks, self.jobs, self.progress, what)
+
+    def each(
+        self,
+        what: str,
+        loops: Sequence[Diagram],
+        seeds: Sequence[Sequence[int]],
+        size: int,
+        function: Callable[[Diagram, Sequence[int]], R],
+    ) -> tuple[list[list[R]], float]:
+        """Run each loop with seeds of its own, after all are prepared.
+
+        Parameters
+        ----------
+        what : str
+            Name of the work, for the progress.
+        loops : sequence of Diagram
+            What to run.
+        seeds : sequence of sequences of int
+            For each loop the seeds of its runs.
+        size : int
+            Number of runs that one task makes.
+        function : callable
+            Called as ``function(loop, seeds)`` for each task.
+
+        Returns
+        -------
+        results : list of lists
+            For each loop what the function returned, in the order of its seeds.
+        seconds : float
+            How long that took, without the preparation.
+        """
+        self.prepare(loops)
+        groups = [chunks(own, size) for own in seeds]
+        tasks = [partial(function, loop, few) for loop, mine in zip(loops, groups, strict=True) for few in mine]
+        began = time.perf_counter()
+        done = iter(self.run(tasks, what))
+        seconds = time.perf_counter() - began
+        return [[next(done) for _ in mine] for mine in groups], seconds
+
+
+def chunks(items: Sequence[int], size: int) -> list[Sequence[int]]:
+    """Return the items in groups of `size`, the last one smaller."""
+    return [items[i : i + size] for i in range(0, len(items), size)]
