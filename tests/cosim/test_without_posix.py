@@ -11,7 +11,7 @@ import pytest
 from bayesftc import cosim, fmus
 from bayesftc.cosim.base import processes as child
 
-README = Path(__file__).parents[1] / "README.md"
+README = Path(__file__).parents[2] / "README.md"
 HIDDEN = """
 import os, signal, sys
 for name in ("fcntl", "resource", "grp", "pwd", "termios"):
