@@ -49,7 +49,7 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
 
 def test_what_the_page_on_extending_names_is_there():
     """Files by the end of their path; of names with dots each part must stand somewhere in the code."""
-    folders = [ROOT / name for name in ("benchmarks", "controllers", "cosim", "docs", "fmus", "src", "tests")]
+    folders = [ROOT / name for name in ("benchmarks", "controllers", "cosim", "docs", "fmus", "src", "tests", "tools")]
     files = [f for folder in folders for end in ("py", "pyi", "c", "h", "md") for f in folder.rglob(f"*.{end}")]
     words = {word for f in files if f.suffix != ".md" for word in re.findall(r"\w+", f.read_text(encoding="utf-8"))}
     prose = re.sub(r"^```.*?^```", "", (ROOT / "docs" / "extend.md").read_text(encoding="utf-8"), flags=re.S | re.M)

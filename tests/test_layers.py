@@ -1,65 +1,81 @@
-"""Which parts of the package may use which: imports point one way, in no circle, at no name that is another file's own."""
+"""Which folders may import from which: ``tools/floors.py`` has the list and reads the imports, in whatever form and wherever."""
 
 import ast
+import importlib.util
 from pathlib import Path
 
-import bayesftc
+import pytest
 
-ROOT = Path(bayesftc.__file__).resolve().parent
-LAYERS = ("fmus", "cosim", "controllers", "scenario", "monitoring", "bench", "reproduce", "report", "examples", "cli")
-"""Each may use those before it."""
+TOOL = Path(__file__).resolve().parents[1] / "tools" / "floors.py"
+spec = importlib.util.spec_from_file_location("floors", TOOL)
+floors = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(floors)
 
-
-def modules():
-    """Return the syntax tree of each module of the package by its full name."""
-    found = {}
-    for layer in LAYERS:
-        for file in (ROOT / layer).rglob("*.py"):
-            parts = ("bayesftc", *file.relative_to(ROOT).with_suffix("").parts)
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = ast.parse(
-                file.read_text(encoding="utf-8")
-            )
-    return found
+MODULES = floors.modules()
+EDGES = floors.edges()
 
 
-MODULES = modules()
+def test_folders_import_from_below():
+    up = [
+        f"{module} -> {target}"
+        for module, targets in EDGES.items()
+        for target in sorted(targets)
+        if floors.floor(target) > floors.floor(module) and not floors.door(module, target)
+    ]
+    assert sum(map(len, EDGES.values())) > 1500
+    assert not up, f"these reach up, and through no door of {TOOL.name}: {', '.join(up)}"
 
 
-def imports(tree, *, at_once=False):
-    """Yield what a module imports from this package: module and name; with `at_once` only what it needs to be imported itself."""
-    waiting = [tree]
-    while waiting:
-        for node in ast.iter_child_nodes(waiting.pop()):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "bayesftc":
-                for alias in node.names:
-                    whole = f"{node.module}.{alias.name}"
-                    yield (whole, None) if whole in MODULES else (node.module, alias.name)
-            later = isinstance(node, ast.FunctionDef) or (
-                isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-            )
-            if not (at_once and later):
-                waiting.append(node)
+def test_every_door_is_used_and_says_for_what():
+    for (module, target), reason in floors.DOORS.items():
+        through = [t for t in EDGES[module] if floors.door(module, t) == (module, target)]
+        assert through, f"nothing goes through {module} -> {target}"
+        assert reason
 
 
-def layer_of(module):
-    return module.split(".")[1] if "." in module else ""
+def test_every_floor_has_something_on_it():
+    for name in (name for level in floors.FLOORS for name in level):
+        assert any(m == name or m.startswith(name + ".") for m in MODULES), f"{name} stands in FLOORS, but nowhere else"
 
 
-def test_imports_point_one_way():
-    seen = set()
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from bayesftc.cosim.run.session import Session",
+        "import bayesftc.cosim.run.session",
+        "import bayesftc.cosim.run.session as live",
+        "from bayesftc.cosim import Session",
+        "def f():\n    from bayesftc.cosim.run import session",
+        "if TYPE_CHECKING:\n    from bayesftc.cosim.run.session import Session",
+    ],
+)
+def test_an_import_is_seen_in_every_form(line):
+    found = set(floors.imports("cosim.block", ast.parse(line), MODULES, floors.public(MODULES)))
+    assert found == {"cosim.run.session"}
+
+
+def test_modules_that_import_each_other_are_few():
+    inside = {module: {t for t in targets if not floors.door(module, t)} for module, targets in EDGES.items()}
+    circles = floors.circles(inside)
+    assert circles
+    large = [circle for circle in circles if len(circle) > floors.LARGEST_CIRCLE]
+    assert not large, f"these import each other in a circle: {'; '.join(map(', '.join, large))}"
+
+
+def test_folders_stay_small():
+    files = {}
+    for module in MODULES:
+        folder, _, name = module.rpartition(".")
+        files[folder] = files.get(folder, 0) + (name != "__init__")
+    assert not {f: n for f, n in files.items() if n > floors.MOST_FILES}
+
+
+def test_no_module_needs_itself_to_be_imported():
+    needs = {}
+    behind = floors.public(MODULES)
     for module, tree in MODULES.items():
-        for used, _ in imports(tree):
-            own, other = layer_of(module), layer_of(used)
-            if other in LAYERS and own != other:
-                assert LAYERS.index(other) < LAYERS.index(own), f"{module} uses {used}"
-                seen.add((own, other))
-    assert len(seen) > 10
-
-
-def test_no_module_needs_itself():
-    needs = {
-        m: {used for used, _ in imports(tree, at_once=True) if used in MODULES} - {m} for m, tree in MODULES.items()
-    }
+        at_once = ast.Module([n for n in tree.body if not later(n)], [])
+        needs[module] = set(floors.imports(module, at_once, MODULES, behind))
     assert sum(map(len, needs.values())) > 500
     while free := [module for module, others in needs.items() if not others & needs.keys()]:
         for module in free:
@@ -67,8 +83,22 @@ def test_no_module_needs_itself():
     assert not needs, f"these import each other in a circle: {', '.join(sorted(needs))}"
 
 
+def later(node):
+    """Return whether a statement at the top of a module is not carried out when the module is imported."""
+    return isinstance(node, ast.FunctionDef | ast.ClassDef) or (
+        isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+    )
+
+
 def test_names_that_begin_with_an_underscore_stay_in_their_file():
     for module, tree in MODULES.items():
-        for used, name in imports(tree):
-            private = name is not None and name.startswith("_") and not name.startswith("__")
-            assert not private, f"{module} uses {name} of {used}"
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "bayesftc":
+                for alias in node.names:
+                    whole = f"{node.module}.{alias.name}".removeprefix("bayesftc.")
+                    private = alias.name.startswith("_") and not alias.name.startswith("__") and whole not in MODULES
+                    assert not private, f"{module} uses {alias.name} of {node.module}"
+
+
+def test_the_picture_is_of_these_floors():
+    assert floors.PICTURE.read_text(encoding="utf-8") == floors.draw(EDGES), "python tools/floors.py draw"

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 EVIDENCE = 10.0
 """Log-likelihood ratio over the model as it is that an explanation needs from the sensors of every set, beyond its BIC.
 
-This and the following were chosen on the seeds 1000 to 1023 of ``src/bayesftc/reproduce/experiments/models/wrong.py``. What stretches are
+This and the following were chosen on the seeds 1000 to 1023 of
+``src/bayesftc/reproduce/experiments/models/wrong.py``. What stretches are
 left out, and which explanations count as nearly as good, was changed after a look at the seeds 0 to 24: only those from 25 on are
 unseen."""
 
@@ -120,6 +121,7 @@ class Judge:
     def of(
         self, kind: str, values: list[tuple[float, ...]], costs: tuple[Floats, Floats], parameters: int = 1
     ) -> list[Explanation]:
+        """Return the explanations of one kind, each with what it gains over the model as it is, by sets of sensors."""
         losses, squares = costs
         price = np.array([0.5 * parameters * np.log(mask.sum()) for mask in self.masks])
         gain = self.first - losses - price[:, None]

@@ -27,7 +27,7 @@ def innovate(
 ):  # fmt: skip
     """Compute the innovation ``e = y - expected``, which samples there are, and its covariance ``spread = C P C'``.
 
-    A sample that is not finite counts as none, and so does one of an ``invalid`` value and an absurd one (``_absurd.py``);
+    A sample that is not finite counts as none, and so does one of an ``invalid`` value and an absurd one (``absurd.py``);
     these are NaN in ``heard``. Then ``e`` is 0, and the ``innovation`` that is reported NaN. A belief that was lost is widened
     first. ``reach`` is the ``largest`` variance of a hypothesis, and negative then: no hypothesis goes on as it was. ``e`` is 0
     as well then, for a learner, until `restore`: it is the belief that was wrong, not the sensors.

@@ -72,7 +72,7 @@ class Learner:
     report : function
         Step function that writes these, one after the other, into ``outputs[first]``, ``outputs[first + 1]``, ...
     infer : function or None
-        If it infers the state together with the faults: the step function (``make_infer`` in ``_bank.py``) that controllers with
+        If it infers the state together with the faults: the step function (``make_infer`` in ``infer.py``) that controllers with
         a linear model then call instead of ``step`` and of Kalman's update. Others go on with ``step``.
     compiled : bool
         False for one that calls back into Python: its controller then runs interpreted, and cannot be exported.

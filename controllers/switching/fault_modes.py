@@ -8,7 +8,7 @@ To write one you must:
        glitches(e, present, variance, nominal, change, healthy, memory, at, settings, first)
 
    It returns the logarithm of a sample's density if the sensor has failed in this way. What the arguments are, and what it may
-   write, say `drops` in ``_mode_kernels.py`` and the table of ``docs/extend.md``. The places in its memory (`TRUST`, `SIZE`,
+   write, say `drops` in ``mode_kernels.py`` and the table of ``docs/extend.md``. The places in its memory (`TRUST`, `SIZE`,
    ...) and `log_density` can be imported from here; the mathematics comes from `bayesftc.cosim.ops`, as in every step function;
 3. return from the property ``first`` what it keeps before the first sample (trust, size, own numbers), and from
    ``settings(model, sensor)`` its settings for one sensor.

@@ -69,7 +69,7 @@ def freezes(e, present, variance, nominal, change, healthy, memory, at, settings
     ``settings``: half the resolution in the sensor's unit; the logarithms of the density of an exact repetition, and of that of
     another sample with no dither at all; the dither's variance. A repetition has a probability, to which a density over the
     resolution corresponds: so equal samples tell nothing beyond what a coarse resolution explains. That healthy samples repeat
-    themselves more often than this resolution says is seen to where modes are weighed (``_switching_kernels.py``).
+    themselves more often than this resolution says is seen to where modes are weighed (``sensor_kernels.py``).
     """
     near = settings[first + 2] - 0.5 * (change * change / settings[first + 3])
     told = select(absolute(change) <= settings[first], settings[first + 1], near)
@@ -144,7 +144,7 @@ def scatters(e, present, variance, nominal, change, healthy, memory, at, setting
 
 
 def goes_its_way(e, present, variance, nominal, change, healthy, memory, at, settings, first):
-    """Go a course of its own, which is learned (``_course.py``). Own numbers: what is kept of the course, and scratch space."""
+    """Go a course of its own, which is learned (``course.py``). Own numbers: what is kept of the course, and scratch space."""
     deviation, own = sqrt(nominal), at + OWN
     told = follow(
         e / deviation, change / deviation, present, memory[at + ENTERED], memory, own, own + COURSE, settings, first

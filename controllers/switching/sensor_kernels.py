@@ -10,7 +10,7 @@ What is kept of a sensor stands in ``memory`` from ``at`` on:
   the precision by which it is learned.
 - `REPEATS`, `SAMPLES`: how many of how many samples were repetitions while it was healthy.
 - From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
-  `AGE` in samples, and what the mode itself keeps (``_mode_kernels.py``).
+  `AGE` in samples, and what the mode itself keeps (``mode_kernels.py``).
 
 After all sensors follow the number of samples and the logarithm of the last ones' density. A bank's hypotheses keep a sensor in
 the same form; noise and repetitions belong to the sensor, not to a hypothesis.

@@ -95,13 +95,16 @@ class HandOn(Block):
 
     @property
     def inputs(self) -> tuple[Port, ...]:
+        """``u``: what comes from outside."""
         return (Port("u", (self.size,), default=0.0),)
 
     @property
     def outputs(self) -> tuple[Port, ...]:
+        """``y``: the same."""
         return (Port("y", (self.size,)),)
 
     def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
         return Definition(_hand_on)
 
 

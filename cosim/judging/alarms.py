@@ -9,7 +9,8 @@
   quantiles are of all faults and not of the easy ones.
 - A sample whose score is missing (NaN) is left out, as if there had been none; a fault of which all are counts in no figure.
 
-Rates are per hour of one sensor: two sensors for one hour make two hours. As in `bayesftc.cosim.judging.metrics`, a figure is NaN where
+Rates are per hour of one sensor: two sensors for one hour make two hours. As in `bayesftc.cosim.judging.metrics`, a
+figure is NaN where
 it is not defined. Intervals take faults and false alarms for independent of each other.
 """
 

@@ -48,6 +48,7 @@ class Linear:
         return Linear(self.factor * first.factor, self.factor * first.offset + self.offset)
 
     def __call__(self, x: float) -> float:
+        """Return the number in the other unit."""
         return self.offset + self.factor * x
 
 

@@ -1,6 +1,7 @@
 """What a detector finds, misses and gets wrong as its threshold rises: detection delay against false alarms, over many runs.
 
-Alarms, faults and delays are those of `bayesftc.cosim.judging.alarms`. Intervals count runs: the faults and alarms of one run may depend
+Alarms, faults and delays are those of `bayesftc.cosim.judging.alarms`. Intervals count runs: the faults and alarms
+of one run may depend
 on each other in whichever way, its sensors too.
 """
 

@@ -90,7 +90,7 @@ def _pipeline(module: str, name: str) -> Any:
     reason = f"it is newer than what this bayesftc knows, numba {KNOWN[0]}.{KNOWN[1] - 1}"
     if numba.version_info.short < KNOWN:
         try:
-            return getattr(import_module(f"bayesftc.cosim.{module}"), name)
+            return getattr(import_module(f"bayesftc.cosim.stepping.{module}"), name)
         except (ImportError, AttributeError) as error:
             reason = f"its inside is not as expected ({error})"
     warn_user(
@@ -100,10 +100,10 @@ def _pipeline(module: str, name: str) -> Any:
     return None
 
 
-if callee := _pipeline("_numba_callee", "Callee"):
+if callee := _pipeline("numba_callee", "Callee"):
     OPTIONS |= {"pipeline_class": callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     # Before 0.62, LLVM's passes were ordered otherwise.
-    if numba.version_info.short >= (0, 62) and (entry := _pipeline("_numba_entry", "Entry")):
+    if numba.version_info.short >= (0, 62) and (entry := _pipeline("numba_entry", "Entry")):
         ENTRY_OPTIONS |= {"pipeline_class": entry}
 
 extending.register_jitable(**OPTIONS)(_select)

@@ -2,7 +2,7 @@
 
 A hypothesis stands in ``memory`` from ``at`` on: its `PROBABILITY`, the mean `OFFSET_AGE` in samples, from `STATE` on the mean
 of z = [deviation of the state from the controller's prediction (n), offset c, its change b per sample], then z's
-covariance (a table of n + 2), then what is kept of each sensor (``_switching_kernels.py``). The hypothesis without an offset
+covariance (a table of n + 2), then what is kept of each sensor (``sensor_kernels.py``). The hypothesis without an offset
 leaves c and b alone.
 """
 

@@ -8,7 +8,7 @@ chain. Its output ``active`` is the ground truth that a detector is judged by.
 
 To add a kind of fault you must:
 
-1. write in ``_fault_kernels.py`` the value that a faulty channel shows, ``value(sample, held, age, chance, noise,
+1. write in ``kernels.py`` the value that a faulty channel shows, ``value(sample, held, age, chance, noise,
    settings)``, by the rules for step functions (`Block`);
 2. write here a frozen, keyword-only dataclass derived from `Fault` whose fields, numbers all, are the settings in the
    order in which the function finds them, with ``value = staticmethod(...)``; a field's metadata has its unit, ``{u}`` that
@@ -18,7 +18,8 @@ To add a kind of fault you must:
 4. if what it shows depends on earlier samples, set ``remembers = True``, return from ``memory(step)`` how many numbers it keeps,
    and give the function a seventh argument ``memory``; override ``numbers`` if it wants its settings in steps;
 5. override ``check`` where a setting can be wrong in other ways than not being finite;
-6. put it into `FAULTS` and ``cosim/__init__.pyi``, and into the list of ``tests/cosim/blocks/faults/test_faults.py`` with its formula in NumPy.
+6. put it into `FAULTS` and ``cosim/__init__.pyi``, and into the list of
+   ``tests/cosim/blocks/faults/test_faults.py`` with its formula in NumPy.
 
 Random, scheduled and mixed faults, both engines and scenario files then have it.
 """

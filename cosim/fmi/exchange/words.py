@@ -23,7 +23,8 @@ NAMES = (
     ENTER_CONTINUOUS, UPDATE_DISCRETE,
 ) = range(10)  # fmt: skip
 # The FMU: version, instance, numbers of states and indicators, whether it wants to be told of steps and whether nobody goes
-# back before one; its inputs and outputs: groups (`bayesftc.cosim.fmi.binaries.groups`) and how many, for inputs how many elements and
+# back before one; its inputs and outputs: groups (`bayesftc.cosim.fmi.binaries.groups`) and how many, for inputs how
+# many elements and
 # where they lie; its states.
 (
     MAJOR, COMPONENT, STATES, INDICATORS, WANTS_STEPS, NO_RETURN, IN_GROUPS, IN_GROUP_COUNT, IN_SIZE, INPUTS, OUT_GROUPS,

@@ -63,7 +63,7 @@ def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> list[
     for name in sections:
         if console.is_terminal:  # a line each and no spinner: its thread would take turns with what is measured
             console.print(f"measuring: {name.replace('_', ' ')}")
-        done.append(import_module(f"bayesftc.bench.{name}").measure(quick))
+        done.append(import_module(f"bayesftc.bench.measures.{name}").measure(quick))
     return done
 
 

@@ -1,4 +1,7 @@
-"""Write the family into a page: ``python -m bayesftc.reproduce.experiments.family.page results/family.json docs/which-learner.md``."""
+"""Write the family into a page.
+
+python -m bayesftc.reproduce.experiments.family.page results/family.json docs/which-learner.md
+"""
 
 from __future__ import annotations
 

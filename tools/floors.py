@@ -1,0 +1,296 @@
+"""The floors of the house: which folder may import from which.
+
+    python tools/floors.py          # prints what stands where, what reaches up, and circles
+    python tools/floors.py draw     # writes docs/figures/floors.svg, from the code's own imports
+
+Every import counts: at the top of a module, inside a function, under ``TYPE_CHECKING``. A folder imports from its own floor and
+from those below it; the few that reach up for a user's convenience go through a named door.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+FLOORS: tuple[tuple[str, ...], ...] = (
+    ("_interrupt",),
+    ("fmus",),
+    ("cosim.errors",),
+    ("cosim.types",),
+    ("cosim.base",),
+    ("cosim.ops", "cosim.ports"),
+    ("cosim.stepping",),
+    ("cosim.random",),
+    ("cosim.block",),
+    ("cosim.blocks.faults",),
+    ("cosim.blocks",),
+    ("cosim.fmi.reading",),
+    ("cosim.fmi.binaries",),
+    ("cosim.fmi.running",),
+    ("cosim.fmi.exchange",),
+    ("cosim.fmi.exchange.integrators",),
+    ("cosim.isolation",),
+    ("cosim.fmi",),
+    ("cosim.diagram",),
+    ("cosim.run", "cosim.run.coupled"),
+    ("cosim.judging",),
+    ("cosim.control",),
+    ("cosim.ssp",),
+    ("cosim.export.translate",),
+    ("cosim.export",),
+    ("cosim.campaign.designs",),
+    ("cosim.campaign.runs",),
+    ("cosim.campaign.store",),
+    ("cosim.campaign.executors",),
+    ("cosim.campaign",),
+    ("cosim.statistics",),
+    ("cosim",),
+    ("controllers.linalg",),
+    ("controllers.signals", "controllers.models"),
+    ("controllers.identification",),
+    ("controllers.laws", "controllers.precision.base"),
+    ("controllers.estimation",),
+    ("controllers.precision",),
+    ("controllers.switching", "controllers.switching.bank"),
+    ("controllers.bayesian",),
+    ("controllers.learning",),
+    ("controllers.active_inference",),
+    ("controllers.registry",),
+    ("controllers.detection",),
+    ("controllers.diagnosis",),
+    ("controllers.design",),
+    ("controllers",),
+    ("scenario",),
+    ("monitoring.fit", "monitoring"),
+    ("bench", "bench.measures"),
+    ("reproduce.settings", "reproduce.paper"),
+    ("reproduce.shared",),
+    ("reproduce.experiments",),
+    ("reproduce.registry", "reproduce"),
+    ("report",),
+    ("examples",),
+    ("cli", "cli.inspection"),
+    ("__main__", "__init__"),
+)
+"""Folders, and modules that stand apart from their folder, from the ground up."""
+
+DOORS: dict[tuple[str, str], str] = {
+    ("cosim.errors", "cosim.run.result"): "SimulationError.result: what was recorded before a run failed",
+    ("cosim.block", "cosim.run.online"): "Block.online",
+    ("cosim.block", "cosim.control.control_system"): "Block.to_control",
+    ("cosim.diagram.diagram", "cosim.control.control_system"): "Diagram.to_control",
+    ("cosim.diagram.diagram", "cosim.diagram.schedule"): "Diagram.build",
+    ("cosim.diagram.diagram", "cosim.run"): "Diagram.simulate, Diagram.start",
+    ("cosim.isolation.worker", "cosim.fmi.fmu"): "FMU(isolate=True): the process of its own makes the block",
+    ("cosim.run.result", "cosim.judging.plotting"): "Result.plot",
+    ("scenario._files", "examples"): "scenario files by the name of an example",
+    ("controllers.models.linear", "controllers.identification.identify"): "LinearModel.identify",
+}
+"""Imports that reach up: from which module, to which module or folder, and for which public convenience."""
+
+MOST_FILES = 15
+LARGEST_CIRCLE = 3
+
+
+def modules() -> dict[str, ast.Module]:
+    """Return the syntax tree of each module, by its name below ``bayesftc``; a package by its ``__init__``."""
+    found = {}
+    for folder in (ROOT / "fmus", ROOT / "cosim", ROOT / "controllers", ROOT / "examples", ROOT / "src" / "bayesftc"):
+        base = folder if folder.name == "bayesftc" else folder.parent
+        for path in sorted(folder.rglob("*.py")):
+            parts = path.relative_to(base).with_suffix("").parts
+            if not (folder.name == "bayesftc" and (ROOT / parts[0]).is_dir()):
+                found[".".join(parts)] = ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+def public(tree_of: dict[str, ast.Module]) -> dict[str, str]:
+    """Return the module behind each name that a stub makes public: ``cosim.FMU`` is of ``cosim.fmi.fmu``."""
+    behind = {}
+    for init in (name for name in tree_of if name.endswith(".__init__")):
+        package = init.removesuffix(".__init__")
+        for base in (ROOT, ROOT / "src" / "bayesftc"):
+            stub = base / package.replace(".", "/") / "__init__.pyi"
+            for node in ast.walk(ast.parse(stub.read_text(encoding="utf-8"))) if stub.is_file() else ():
+                if isinstance(node, ast.ImportFrom):
+                    behind |= {f"{package}.{a.name}": f"{package}.{node.module or a.name}" for a in node.names}
+    return behind
+
+
+def imports(name: str, tree: ast.Module, known: dict[str, ast.Module], behind: dict[str, str]) -> Iterator[str]:
+    """Yield the modules of this package that a module imports, in whatever form and wherever."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").split(".")[0] == "bayesftc":
+            wholes = [f"{node.module}.{alias.name}".removeprefix("bayesftc.") for alias in node.names]
+        elif isinstance(node, ast.Import):
+            wholes = [a.name.removeprefix("bayesftc.") for a in node.names if a.name.startswith("bayesftc.")]
+        else:
+            continue
+        for whole in wholes:
+            parent = whole.rpartition(".")[0]
+            for target in (whole, behind.get(whole, ""), parent, f"{whole}.__init__", f"{parent}.__init__"):
+                if target in known:
+                    if target != name:
+                        yield target
+                    break
+
+
+def floor(module: str) -> int:
+    """Return the number of a module's floor; the longest name in `FLOORS` that it begins with says it."""
+    module = module.removesuffix(".__init__")
+    best = max(
+        (name for level in FLOORS for name in level if module == name or module.startswith(name + ".")),
+        key=len,
+        default=None,
+    )
+    if best is None:
+        raise LookupError(f"{module} stands on no floor; name its folder in FLOORS of tools/floors.py.")
+    return next(number for number, level in enumerate(FLOORS) if best in level)
+
+
+def edges() -> dict[str, set[str]]:
+    """Return which modules each module imports; what a stub or an ``__init__`` hands on counts as its importer's own."""
+    known = modules()
+    behind = public(known)
+    return {name: set(imports(name, tree, known, behind)) for name, tree in known.items()}
+
+
+def door(module: str, target: str) -> tuple[str, str] | None:
+    """Return the door between two modules, if there is one."""
+    return next((d for d in DOORS if d[0] == module and (target == d[1] or target.startswith(d[1] + "."))), None)
+
+
+def circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Return the sets of modules that import each other in a circle, the largest first (Tarjan, 1972)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(v: str) -> None:
+        index[v] = low[v] = len(index)
+        stack.append(v)
+        for w in sorted(graph.get(v, ())):
+            if w not in index:
+                visit(w)
+                low[v] = min(low[v], low[w])
+            elif w in stack:
+                low[v] = min(low[v], index[w])
+        if low[v] == index[v]:
+            at = stack.index(v)
+            part = stack[at:]
+            del stack[at:]
+            if len(part) > 1:
+                found.append(sorted(part))
+
+    for v in sorted(graph):
+        if v not in index:
+            visit(v)
+    return sorted(found, key=len, reverse=True)
+
+
+WAY = (
+    ("cosim.block", "Block", "ports and step functions"),
+    ("cosim.diagram.diagram", "Diagram", "blocks, connections"),
+    ("cosim.diagram.schedule", "Schedule", "order, memory, groups"),
+    ("cosim.run.session", "Session", "FMUs opened, state, seed"),
+    ("cosim.run.engines", "engine", "compiled, or plain Python"),
+    ("cosim.run.result", "Result", "signals over time"),
+    ("cosim.judging.roles", "LoopSignals", "goal, belief, faults"),
+)
+"""The way of a run through the house: module, what it is called, and what it holds."""
+
+COLOURS = {"cosim": "#dbe9f6", "controllers": "#fde6c8", "fmus": "#e2efda"}
+
+
+def draw(graph: dict[str, set[str]]) -> str:
+    """Return a picture (SVG) of the floors, each with what it imports from, and of the way of a run through them."""
+    for k in range(1, len(WAY)):
+        earlier, module = {name for name, *_ in WAY[:k]}, WAY[k][0]
+        if not earlier & graph[module] and not any(module in graph[name] for name in earlier):
+            raise LookupError(
+                f"{module} and what stands before it do not know each other any more; mend WAY of tools/floors.py."
+            )
+    of: dict[str, dict[str, int]] = {}
+    files: dict[str, int] = {}
+    names = [name for level in FLOORS for name in level]
+
+    def home(module: str) -> str:
+        fits = (n for n in names if module.removesuffix(".__init__") == n or module.startswith(n + "."))
+        return max(fits, key=len)
+
+    for module, targets in graph.items():
+        files[home(module)] = files.get(home(module), 0) + (not module.endswith("__init__"))
+        for target in targets:
+            if home(target) != home(module) and not target.endswith(".__init__"):
+                counts = of.setdefault(home(module), {})
+                counts[home(target)] = counts.get(home(target), 0) + 1
+    width, row = 1120, 26
+    rows = [name for level in reversed(FLOORS) for name in level if files.get(name)]
+    height = row * (len(rows) + 1) + 150
+    out = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="sans-serif" font-size="13">',
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        '<text x="10" y="18" font-weight="bold">folder (files)</text>',
+        '<text x="330" y="18" font-weight="bold">imports most from, all on lower floors (number of imports)</text>',
+    ]
+    for k, name in enumerate(rows):
+        y = row * (k + 1)
+        colour = COLOURS.get(name.split(".")[0], "#eeeeee")
+        most = sorted(of.get(name, {}).items(), key=lambda item: (-item[1], item[0]))[:4]
+        said = ", ".join(f"{target} {count}" for target, count in most)
+        out.append(f'<rect x="5" y="{y}" width="310" height="{row - 3}" rx="4" fill="{colour}"/>')
+        out.append(f'<text x="12" y="{y + 16}">{escape(name)} ({files[name]})</text>')
+        out.append(f'<text x="330" y="{y + 16}" fill="#444444">{escape(said)}</text>')
+    top, step = row * (len(rows) + 1) + 40, (width - 20) // len(WAY)
+    out.append(f'<text x="10" y="{top - 10}" font-weight="bold">the way of a run</text>')
+    for k, (module, title, holds) in enumerate(WAY):
+        x = 8 + k * step
+        out.append(f'<rect x="{x}" y="{top}" width="{step - 22}" height="64" rx="4" fill="#dbe9f6"/>')
+        small = 'font-size="10"'
+        for text, y, style in (
+            (title, 18, 'font-weight="bold"'),
+            (holds, 37, small),
+            (module, 55, f'{small} fill="#666666"'),
+        ):
+            out.append(f'<text x="{x + 6}" y="{top + y}" {style}>{escape(text)}</text>')
+        if k:
+            out.append(f'<path d="M {x - 20} {top + 32} h 14 m -5 -4 l 5 4 l -5 4" stroke="#444444" fill="none"/>')
+    return "\n".join([*out, "</svg>", ""])
+
+
+PICTURE = ROOT / "docs" / "figures" / "floors.svg"
+
+
+def main() -> None:
+    """Print floors with their numbers of files, doors, and circles; or draw them."""
+    graph = edges()
+    if sys.argv[1:] == ["draw"]:
+        PICTURE.write_text(draw(graph), encoding="utf-8")
+        return
+    folders: dict[str, int] = {}
+    for name in graph:
+        folders[name.rpartition(".")[0]] = folders.get(name.rpartition(".")[0], 0) + 1
+    for number, level in reversed(list(enumerate(FLOORS))):
+        print(f"{number:3}  " + ", ".join(f"{n} ({folders[n]})" if n in folders else n for n in level))
+    for (module, target), reason in DOORS.items():
+        print(f"door  {module} -> {target}: {reason}")
+    for name, targets in sorted(graph.items()):
+        for target in sorted(targets):
+            if floor(target) > floor(name) and not door(name, target):
+                print(f"UP    {name} -> {target}")
+    inside = {name: {t for t in targets if not door(name, t)} for name, targets in graph.items()}
+    for circle in circles(inside):
+        print(f"circle of {len(circle)}: {', '.join(circle)}")
+    for folder, files in folders.items():
+        if files - 1 > MOST_FILES:
+            print(f"full  {folder}: {files - 1} files")
+
+
+if __name__ == "__main__":
+    main()
