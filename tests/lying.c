@@ -111,6 +111,8 @@ static int step(COMPONENT c, double t)
         if (t < 0.11) {
             printf("the pump starts\n");
             fprintf(stderr, "a bearing is hot\n");
+        } else if (t > 0.975) {
+            fprintf(stderr, "the pump is to stop"); /* without the end of the line */
         }
         break;
     case KILLED: raise(SIGKILL); break;

@@ -227,7 +227,7 @@ def draw(graph: dict[str, set[str]]) -> str:
     for module, targets in graph.items():
         files[home(module)] = files.get(home(module), 0) + (not module.endswith("__init__"))
         for target in targets:
-            if home(target) != home(module) and not target.endswith(".__init__"):
+            if home(target) != home(module) and not target.endswith(".__init__") and not door(module, target):
                 counts = of.setdefault(home(module), {})
                 counts[home(target)] = counts.get(home(target), 0) + 1
     width, row = 1120, 26

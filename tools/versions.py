@@ -2,7 +2,7 @@
 
     python tools/versions.py oldest
     python tools/versions.py newest --python python3.13
-    python tools/versions.py oldest --folder /tmp/oldest -- tests/cosim/fmi/test_fmu.py -n 2
+    python tools/versions.py oldest --folder ../oldest -- tests/cosim/fmi/test_fmu.py -n 2
 
 What follows ``--`` is for pytest. The package is used from this checkout. Needs uv (``python -m pip install uv``).
 """

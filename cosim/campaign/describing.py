@@ -43,11 +43,11 @@ def _roles(diagram: Diagram) -> dict[str, Any]:
     """Return which block is the controller of a closed loop, and for each of its sensors the faults on the way; else nothing."""
     try:
         find_sensors(diagram)
-        brain = find_controller(diagram)
+        controller = find_controller(diagram)
     except ModelError:
         return {}
-    sensors = [faults_before(diagram, brain, i) for i in range(brain.block.port("y").size)]
-    return {"controller": brain.name, "faults_of_sensors": sensors}
+    sensors = [faults_before(diagram, controller, i) for i in range(controller.block.port("y").size)]
+    return {"controller": controller.name, "faults_of_sensors": sensors}
 
 
 def _said(thing: Any) -> str:

@@ -124,23 +124,23 @@ class _Worker:
         log.propagate = False
         self._forward = _Forward(talk, self._shared)
         log.addHandler(self._forward)
-        self._printed, self._overhearing = _caught_output(), threading.Lock()
+        self._printed, self._overhearing, self._rest = _caught_output(), threading.Lock(), b""
         self._listener = threading.Thread(target=self._overhear, daemon=True)
         self._listener.start()
 
     def _overhear(self) -> None:
         """Log what the FMU prints, line by line, until it closes its output."""
-        rest = b""
-        while self._is_printed(wait=None):
-            with self._overhearing:
-                piece = os.read(self._printed, messages.LENGTH)
-                if not piece:
-                    return
-                *lines, rest = (rest + piece).split(b"\n")
-                if len(rest) >= messages.LENGTH:
-                    lines, rest = [*lines, rest], b""
-                for line in lines:
-                    messages.logger.info("%s: %s", self._name, line.decode("utf-8", errors="replace").rstrip())
+        with suppress(OSError):  # an FMU may close what is not its own, and the host may go
+            while self._is_printed(wait=None):
+                with self._overhearing:
+                    piece = os.read(self._printed, messages.LENGTH)
+                    if not piece:
+                        return
+                    *lines, self._rest = (self._rest + piece).split(b"\n")
+                    if len(self._rest) >= messages.LENGTH:
+                        lines, self._rest = [*lines, self._rest], b""
+                    for line in lines:
+                        self._log(line)
 
     def _hear_out(self) -> None:
         """Wait until all that the FMU has printed is logged: the thread that does so may be late on a busy machine."""
@@ -148,8 +148,15 @@ class _Worker:
         while self._listener.is_alive() and time.monotonic() < end:
             with self._overhearing:
                 if not self._is_printed(wait=0):
-                    return
+                    break
             time.sleep(0.001)
+        with self._overhearing:
+            if self._rest:  # its last line, without an end: the next instance's lines are not to begin with it
+                self._log(self._rest)
+            self._rest = b""
+
+    def _log(self, line: bytes) -> None:
+        messages.logger.info("%s: %s", self._name, line.decode("utf-8", errors="replace").rstrip())
 
     def _is_printed(self, wait: float | None) -> bool:
         with suppress(OSError, ValueError):  # an FMU may close what is not its own

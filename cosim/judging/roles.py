@@ -48,21 +48,21 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
         If the diagram is no such loop.
     """
     reader = _Reader(diagram, result)
-    seen, brain = find_sensors(diagram), find_controller(diagram)
+    seen, controller = find_sensors(diagram), find_controller(diagram)
     # A controller may say what its sensors read of its estimate x_hat (a row of NaN: nothing linear), and what its goal is of it.
-    C, G = (getattr(brain.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
-    y = brain.port("y")
-    chains = [faults_before(diagram, brain, i) for i in range(y.size)]
+    C, G = (getattr(controller.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
+    y = controller.port("y")
+    chains = [faults_before(diagram, controller, i) for i in range(y.size)]
     active = {name: reader.flags(f"{name}.active") for chain in chains for name in chain}
     none: Flags = np.zeros(len(result.time), dtype=bool)
     precision, beta, probability, detected = (
-        reader.columns(f"{brain.name}.{name}", y.size)
+        reader.columns(f"{controller.name}.{name}", y.size)
         for name in ("precision", "beta", "fault_probability", "detected")
     )
     sensors = tuple(
         SensorSignals(
             i,
-            reader.source(brain, "y", i),
+            reader.source(controller, "y", i),
             any_of([none, *(active[name] for name in chain)]),
             precision[i],
             beta[i],
@@ -76,9 +76,9 @@ def loop_signals(diagram: Diagram, result: Result) -> LoopSignals:
         for name in chain:
             if (flags := active[name]) is not None:
                 known.setdefault(name, (i, flags))  # a channel that is read twice is named once
-    inputs = _inputs(reader, {seen.name, brain.name})
-    quantities = _quantities(reader, seen, brain, C, G)
-    return LoopSignals(result.time, quantities, sensors, known, inputs, _actuators(reader, brain))
+    inputs = _inputs(reader, {seen.name, controller.name})
+    quantities = _quantities(reader, seen, controller, C, G)
+    return LoopSignals(result.time, quantities, sensors, known, inputs, _actuators(reader, controller))
 
 
 class _Reader:
@@ -122,23 +122,23 @@ def _inputs(reader: _Reader, others: Container[str]) -> tuple[InputSignals, ...]
     return tuple(found)
 
 
-def _actuators(reader: _Reader, brain: Node) -> tuple[ActuatorSignals, ...]:
+def _actuators(reader: _Reader, controller: Node) -> tuple[ActuatorSignals, ...]:
     """Return what the controller says of its actuators; nothing if it does not, or if that was not recorded."""
-    count = brain.port("u").size
+    count = controller.port("u").size
     probability, kind, size = (
-        reader.columns(f"{brain.name}.actuator_fault_{name}", count) for name in ("probability", "kind", "size")
+        reader.columns(f"{controller.name}.actuator_fault_{name}", count) for name in ("probability", "kind", "size")
     )
     led: dict[int, tuple[str, str | None, Flags | None]] = {}
     none: Flags = np.zeros(len(reader.result.time), dtype=bool)
-    for node, port, i in elements(reader.diagram, {brain.name}):
+    for node, port, i in elements(reader.diagram, {controller.name}):
         chain = faults_right_before(reader.diagram, node, port, i)
         origin = reader.diagram.source_of(
             *((chain[0][0], chain[0][0].port("u"), chain[0][1]) if chain else (node, port, i))
         )
-        if origin is not None and (origin[0].node.name, origin[0].port.name) == (brain.name, "u"):
+        if origin is not None and (origin[0].node.name, origin[0].port.name) == (controller.name, "u"):
             faulty = any_of([none, *(reader.flags(f"{fault.name}.active") for fault, _ in chain)])
             led.setdefault(origin[1], (element_name(port, i), port.unit, faulty))
-    kinds = getattr(brain.block, "actuator_kinds", ())
+    kinds = getattr(controller.block, "actuator_kinds", ())
     return tuple(
         ActuatorSignals(*led.get(j, (f"control {j}", None, none)), known, kind[j], size[j], kinds)
         for j, known in enumerate(probability)
@@ -147,7 +147,7 @@ def _actuators(reader: _Reader, brain: Node) -> tuple[ActuatorSignals, ...]:
 
 
 def _quantities(
-    reader: _Reader, seen: Node, brain: Node, C: Floats | None, G: Floats | None
+    reader: _Reader, seen: Node, controller: Node, C: Floats | None, G: Floats | None
 ) -> tuple[QuantitySignals, ...]:
     block: Any = seen.block
     if block.function is not None:  # what it measures is not linear, and is not kept
@@ -161,8 +161,8 @@ def _quantities(
     for i, row in enumerate(rows):
         groups.setdefault(tuple(row), []).append(i)
     inputs = [reader.source(seen, "u", j) for j in range(block.signals)]
-    x_hat = reader.signal(f"{brain.name}.x_hat")
-    goals = brain.port("goal").size
+    x_hat = reader.signal(f"{controller.name}.x_hat")
+    goals = controller.port("goal").size
     found = []
     for number, (row, members) in enumerate(groups.items()):
         used = [weight * signal for weight, signal in zip(row, inputs, strict=True) if weight and signal is not None]
@@ -174,7 +174,7 @@ def _quantities(
         goal = number if goals == len(groups) and (C is None or G is None) else None  # unless said otherwise, in order
         if read is not None and G is not None:
             goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, read)), None)
-        reference = None if goal is None else reader.source(brain, "goal", goal)
+        reference = None if goal is None else reader.source(controller, "goal", goal)
         found.append(
             QuantitySignals(name, unit, tuple(members), truth, reference, belief, goal is not None, read is not None)
         )

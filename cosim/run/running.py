@@ -53,8 +53,8 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
         if isinstance(node.block, ExternalBlock):
             with kept():
                 instance = node.block.instantiate(schedule.step * node.every, node.name)
+            stack.callback(getattr(instance, "close", lambda: None))  # before the check, which may refuse it
             _check_instance(node.block, instance)
-            stack.callback(instance.close)
             instances[i] = instance
             rounding: Roundable | None = getattr(instance, "rounding", None)
             if rounding is not None and rounding.wide_outputs:

@@ -293,6 +293,8 @@ class Session:
     def restore(self, state: RunState) -> None:
         """Go back to a saved state: of this session, or of another one of the same diagram, whatever that recorded.
 
+        What is only recorded of an FMU that runs at a multiple of the step is NaN until its next step: it is no part of a state.
+
         Raises
         ------
         ModelError

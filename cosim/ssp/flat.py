@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 from bayesftc.cosim.base import units
 from bayesftc.cosim.base.units import Unit
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import SSPError, did_you_mean
 from bayesftc.cosim.ssp.read import Component, Connection, Linear, Parameter, Structure, System, shown
 
@@ -291,10 +291,9 @@ class Flat:
         return shown("".join(f"{p}." for p in path), getattr(connection, side))
 
     def _ignored(self, parameter: Parameter, owner: str, known: Iterable[str]) -> None:
-        warnings.warn(
+        warn_user(
             f"{self._where} binds a value to {parameter.name!r} of {owner!r}, which does not exist; it is ignored, as SSP "
-            f"demands: {did_you_mean(parameter.name, known)}",
-            stacklevel=2,
+            f"demands: {did_you_mean(parameter.name, known)}"
         )
 
 

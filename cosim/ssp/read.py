@@ -5,7 +5,6 @@ Files of SSP 1.0 are checked against its schemas. Of SSP 2.0 there are arrays an
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -19,6 +18,7 @@ from xml.etree.ElementTree import Element, fromstring
 from bayesftc.cosim.base import units
 from bayesftc.cosim.base.archives import Kind
 from bayesftc.cosim.base.units import Unit
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import LAX, SSPError
 from bayesftc.cosim.ssp.schema import SSC, SSD, SSM, SSV, problems_of
 from bayesftc.cosim.ssp.steps import Steps, step_hint, steps_of
@@ -209,10 +209,9 @@ class _Reader:
                     f"{LAX}"
                 )
             if problems:
-                warnings.warn(
+                warn_user(
                     f"{where} breaks the rules of SSP, but its meaning is clear: {'; '.join(problems[:_SHOWN])}. It is read so; "
-                    "other tools may refuse it.",
-                    stacklevel=2,
+                    "other tools may refuse it."
                 )
         return root
 

@@ -183,18 +183,23 @@ class Sparse(Cart):
     def instantiate(self, step, name):
         instance = super().instantiate(step, name)
         without = {"expect_return", "has_ended", "__dict__", "__weakref__"}
-        return type("Sparse", (), {k: v for k, v in vars(RunningCart).items() if k not in without})(
-            instance.numbers[2], float(step), self.words
-        )
+        members = {k: v for k, v in vars(RunningCart).items() if k not in without}
+        members["close"] = lambda _: closed.append(name)
+        return type("Sparse", (), members)(instance.numbers[2], float(step), self.words)
+
+
+closed: list[str] = []
 
 
 def test_an_instance_that_lacks_something_is_refused():
+    closed.clear()
     diagram = cosim.Diagram(DT)
     diagram.add(Sparse(), "cart")
     with pytest.raises(
         cosim.KernelError, match=r"What Sparse has instantiated, a Sparse, lacks expect_return and has_ended;"
     ):
         diagram.simulate(0.1)
+    assert closed == ["cart"]
 
 
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])

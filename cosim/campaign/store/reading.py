@@ -120,16 +120,16 @@ class StoredCampaign:
         coordinates: dict[str, Any] = {name: ("run", column) for name, column in columns.items()}
         if self._chunks is None:
             return xr.Dataset(coords=coordinates)
-        from xarray.core.indexing import LazilyIndexedArray
+        from xarray.core.indexing import CopyOnWriteArray, LazilyIndexedArray
 
         from bayesftc.cosim.campaign.store.lazy import StoredSignal
 
         pieces = [self._pieces[i] for i in np.unique(runs // self.plan.size)]
         signals = {}
         for name, (shape, unit) in self.metadata.signals.items():
-            stored = LazilyIndexedArray(StoredSignal(self._chunks, name, pieces, self.plan.runs, self._redo.read))
+            lazy: Any = LazilyIndexedArray(StoredSignal(self._chunks, name, pieces, self.plan.runs, self._redo.read))
             axes = ("run", "time", *(f"{name}_{axis}" for axis in range(len(shape))))
-            signals[name] = xr.Variable(axes, stored, {"units": unit} if unit else None)
+            signals[name] = xr.Variable(axes, CopyOnWriteArray(lazy), {"units": unit} if unit else None)
         coordinates["time"] = ("time", self.time, {"units": "s"})
         said = {"description": json.dumps(self.metadata.description, ensure_ascii=False)}
         return xr.Dataset(signals, coordinates, said)

@@ -13,6 +13,7 @@ from typing import Any
 
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.fmi.binaries.addresses import Addresses
+from bayesftc.cosim.fmi.binaries.codes import HAS_TERMINATED, LAST_TIME
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Value, flattened
 from bayesftc.cosim.fmi.reading.embedded import in_this_python
 from bayesftc.cosim.fmi.reading.messages import ENDS, Messages, callback3, callbacks2, status_word
@@ -147,6 +148,15 @@ class Library(ABC):
         """Return what more is known of a discarded step, as a sentence or nothing, and whether the FMU ends the simulation."""
         return "", False
 
+    def _how_far(self, function: str, component: int) -> tuple[str, bool]:
+        """Return as `last_words` how far a discarded step has come, which the function of FMI 1 or 2 says."""
+        reached = ctypes.c_double(0.0)
+        try:
+            self.call(function, component, LAST_TIME, ctypes.byref(reached))
+        except CallError:
+            return "", False
+        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do.", False
+
     def call(self, function: str, *arguments: Any) -> Any:
         """Call an FMI function through fmpy.
 
@@ -247,15 +257,12 @@ class Library2(Library):
 
     def last_words(self, component: int) -> tuple[str, bool]:
         """See `Library.last_words`."""
-        ended, reached = ctypes.c_int(0), ctypes.c_double(0.0)
+        ended = ctypes.c_int(0)
         try:
-            self.call("fmi2GetBooleanStatus", component, 3, ctypes.byref(ended))
-            if ended.value:
-                return f"{ENDS} (terminated).", True
-            self.call("fmi2GetRealStatus", component, 2, ctypes.byref(reached))
+            self.call("fmi2GetBooleanStatus", component, HAS_TERMINATED, ctypes.byref(ended))
         except CallError:
             return "", False
-        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do.", False
+        return (f"{ENDS} (terminated).", True) if ended.value else self._how_far("fmi2GetRealStatus", component)
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Integer" if kind == "Enumeration" else kind

@@ -15,7 +15,6 @@ from bayesftc.cosim.fmi.reading.messages import Messages, callbacks1
 TRUE, FALSE = b"\1", b"\0"
 
 _MIME = b"application/x-fmu-sharedlibrary"
-_LAST_TIME = 2
 
 
 class Library1(Library):
@@ -92,12 +91,7 @@ class Library1(Library):
 
     def last_words(self, component: int) -> tuple[str, bool]:
         """See `Library.last_words`."""
-        reached = ctypes.c_double(0.0)
-        try:
-            self.call("fmiGetRealStatus", component, _LAST_TIME, ctypes.byref(reached))
-        except CallError:
-            return "", False
-        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do.", False
+        return self._how_far("fmiGetRealStatus", component)
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Integer" if kind == "Enumeration" else kind

@@ -118,3 +118,20 @@ def test_a_state_of_other_blocks_is_refused_all_the_same(lag):
         other.add(cosim.FMU(lag, outputs=["y", "odd"]), name)
     with other.start() as session, pytest.raises(cosim.ModelError, match="is no saved state of this diagram"):
         session.restore(state)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_of_a_slower_fmu_it_is_unknown_until_its_next_step(lag, engine, same_bits):
+    diagram = cosim.Diagram(0.1)
+    slow = diagram.add(cosim.FMU(lag), "a", every=4)
+    diagram.connect(diagram.add(cosim.Constant(1.0), "push")["y"], slow["u"])
+    whole = diagram.simulate(1.6, engine=engine, record=["*", "a.odd", "a.fast"])
+    with diagram.start(engine=engine, record=["*", "a.odd", "a.fast"]) as session:
+        session.advance(0.9)
+        state = session.save_state()
+        session.restore(state)
+        rest = session.advance(0.7)
+    for name in ("a.odd", "a.fast"):
+        assert np.isnan(rest[name][:2]).all()
+    for name, first in (("a.odd", 2), ("a.fast", 2), ("a.y", 0)):
+        same_bits(rest[name][first:], whole[name][10 + first :], name)

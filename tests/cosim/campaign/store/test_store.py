@@ -74,6 +74,19 @@ def test_other_programs_read_it(tmp_path):
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "s" / "runs.parquet"), store.table())
 
 
+def test_what_is_read_of_it_may_be_changed_and_copied(tmp_path):
+    with create(tmp_path / "s") as store:
+        for piece in PLAN.pieces:
+            store.write(outcome(piece))
+        data, copy = store.dataset(), store.dataset().copy(deep=True)
+        data["plant.v"][4] = 0.0
+        assert (data["plant.v"][4].values == 0.0).all()
+        assert (data["plant.v"][3].values == outcome(PLAN.pieces[1]).signals["plant.v"][0]).all()
+        np.testing.assert_array_equal(
+            copy["plant.v"][3:6], store.dataset()["plant.v"][3:6]
+        )  # what is stored is as it was
+
+
 # Any campaign
 
 
