@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesftc.cosim.errors import KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.stepping.records import with_arrays
 from bayesftc.cosim.types import Floats, Kernel
 
 if TYPE_CHECKING:
@@ -32,6 +33,13 @@ class Definition:
         Step function that takes the state from t_k to t_k+1 once all outputs at t_k are known. It sees every input.
     state, parameters : mapping of name to array
         Initial values; their shapes are what the step functions see. Scalars become arrays of one element.
+    scratch : mapping of name to array
+        Space for what a step function computes on the way, since it allocates nothing. It is no state: what is in it when a
+        step function begins means nothing, so that what ``update`` needs of ``output`` is a state.
+    records : mapping of name to NamedTuple of str
+        Arguments of the step functions that are records of several arrays: a `NamedTuple` class, filled with the *names* of the
+        ports and entries that its fields are, as ``{"model": Model(A="A", Q="process_covariance")}``. The step function gets
+        the record of the arrays themselves: ``model.Q[i, j]``. A field may be a record again.
     compiled : bool
         False for a block that calls back into Python; the whole diagram then runs interpreted.
     """
@@ -40,7 +48,13 @@ class Definition:
     update: Kernel | None = None
     state: Mapping[str, ArrayLike] = field(default_factory=dict)
     parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
+    scratch: Mapping[str, ArrayLike] = field(default_factory=dict)
+    records: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     compiled: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("output", "update"):
+            object.__setattr__(self, name, with_arrays(getattr(self, name), self.records))
 
 
 class Block:
@@ -53,9 +67,10 @@ class Block:
     2. give its ``inputs`` and ``outputs`` as tuples of `Port` (properties, where they depend on the settings);
     3. return from ``define(step)`` a `Definition`: the initial state, the parameters, and the step functions;
     4. write a step function as a plain Python function whose *argument names* say what it gets: the names of ports, of
-       state entries and of parameters, each as a float64 array (a scalar is an array of one element), ``t`` (time in
-       seconds) and ``k`` (the block's own step count), and ``inputs`` and ``outputs``: all ports of that side, one after
-       the other, as one flat array, for blocks whose ports are not known when the function is written;
+       state entries, of parameters and of scratch space, each as a float64 array (a scalar is an array of one element); of
+       records of such arrays (`Definition.records`); ``t`` (time in seconds) and ``k`` (the block's own step count); and
+       ``inputs`` and ``outputs``: all ports of that side, one after the other, as one flat array, for blocks whose ports are
+       not known when the function is written;
     5. in a step function, read inputs, parameters and state, write outputs and state in place, allocate nothing, use scalar
        loops, take all mathematics from `bayesftc.cosim.ops`, and branch on data with ``ops.select`` only;
     6. keep random numbers out of it: declare an input port with ``draw="normal"`` or ``draw="uniform"``;

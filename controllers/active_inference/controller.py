@@ -219,24 +219,36 @@ class UnbiasedActiveInference(Block):
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
             "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
             "prior_curvature": self._prior_curvature(), "root_rate": np.sqrt(rates), "largest": largest,
+            "spread": np.zeros((m, m)),  # its belief has no covariance
             **law.parameters, **sensing.parameters, **screen_parameters,
         }  # fmt: skip
-        shapes = {
-            "expected": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "L": (m, m), "inverse": (m, m),
-            "weights": (m, m), "weighted": (m,), "G": (m, n), "PG": (m, n), "pull_x": (n,), "slope": (n,), "wanted": (p,),
-            "control": (p,), "applied": (p,), "pull_u": (p,), "D": (p, n), "PD": (p, n),
-            "H": (q, q), "scaled": (q, q), "squared": (q, q),
-        }  # fmt: skip
+        sizes: dict[str, tuple[int, ...]] = {
+            **dict.fromkeys(("expected", "heard", "e", "present", "used", "weighted"), (m,)),
+            **dict.fromkeys(("L", "inverse", "weights"), (m, m)),
+            **dict.fromkeys(("G", "PG"), (m, n)),
+            **dict.fromkeys(("pull_x", "slope"), (n,)),
+            **dict.fromkeys(("wanted", "pull_u"), (p,)),
+            **dict.fromkeys(("D", "PD"), (p, n)),
+            **dict.fromkeys(("H", "scaled", "squared"), (q, q)),
+            "work": (learner.work, m, m),
+        }
         state = {
-            "mean": self.initial_mean, "predicted": self.initial_mean, "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in shapes.items()},
-            **law.state, **sensing.state, **screens,
-        }  # fmt: skip
+            "mean": self.initial_mean,
+            "predicted": self.initial_mean,
+            "memory": learner.memory,
+            "control": np.zeros(p),
+            "applied": np.zeros(p),
+            **law.state,
+            **screens,
+        }
         watched = self.watched_model
         if watched is not None:
             watching, constants = consistency(watched, self.initial_mean)
-            state, parameters = {**state, **watching, "seer_row": np.zeros((1, n))}, parameters | constants
-        names = ["t", "k", "outputs", *(port.name for port in (*self.inputs, *self._own_outputs)), *state, *parameters]
+            state, parameters = {**state, **watching}, parameters | constants
+            sizes |= {"seer_row": (n,), "seer_error": (m,)}
+        scratch = {**{name: np.zeros(shape) for name, shape in sizes.items()}, **sensing.scratch}
+        ports = (port.name for port in (*self.inputs, *self._own_outputs))
+        names = ["t", "k", "outputs", *ports, *state, *parameters, *scratch]
         first = sum(port.size for port in self._own_outputs)
         functions = {
             **FUNCTIONS, **law.functions, **sensing.functions, "learn": learner.step, "report": learner.report,
@@ -248,7 +260,7 @@ class UnbiasedActiveInference(Block):
             {**law.calls, **sensing.calls}, descends=self.control == "gradient", watches=watched is not None
         )
         step_function = function_from_text("unbiased_active_inference", names, lines, functions)
-        return Definition(step_function, state=state, parameters=parameters)
+        return Definition(step_function, state=state, parameters=parameters, scratch=scratch)
 
     @property
     def _dimensions(self) -> tuple[int, int, int]:

@@ -23,13 +23,13 @@ class Measured:
         The step functions to call.
     calls : mapping of str to str
         The statements that write ``expected`` (``measure``) and ``G`` (``differentiate``).
-    state, parameters : mapping of str to array
+    scratch, parameters : mapping of str to array
         Scratch space, and the matrices of modalities that are linear.
     """
 
     functions: Mapping[str, Any]
     calls: Mapping[str, str]
-    state: Mapping[str, Floats]
+    scratch: Mapping[str, Floats]
     parameters: Mapping[str, Floats]
 
 
@@ -37,24 +37,24 @@ def measured(modalities: Sequence[Modality], states: int) -> Measured:
     """Return what evaluates the modalities, whose samples stand one after the other."""
     functions: dict[str, Any] = {}
     measure, differentiate, first = [], [], 0
-    state, parameters = {}, {}
+    scratch, parameters = {}, {}
     for i, modality in enumerate(modalities):
         derivative, name = modality.derivative(states), f"modality{i}"
-        state[f"{name}_y"] = np.zeros(modality.samples)
+        scratch[f"{name}_y"] = np.zeros(modality.samples)
         if derivative is None:
             parameters[f"{name}_G"] = modality.jacobian_at(np.zeros(states))
             functions["apply"] = apply
             measure.append(f"apply({name}_G, mean, {name}_y)")
         else:
             functions[f"{name}_function"], functions[f"{name}_derivative"] = modality.function, derivative
-            state[f"{name}_G"] = np.zeros((modality.samples, states))
+            scratch[f"{name}_G"] = np.zeros((modality.samples, states))
             measure.append(f"{name}_function(mean, {name}_y)")
             differentiate.append(f"{name}_derivative(mean, {name}_G)")
         measure.append(f"place({name}_y, {first}, expected)")
         differentiate.append(f"place_rows({name}_G, {first}, G)")
         first += modality.samples
     calls = {"measure": "\n".join(measure), "differentiate": "\n".join(differentiate)}
-    return Measured(functions, calls, state, parameters)
+    return Measured(functions, calls, scratch, parameters)
 
 
 def jacobian_of(modalities: Sequence[Modality], mean: Floats) -> Floats:

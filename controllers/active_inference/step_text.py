@@ -8,20 +8,25 @@ from typing import Any
 
 from bayesftc.controllers.active_inference import curvature as _curvature, descent as _descent
 from bayesftc.controllers.estimation import absurd as _absurd, consistency as _consistency
-from bayesftc.controllers.precision.base import NAN
+from bayesftc.controllers.estimation.absurd import Reading, Screen
+from bayesftc.controllers.estimation.belief import SAMPLE
+from bayesftc.controllers.estimation.consistency import SEERS
+from bayesftc.controllers.precision.base import NAN, Trust
 from bayesftc.cosim.ops import select
+from bayesftc.cosim.stepping.records import named_alike, written
 
 # What stands in braces are the calls of the modalities' functions and of the law, and what the form of control makes of them.
 _STEP = """
+{records}
 {measure}
-screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts)
-count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening)
-listen(y, patience, heard, doubts)
+screen_samples(reading, sample, screen)
+count_doubts(reading, sample, screen)
+listen(reading, sample, screen)
 read(heard, expected, limit, e, present)
 for i in range(e.shape[0]):
     innovation[i] = select(present[i] > 0.5, y[i] - expected[i], NAN)
-learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
-blame(doubts, certain, fault_probability)
+learn(sample, trust, memory, settings, work)
+blame(screen, fault_probability)
 report(memory, settings, nominal, first, outputs)
 alarm(doubts, outputs)
 log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_determinant[0]
@@ -45,10 +50,8 @@ place(mean, 0, x_hat)
 """
 
 _WATCH = """
-check_consistency(
-    heard, x_hat, G, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
-    model_suspect)
-follow(applied, A, B, seer_row, seer_mean)
+check_consistency(heard, x_hat, G, seers)
+follow(applied, A, B, seer_row, seers)
 """
 
 _DESCENT_BY_GRADIENT = """
@@ -75,7 +78,16 @@ for i in range(eps_u.shape[0]):
     eps_u[i] = 0.0 * control[i]
 """
 
+_RECORDS = {
+    "reading": named_alike(Reading),
+    "sample": SAMPLE,
+    "trust": named_alike(Trust),
+    "screen": named_alike(Screen),
+    "seers": SEERS,
+}
+
 FUNCTIONS: dict[str, Any] = {
+    **{type(record).__name__: type(record) for record in _RECORDS.values()},
     "NAN": NAN,
     "select": select,
     **{
@@ -85,7 +97,7 @@ FUNCTIONS: dict[str, Any] = {
             "predict_state", "prior_error", "quadratic", "read", "weigh",
         )
     },
-    **{name: getattr(_absurd, name) for name in ("blame", "count_doubts", "listen", "screen")},
+    **{name: getattr(_absurd, name) for name in ("blame", "count_doubts", "listen", "screen_samples")},
     **{name: getattr(_consistency, name) for name in ("check_consistency", "follow")},
     **{name: getattr(_curvature, name) for name in ("curvature_of_belief", "curvature_of_control", "shortening")},
 }  # fmt: skip
@@ -106,7 +118,9 @@ def step_lines(calls: Mapping[str, str], *, descends: bool, watches: bool) -> li
         Whether the model is checked.
     """
     descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
+    known = {name: record for name, record in _RECORDS.items() if watches or name != "seers"}
     text = _STEP.format(
+        records="\n".join(f"{name} = {written(record)}" for name, record in known.items()),
         measure=calls["measure"],
         measure_again=indent(calls["measure"], " " * 8).lstrip(),
         differentiate=indent(calls["differentiate"], " " * 4).lstrip(),

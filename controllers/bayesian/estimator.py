@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache
 
 import numpy as np
 
 from bayesftc.controllers.bayesian.block import VARIANCE_CAP, extended_mean, known_constant
-from bayesftc.controllers.estimation.absurd import alarm_of, blame, screening
-from bayesftc.controllers.estimation.belief import arrive, belief_state, make_ways
-from bayesftc.controllers.estimation.consistency import check_consistency, consistency, follow
-from bayesftc.controllers.estimation.filter import innovate, predict, restore
-from bayesftc.controllers.linalg.dense import apply
+from bayesftc.controllers.estimation.belief import ESTIMATION, alarm_of, estimation, look_ahead, make_estimate
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner
@@ -23,60 +17,8 @@ from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import select
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
-
-
-@cache
-def _make_estimate(
-    learn: Callable[..., None],
-    update: Callable[..., None],
-    report: Callable[..., None],
-    alarm: Callable[..., None],
-    first: int,
-) -> Callable[..., None]:
-    """Return the step function from the samples to the belief, for ways of learning, of coming to it and of reporting.
-
-    The learner's own outputs begin at the place `first` among all outputs.
-    """
-
-    def state_estimator(
-        y, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
-        mean, covariance, applied, memory,
-        A, B, C, Q, nominal, largest, settings, expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP,
-        works, load, heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
-        seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
-    ):  # fmt: skip
-        apply(C, mean, expected)
-        innovate(
-            y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
-            heard, e, present, CP, spread, innovation,
-        )  # fmt: skip
-        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
-        restore(heard, expected, present, e)
-        update(
-            heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
-            R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
-        )  # fmt: skip
-        blame(doubts, certain, fault_probability)
-        report(memory, settings, nominal, first, outputs)
-        alarm(doubts, outputs)
-        check_consistency(
-            heard, x_hat, C, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
-            model_suspect,
-        )  # fmt: skip
-
-    return state_estimator
-
-
-def look_ahead(u, x_hat, P, applied, works, load, effective, A, B, Q, largest, J, mean, covariance, seer_mean):
-    """Take the belief to the next step with the input, or with the last one where it is not finite."""
-    for i in range(u.shape[0]):
-        applied[i] = select(u[i] - u[i] == 0.0, u[i], applied[i])
-    arrive(applied, works, load, effective)
-    follow(effective, A, B, J, seer_mean)
-    predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,16 +126,9 @@ class StateEstimator(Block):
         model, learner = self.model, self.precision.learner(self.model)
         Q, nominal = model.matrix("process_covariance"), model.matrix("sensor_covariance")
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
-        screens, screen_parameters = screening(self, model)
-        parameters = {
-            **{name: model.matrix(name) for name in "ABC"},
-            **{"Q": Q, "nominal": nominal, "settings": learner.settings, "largest": largest},
-            **screen_parameters,
-        }
         first = sum(port.size for port in self._own_outputs)
-        ways = make_ways(learner.step, learner.infer)
-        estimate = _make_estimate(*ways, learner.report, alarm_of(learner, first), first)
-        state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
-        watching, constants = consistency(model, self.initial_mean)
-        state, parameters = state | watching, parameters | constants
-        return Definition(estimate, look_ahead, state=state, parameters=parameters, compiled=learner.compiled)
+        estimate = make_estimate(learner.step, learner.infer, learner.report, alarm_of(learner, first), first)
+        state, parameters, scratch = estimation(self, model, learner, largest)
+        return Definition(
+            estimate, look_ahead, state, parameters, scratch, {"est": ESTIMATION}, compiled=learner.compiled
+        )

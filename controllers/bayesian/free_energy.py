@@ -22,22 +22,21 @@ from bayesftc.cosim.ops import log, select
 from bayesftc.cosim.types import Floats
 
 
-def tell_nothing(
-    first, outputs, e, used, R, spread, covariance, wanted, pull, u, GBw, GAP, SG, W, Lambda, prior_precision, u_0, goal_noise,
-    constant, chol, whitened, J, sought, effective,
-):  # fmt: skip
+def tell_nothing(first, outputs, u, est, control):
     """Write no further outputs."""
 
 
-def tell_posterior(
-    first, outputs, e, used, R, spread, covariance, wanted, pull, u, GBw, GAP, SG, W, Lambda, prior_precision, u_0, goal_noise,
-    constant, chol, whitened, J, sought, effective,
-):  # fmt: skip
+def tell_posterior(first, outputs, u, est, control):
     """Write Cov(u_t), Cov(u_t, x_t) and the free energy into ``outputs`` from the place `first` on.
 
     It comes after `decide`, whose ``GAP = G A P``, ``W``, factors ``SG`` of S and ``Lambda``, and error ``pull`` of the goal it
     takes; ``SG`` and the last five are overwritten. NaN where neither goal nor control prior determines the control.
     """
+    sought, GBw, wanted, _, GAP, SG, pull, W, Lambda = control.decision
+    u_0, goal_noise, constant = control.densities
+    prior_precision, covariance, effective = control.aim.prior_precision, est.belief.covariance, est.actuators.effective
+    e, spread, R, used = est.sample.e, est.sample.spread, est.trust.R, est.trust.used
+    chol, whitened, J = est.space.L, est.space.whitened, est.space.J
     m, n, g, p = R.shape[0], GAP.shape[1], GBw.shape[0], GBw.shape[1]
     for c in range(p):
         for i in range(p):
@@ -117,12 +116,14 @@ def log_pseudo_determinant(lower):
     return total
 
 
-def tell_linearised(found, first, outputs, T, root, X, cost, R, goal_noise, kept, constant, noise, E):
+def tell_linearised(found, first, outputs, T, R, problem, search, decision):
     """Write the same for a nonlinear model, linearised at the minimum of its joint likelihood (Laplace's approximation).
 
     ``T`` is the triangle of the equations there, of u_t and of x_t in units of ``root``, ``X`` what `marginal` left, ``cost`` the
     sum of all squares. ``noise`` and ``E`` (controls x unknowns) are overwritten. NaN where no minimum was found.
     """
+    root, kept, noise, cost = problem.root, problem.kept, problem.noise, search.cost
+    X, E, goal_noise, constant = decision.X, decision.E, decision.goal_noise, decision.constant
     n, p = root.shape[0], E.shape[0]
     for i in range(p):
         for j in range(p + n):
@@ -144,7 +145,7 @@ def tell_linearised(found, first, outputs, T, root, X, cost, R, goal_noise, kept
     outputs[first + p * p + p * n] = select(found, 0.5 * doubled, NAN)
 
 
-def tell_no_minimum(found, first, outputs, T, root, X, cost, R, goal_noise, kept, constant, noise, E):
+def tell_no_minimum(found, first, outputs, T, R, problem, search, decision):
     """Write no further outputs."""
 
 

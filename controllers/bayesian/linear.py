@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,13 @@ from bayesftc.controllers.bayesian.block import BayesianBlock
 from bayesftc.controllers.bayesian.free_energy import tell_nothing, tell_posterior
 from bayesftc.controllers.bayesian.steady import steady_gains
 from bayesftc.controllers.estimation import filter as _filter
-from bayesftc.controllers.estimation.absurd import alarm_of, blame, screening
-from bayesftc.controllers.estimation.belief import arrive, belief_state, make_ways, plan
-from bayesftc.controllers.estimation.consistency import check_consistency, consistency, follow
-from bayesftc.controllers.estimation.filter import decide, innovate, limit, predict, restore
-from bayesftc.controllers.linalg.dense import apply
+from bayesftc.controllers.estimation.belief import ESTIMATION, alarm_of, estimation, go_on, make_estimate, plan
+from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.stepping.records import named_alike
 from bayesftc.cosim.types import Floats
 
 
@@ -32,90 +30,79 @@ class UnstableLoopWarning(UserWarning):
     """Plant and belief together do not settle: by the goal and control priors, or by a mode that no sensor sees."""
 
 
+class Seeking(NamedTuple):
+    """How an `LQGController` finds a steady state: maps from goal and state to it, the goal that is held, and its control."""
+
+    x_target: Floats
+    u_target: Floats
+    held: Floats
+    u_prior: Floats
+
+
+class Densities(NamedTuple):
+    """What only the free energy needs: mean of the control prior, the goal's covariance, and a constant."""
+
+    u_0: Floats
+    goal_noise: Floats
+    constant: Floats
+
+
+class Control(NamedTuple):
+    """All that the control is inferred with."""
+
+    aim: Aim
+    decision: Decision
+    limits: Limits
+    folding: FoldingSpace
+    seeking: Seeking
+    densities: Densities
+
+
+CONTROL = named_alike(
+    Control,
+    aim=named_alike(Aim, shift="goal_shift"),
+    decision=named_alike(Decision, GB="GBw"),
+    limits=named_alike(Limits),
+    folding=named_alike(FoldingSpace),
+    seeking=named_alike(Seeking),
+    densities=named_alike(Densities),
+)
+"""What all these arrays are called among the state, parameters and scratch space of the controller."""
+
+
 @cache
 def _make_step(
-    learn: Callable[..., None],
-    update: Callable[..., None],
-    report: Callable[..., None],
-    alarm: Callable[..., None],
+    estimate: Callable[..., None],
     fold: Callable[..., None],
     seek: Callable[..., None],
     tell: Callable[..., None],
     posterior: int,
-    first: int,
 ) -> Callable[..., None]:
-    """Return the controller's step function for ways of learning, updating, reporting, carrying, seeking the goal and telling.
+    """Return the controller's step function for ways of estimating, carrying the belief, seeking the goal and telling.
 
-    Among all outputs those of the posterior begin at the place `posterior`, the learner's own at the place `first`. The same
-    functions give the same one, so that it is looked through and compiled once for however many controllers.
+    Among all outputs those of the posterior begin at the place `posterior`. The same functions give the same one, so that it is
+    looked through and compiled once for however many controllers.
     """
 
-    def bayesian_controller(
-        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
-        mean, covariance, applied, memory,
-        A, B, C, Q, nominal, G, GB, GQ, prior_precision, prior_pull, goal_shift, settings, u_min, u_max, u_change, largest,
-        expected, e, present, used, CP, spread, chol, D, whitened, v, gain, J, JP, wanted, GA, GAP, SG, pull, W, Lambda,
-        N, V, Wt, L, GL, VGL, M, X, h, works, load, effective, sought, GBw, x_target, u_target, held, u_prior,
-        heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
-        u_0, goal_noise, constant,
-        seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
-    ):  # fmt: skip
-        apply(C, mean, expected)
-        innovate(
-            y, expected, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
-            heard, e, present, CP, spread, innovation,
-        )  # fmt: skip
-        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
-        restore(heard, expected, present, e)
-        update(
-            heard, e, present, nominal, A, B, C, Q, applied, reach, mean, covariance, memory, settings,
-            R, used, precision, beta, fault_probability, works, load, chol, D, whitened, v, gain, J, JP, x_hat, P,
-        )  # fmt: skip
-        blame(doubts, certain, fault_probability)
-        report(memory, settings, nominal, first, outputs)
-        alarm(doubts, outputs)
-        check_consistency(
-            heard, x_hat, C, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings,
-            model_suspect,
-        )  # fmt: skip
-        seek(
-            goal,
-            x_hat,
-            works,
-            load,
-            x_target,
-            u_target,
-            prior_precision,
-            GB,
-            held,
-            u_prior,
-            prior_pull,
-            goal_shift,
-            sought,
-        )
-        plan(works, load, GB, sought, GBw)
-        decide(sought, x_hat, P, A, G, GQ, GBw, prior_precision, prior_pull, wanted, GA, GAP, SG, pull, W, Lambda, u)
-        tell(
-            posterior, outputs, e, used, R, spread, covariance, wanted, pull, u, GBw, GAP, SG, W, Lambda, prior_precision, u_0,
-            goal_noise, constant, chol, whitened, J, sought, effective,
-        )  # fmt: skip
-        limit(u, applied, u_min, u_max, u_change)
-        for i in range(pull.shape[0]):
-            pull[i] = pull[i] - goal_shift[i]
-        fold(pull, wanted, GA, GQ, GBw, prior_precision, N, V, W, Wt, Lambda, L, GL, VGL, M, X, h, x_hat, P)
-        arrive(applied, works, load, effective)
-        follow(effective, A, B, J, seer_mean)
-        predict(x_hat, P, effective, A, B, Q, largest, J, mean, covariance)
+    def bayesian_controller(goal, u, outputs, est, control):
+        estimate(outputs, est)
+        seek(goal, est.belief.x_hat, est.actuators, control)
+        plan(est.actuators, control.aim.GB, control.decision)
+        decide(est.belief, est.model.A, control.aim, control.decision, u)
+        tell(posterior, outputs, u, est, control)
+        limit(u, est.actuators.applied, control.limits)
+        for i in range(control.aim.shift.shape[0]):
+            control.decision.pull[i] = control.decision.pull[i] - control.aim.shift[i]
+        fold(control.aim, control.decision, control.folding, est.belief)
+        go_on(est)
 
     return bayesian_controller
 
 
-def seek_goal(
-    goal, x_hat, works, load, x_target, u_target, prior_precision, GB, held, u_prior, prior_pull, goal_shift, sought
-):
+def seek_goal(goal, x_hat, actuators, control):
     """Seek the goal as it is given; the control prior stays what it is."""
-    for i in range(sought.shape[0]):
-        sought[i] = goal[i]
+    for i in range(control.decision.sought.shape[0]):
+        control.decision.sought[i] = goal[i]
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,15 +203,21 @@ class BayesianController(BayesianBlock):
         model, learner, (G, _, prior) = self.model, self._learner(), self._priors()
         n, p, g = model.states, model.controls, len(G)
         B = model.matrix("B")
-        screens, screen_parameters = screening(self, model)
-        parameters = self._shared_parameters(step) | screen_parameters | {
-            "A": model.matrix("A"), "B": B, "C": model.matrix("C"), "GB": G @ B, "prior_precision": prior,
-        }  # fmt: skip
-        scratch = {
-            "wanted": (g,), "GA": (g, n), "GAP": (g, n), "SG": (g, g), "pull": (g,), "W": (g, p), "Lambda": (p, p),
-            "sought": (g,), "GBw": (g, p),
-        }  # fmt: skip
         joint = self.belief == "joint"
+        shared = self._shared_parameters(step)
+        state, known, space = estimation(self, model, learner, shared["largest"])
+        parameters = known | shared | {"GB": G @ B, "prior_precision": prior}
+        sizes: dict[str, tuple[int, ...]] = {
+            "wanted": (g,),
+            "GA": (g, n),
+            "GAP": (g, n),
+            "SG": (g, g),
+            "pull": (g,),
+            "W": (g, p),
+            "Lambda": (p, p),
+            "sought": (g,),
+            "GBw": (g, p),
+        }
         folding = {
             "N": (g, g),
             "V": (g, g),
@@ -236,11 +229,8 @@ class BayesianController(BayesianBlock):
             "X": (n, n),
             "h": (n,),
         }
-        scratch |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
-        state = belief_state(model, learner, self.initial_mean, self.initial_covariance) | screens
-        state |= {name: np.zeros(shape) for name, shape in scratch.items()}
-        watching, constants = consistency(model, self.initial_mean)
-        state, parameters = state | watching, parameters | constants
+        sizes |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
+        scratch = space | {name: np.zeros(shape) for name, shape in sizes.items()}
         seek, constants, seeking = self._seeking(G @ B, prior)
         parameters |= constants
         state |= seeking
@@ -249,9 +239,18 @@ class BayesianController(BayesianBlock):
         tell = tell_posterior if self.posterior_outputs else tell_nothing
         first = sum(port.size for port in self._own_outputs)
         posterior = first - sum(port.size for port in self._posterior_ports)
-        ways = make_ways(learner.step, None if joint else learner.infer)
-        kernel = _make_step(*ways, learner.report, alarm_of(learner, first), fold, seek, tell, posterior, first)
-        return Definition(kernel, state=state, parameters=parameters, compiled=learner.compiled)
+        infer = None if joint else learner.infer
+        estimate = make_estimate(learner.step, infer, learner.report, alarm_of(learner, first), first)
+        kernel = _make_step(estimate, fold, seek, tell, posterior)
+        records = {"est": ESTIMATION, "control": CONTROL}
+        return Definition(
+            kernel,
+            state=state,
+            parameters=parameters,
+            scratch=scratch,
+            records=records,
+            compiled=learner.compiled,
+        )
 
     def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""

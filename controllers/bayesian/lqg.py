@@ -22,13 +22,14 @@ CERTAIN = 1e-13
 """How much what the belief does not know weighs beside the goal prior: the law is the regulator's to this."""
 
 
-def seek_steady_state(
-    goal, x_hat, works, load, x_target, u_target, prior_precision, GB, held, u_prior, prior_pull, goal_shift, sought
-):  # fmt: skip
+def seek_steady_state(goal, x_hat, actuators, control):
     """Seek the steady state at which the outputs are the goal, by the control that holds it there.
 
     A goal that is not finite is none: the last one is held. Of each control ``works`` arrives, and ``load`` is there without it.
     """
+    x_target, u_target, held, u_prior = control.seeking
+    _, GB, _, prior_precision, prior_pull, goal_shift = control.aim
+    works, load, sought = actuators.works, actuators.load, control.decision.sought
     r, n, p = goal.shape[0], x_hat.shape[0], u_prior.shape[0]
     for i in range(r):
         held[i] = select(goal[i] - goal[i] == 0.0, goal[i], held[i])

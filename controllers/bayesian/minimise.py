@@ -7,11 +7,13 @@ linear; so x_t+1 is minimised out exactly when the process's covariance is added
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 from bayesftc.controllers.estimation.filter import doubt, keep_only
 from bayesftc.controllers.linalg.dense import cholesky, multiply, whiten
 from bayesftc.controllers.linalg.least_squares import absorb, curve, damp, is_finite, solve_curved, squared_length
 from bayesftc.cosim.ops import both, maximum, negate, select
+from bayesftc.cosim.types import Floats
 
 ROUNDING = 1e-12
 """Relative increase of the cost that counts as rounding: at the minimum a step is right although the cost cannot tell."""
@@ -30,6 +32,54 @@ DISTANT = 1e100
 
 SLOPES, SQUARES, VECTORS = 2, 5, 8
 """How many arrays of scratch space the minimiser needs: equations x unknowns, unknowns x unknowns, unknowns."""
+
+
+class Ahead(NamedTuple):
+    """A nonlinear model at a state: what the sensors read, the next state, and their derivatives C, F (by the state) and B.
+
+    ``Q`` is the covariance of the process, ``slope`` scratch space.
+    """
+
+    Q: Floats
+    reading: Floats
+    following: Floats
+    C: Floats
+    F: Floats
+    B: Floats
+    slope: Floats
+
+
+class Problem(NamedTuple):
+    """What the joint cost is made of.
+
+    Samples ``y`` and ``goal``, those that are ``kept`` (1 or 0); the prediction's ``mean`` and the ``root`` of its covariance;
+    the factor of the ``noise`` of sensors and goal; the goal's matrix ``G``; root of the precision, and mean, of the control
+    prior.
+    """
+
+    y: Floats
+    goal: Floats
+    kept: Floats
+    mean: Floats
+    root: Floats
+    noise: Floats
+    G: Floats
+    prior: Floats
+    control_mean: Floats
+
+
+class Search(NamedTuple):
+    """Where the minimiser is: ``z``, control and state in units of the prediction's root; ``cost``; the rest is scratch space."""
+
+    z: Floats
+    point: Floats
+    control: Floats
+    residual: Floats
+    slopes: Floats
+    squares: Floats
+    vectors: Floats
+    cost: Floats
+    cost2: Floats
 
 
 def leave_out_distant(e, nominal, used):
@@ -107,17 +157,16 @@ def make_minimiser(
     something is no number, is not taken, and the next one is damped more.
     """
 
-    def equations(
-        z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-        x, control, reading, following, C, F, B, slope, J, residual, row, T, b, cost,
-    ):  # fmt: skip
+    def equations(problem, ahead, trial, point, control, J, residual, row, T, b, cost):
+        y, goal, kept, mean, root, noise, G, prior_root, control_mean = problem
+        _, reading, following, C, F, B, slope = ahead
         m, n, p = y.shape[0], mean.shape[0], control.shape[0]
-        locate(z, mean, root, x)
+        locate(trial, mean, root, point)
         for i in range(p):
-            control[i] = z[i]
-        g(x, reading)
-        g_jacobian(x, C)
-        look_ahead(x, control, following, F, B)
+            control[i] = trial[i]
+        g(point, reading)
+        g_jacobian(point, C)
+        look_ahead(point, control, following, F, B)
         multiply(F, root, slope)
         for i in range(m):
             residual[i] = select(kept[i] > 0.5, y[i] - reading[i], 0.0)
@@ -144,12 +193,12 @@ def make_minimiser(
         for i in range(p + n):
             for j in range(p + n):
                 T[i, j] = 1.0 if i == j else 0.0
-            b[i] = -z[i]
+            b[i] = -trial[i]
         for i in range(p):
             b[i] = 0.0
             for j in range(p):
                 T[i, j] = prior_root[i, j]
-                b[i] = b[i] + prior_root[i, j] * (control_mean[j] - z[j])
+                b[i] = b[i] + prior_root[i, j] * (control_mean[j] - trial[j])
         for i in range(p + n):
             cost[0] = cost[0] + b[i] * b[i]
         for i in range(residual.shape[0]):
@@ -158,11 +207,8 @@ def make_minimiser(
                 row[j] = J[i, j]
             absorb(T, b, row, residual[i])
 
-    def minimise(
-        z, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-        x, control, reading, following, C, F, B, slope, residual, slopes, squares, vectors, cost, cost2,
-    ):  # fmt: skip
-        # Few arguments: Python makes a list of more than thirty, which a step function must not.
+    def minimise(problem, ahead, search):
+        z, point, control, residual, slopes, squares, vectors, cost, cost2 = search
         J, J2 = slopes[0], slopes[1]
         T, T2, D, S, M = squares[0], squares[1], squares[2], squares[3], squares[4]
         b, b2, d, trial, row = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
@@ -176,14 +222,13 @@ def make_minimiser(
                 T[i, j] = 0.0
                 S[i, j] = 0.0
         for _ in range(iterations + 1):
-            equations(
-                trial, y, goal, kept, mean, root, noise, G, prior_root, control_mean,
-                x, control, reading, following, C, F, B, slope, J2, residual, row, T2, b2, cost2,
-            )  # fmt: skip
+            equations(problem, ahead, trial, point, control, J2, residual, row, T2, b2, cost2)
             better = both(is_finite(T2, cost2[0]), negate(cost2[0] > cost[0] * (1.0 + ROUNDING)))
             started = cost[0] < INFINITE
-            curve(both(better, started), z, trial, T2, J, J2, residual, ROUNDING * ROUNDING * cost[0], S, M,
-                  moved, turned, bent)  # fmt: skip
+            curve(
+                both(better, started), z, trial, T2, J, J2, residual, ROUNDING * ROUNDING * cost[0], S, M,
+                moved, turned, bent,
+            )  # fmt: skip
             for i in range(n):
                 z[i] = select(better, trial[i], z[i])
                 b[i] = select(better, b2[i], b[i])

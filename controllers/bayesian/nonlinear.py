@@ -6,18 +6,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from bayesftc.controllers.bayesian.block import BayesianBlock
-from bayesftc.controllers.bayesian.extended_check import extended_consistency, make_watch
+from bayesftc.controllers.bayesian.extended_check import (
+    EXTENDED_SEERS,
+    SQUARES as SQUARES_OF_CHECK,
+    VECTORS as VECTORS_OF_CHECK,
+    ExtendedSeers,
+    extended_consistency,
+    make_watch,
+)
 from bayesftc.controllers.bayesian.free_energy import tell_linearised, tell_no_minimum
 from bayesftc.controllers.bayesian.minimise import (
     DISTANT,
     SLOPES,
     SQUARES,
     VECTORS,
+    Ahead,
+    Problem,
+    Search,
     determined,
     factorise,
     keep,
@@ -26,23 +36,35 @@ from bayesftc.controllers.bayesian.minimise import (
     make_look_ahead,
     make_minimiser,
 )
-from bayesftc.controllers.estimation.absurd import alarm_of, blame, screening
-from bayesftc.controllers.estimation.filter import MEAN_CAP, hold_variances, innovate, limit, restore
+from bayesftc.controllers.estimation.absurd import Reading, Screen, alarm_of, blame, screening
+from bayesftc.controllers.estimation.belief import SAMPLE, Learning
+from bayesftc.controllers.estimation.filter import MEAN_CAP, Belief, Limits, hold_variances, innovate, limit, restore
 from bayesftc.controllers.linalg.dense import cholesky_semidefinite, congruence
 from bayesftc.controllers.linalg.least_squares import is_finite, marginal
 from bayesftc.controllers.models.checks import Matrix, check_choice, check_number, frozen
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linear_rows import linear_rows
 from bayesftc.controllers.models.nonlinear import NonlinearModel
-from bayesftc.controllers.precision.base import NAN, Learner
+from bayesftc.controllers.precision.base import NAN, Learner, Sample, Trust
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, both, select
+from bayesftc.cosim.stepping.records import named_alike
 from bayesftc.cosim.types import Floats, Kernel
 
 
-def stay(x_hat, P, applied, following, F, B, FP, mean, covariance):
+class Bounds(NamedTuple):
+    """The largest variance of a belief, the sensors' nominal covariance, and the belief with which all begins."""
+
+    largest: Floats
+    nominal: Floats
+    initial_mean: Floats
+    initial_covariance: Floats
+
+
+def stay(belief, applied, ahead):
     """Predict that the state stays where it is (a random walk)."""
+    mean, covariance, x_hat, P = belief
     n = x_hat.shape[0]
     for i in range(n):
         mean[i] = x_hat[i]
@@ -54,11 +76,11 @@ def stay(x_hat, P, applied, following, F, B, FP, mean, covariance):
 def make_move(look_ahead: Kernel) -> Kernel:
     """Return the step function that predicts by the model, its uncertainty by the model linearised at the estimate."""
 
-    def move(x_hat, P, applied, following, F, B, FP, mean, covariance):
-        look_ahead(x_hat, applied, following, F, B)
-        for i in range(x_hat.shape[0]):
-            mean[i] = following[i]
-        congruence(F, P, FP, covariance)
+    def move(belief, applied, ahead):
+        look_ahead(belief.x_hat, applied, ahead.following, ahead.F, ahead.B)
+        for i in range(belief.x_hat.shape[0]):
+            belief.mean[i] = ahead.following[i]
+        congruence(ahead.F, belief.P, ahead.slope, belief.covariance)
 
     return move
 
@@ -67,12 +89,12 @@ def make_move(look_ahead: Kernel) -> Kernel:
 def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
     """Return the step function that takes the belief to the next step, with the control that was applied."""
 
-    def predict(
-        x_hat, P, applied, Q, nominal, largest, initial_mean, initial_covariance,
-        following, F, B, FP, reading, C, mean, covariance,
-    ):  # fmt: skip
+    def predict(belief, applied, bounds, ahead):
+        mean, covariance, x_hat, _ = belief
+        largest, nominal, initial_mean, initial_covariance = bounds
+        Q, reading, C = ahead.Q, ahead.reading, ahead.C
         n = x_hat.shape[0]
-        move(x_hat, P, applied, following, F, B, FP, mean, covariance)
+        move(belief, applied, ahead)
         for i in range(n):
             for j in range(n):
                 covariance[i, j] = covariance[i, j] + Q[i, j]
@@ -99,97 +121,135 @@ def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
     return predict
 
 
-def keep_filtered(found, point, spread_out, x_hat, P):
+def keep_filtered(found, point, spread_out, belief):
     """Carry p(x_t | y_1..t): goal and control prior leave the belief alone (``belief="filtered"``)."""
 
 
-def take_joint(found, point, spread_out, x_hat, P):
+def take_joint(found, point, spread_out, belief):
     """Carry the belief about x_t of the joint minimum, into which the goal leaks (``belief="joint"``)."""
-    n = x_hat.shape[0]
+    n = belief.x_hat.shape[0]
     for i in range(n):
-        x_hat[i] = select(found, point[i], x_hat[i])
+        belief.x_hat[i] = select(found, point[i], belief.x_hat[i])
         for j in range(n):
-            P[i, j] = select(found, spread_out[i, j], P[i, j])
+            belief.P[i, j] = select(found, spread_out[i, j], belief.P[i, j])
+
+
+class Control(NamedTuple):
+    """All that the control is inferred with, besides the `Problem`."""
+
+    wanted: Floats
+    goal_covariance: Floats
+    prior_root: Floats
+    limits: Limits
+    X: Floats
+    spread_out: Floats
+    E: Floats
+    goal_noise: Floats
+    constant: Floats
+
+
+class Nonlinear(NamedTuple):
+    """All that the estimator works with, besides the `Problem`."""
+
+    reading: Reading
+    sample: Sample
+    trust: Trust
+    belief: Belief
+    applied: Floats
+    learning: Learning
+    screen: Screen
+    seers: ExtendedSeers
+    bounds: Bounds
+    ahead: Ahead
+    reach: Floats
+    CP: Floats
+
+
+RECORDS = {
+    "est": named_alike(
+        Nonlinear,
+        reading=named_alike(Reading, expected="reading"),
+        sample=SAMPLE,
+        trust=named_alike(Trust),
+        belief=named_alike(Belief),
+        learning=named_alike(Learning),
+        screen=named_alike(Screen),
+        seers=EXTENDED_SEERS,
+        bounds=named_alike(Bounds),
+        ahead=named_alike(Ahead, slope="FP"),
+    ),
+    "problem": named_alike(Problem, y="heard"),
+    "search": named_alike(Search),
+    "decision": named_alike(Control, goal_covariance="GQ", limits=named_alike(Limits)),
+}
+"""What all these arrays are called among the ports, state, parameters and scratch space of the controller."""
 
 
 @cache
 def _make_step(
-    learn: Kernel, report: Kernel, alarm: Kernel, g: Kernel, g_jacobian: Kernel, minimise: Kernel, carry: Kernel, predict: Kernel,
-    tell: Kernel, watch: Kernel, posterior: int, first: int,
-) -> Callable[..., None]:  # fmt: skip
+    learning: tuple[Kernel, Kernel, Kernel],
+    model: tuple[Kernel, Kernel],
+    minimise: Kernel,
+    carry: Kernel,
+    predict: Kernel,
+    tell: Kernel,
+    watch: Kernel,
+    posterior: int,
+    first: int,
+) -> Callable[..., None]:
     """Return the controller's step function.
 
-    Among all outputs those of the posterior begin at the place `posterior`, the learner's own at the place `first`.
+    ``learning`` learns, reports and alarms, ``model`` is what the sensors read, and its derivatives. Among all outputs those of
+    the posterior begin at the place `posterior`, the learner's own at the place `first`.
     """
+    (learn, report, alarm), (g, g_jacobian) = learning, model
 
-    def nonlinear_bayesian_controller(
-        y, goal, u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect, outputs, work,
-        mean, covariance, applied, memory,
-        Q, nominal, G, GQ, prior_root, control_mean, settings, u_min, u_max, u_change, largest, initial_mean, initial_covariance,
-        reading, C, e, present, used, CP, spread, root, kept, wanted, noise, prior,
-        z, point, control, following, F, B, FP, residual, slopes, squares, vectors, cost, cost2, X, spread_out,
-        heard, doubts, widening, reach, plant, invalid, witnesses, patience, certain,
-        goal_noise, constant, E,
-        seer_new, seer_mean, seer_covariance, seer_sees, seer_noise, seer_error, seer_white, seer_moments, seer_settings,
-        seer_squares, seer_vectors,
-    ):  # fmt: skip
-        n, p = x_hat.shape[0], u.shape[0]
-        T = squares[0]
-        g(mean, reading)
-        g_jacobian(mean, C)
-        innovate(
-            y, reading, covariance, C, nominal, plant, invalid, witnesses, patience, largest, doubts, widening, reach,
-            heard, e, present, CP, spread, innovation,
-        )  # fmt: skip
-        learn(heard, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
-        restore(heard, reading, present, e)
-        blame(doubts, certain, fault_probability)
-        report(memory, settings, nominal, first, outputs)
-        alarm(doubts, outputs)
-        leave_out_distant(e, nominal, used)
-        cholesky_semidefinite(covariance, root)
+    def nonlinear_bayesian_controller(u, outputs, est, problem, search, decision):
+        sample, trust, belief, ahead = est.sample, est.trust, est.belief, est.ahead
+        memory, settings, work = est.learning
+        n, p, z = belief.x_hat.shape[0], u.shape[0], search.z
+        T = search.squares[0]
+        g(belief.mean, est.reading.expected)
+        g_jacobian(belief.mean, ahead.C)
+        innovate(est.reading, sample, belief, est.screen, ahead.C, est.CP, est.bounds.largest, est.reach)
+        learn(sample, trust, memory, settings, work)
+        restore(est.reading, sample)
+        blame(est.screen, trust.fault_probability)
+        report(memory, settings, sample.nominal, first, outputs)
+        alarm(est.screen.doubts, outputs)
+        leave_out_distant(sample.e, sample.nominal, trust.used)
+        cholesky_semidefinite(belief.covariance, problem.root)
 
         for i in range(p):
-            z[i] = applied[i]
+            z[i] = est.applied[i]
         for i in range(n):
             z[p + i] = 0.0
         # First the belief, by the prediction and the sensors alone; from there the control, together with the state, by goal and
         # control prior as well. A loop, for whatever is written twice is compiled twice.
         for part in range(2):
             whole = 1.0 * part
-            keep(used, goal, whole, kept, wanted)
-            factorise(R, GQ, kept, noise)
+            keep(trust.used, problem.goal, whole, problem.kept, decision.wanted)
+            factorise(trust.R, decision.goal_covariance, problem.kept, problem.noise)
             for i in range(p):
                 for j in range(p):
-                    prior[i, j] = whole * prior_root[i, j]
-            minimise(
-                z, heard, goal, kept, mean, root, noise, G, prior, control_mean,
-                point, control, reading, following, C, F, B, FP, residual, slopes, squares, vectors, cost, cost2,
-            )  # fmt: skip
-            locate(z, mean, root, point)
-            marginal(T, root, p, X, spread_out)
+                    problem.prior[i, j] = whole * decision.prior_root[i, j]
+            minimise(problem, ahead, search)
+            locate(z, belief.mean, problem.root, search.point)
+            marginal(T, problem.root, p, decision.X, decision.spread_out)
             if part == 0:
-                good = is_finite(spread_out, cost[0])
+                good = is_finite(decision.spread_out, search.cost[0])
                 for i in range(n):
-                    x_hat[i] = point[i]
+                    belief.x_hat[i] = search.point[i]
                     for j in range(n):
-                        P[i, j] = select(good, spread_out[i, j], covariance[i, j])
-        found = determined(T, cost[0], wanted, p)
+                        belief.P[i, j] = select(good, decision.spread_out[i, j], belief.covariance[i, j])
+        found = determined(T, search.cost[0], decision.wanted, p)
         for i in range(p):
             u[i] = select(found, z[i], NAN)
-        tell(found, posterior, outputs, T, root, X, cost, R, goal_noise, kept, constant, noise, E)
-        carry(found, point, spread_out, x_hat, P)
-        limit(u, applied, u_min, u_max, u_change)
-        predict(
-            x_hat, P, applied, Q, nominal, largest, initial_mean, initial_covariance,
-            following, F, B, FP, reading, C, mean, covariance,
-        )  # fmt: skip
-        watch(
-            heard, x_hat, P, applied, nominal, largest, initial_mean, initial_covariance,
-            reading, C, seer_error, CP, spread, point, spread_out, following, F, B, FP,
-            seer_new, seer_mean, seer_covariance, seer_sees, seer_noise, seer_white, seer_moments, seer_settings,
-            seer_squares, seer_vectors, model_suspect,
-        )  # fmt: skip
+        tell(found, posterior, outputs, T, trust.R, problem, search, decision)
+        carry(found, search.point, decision.spread_out, belief)
+        limit(u, est.applied, decision.limits)
+        predict(belief, est.applied, est.bounds, ahead)
+        watch(sample.y, est, search.point, decision.spread_out)
 
     return nonlinear_bayesian_controller
 
@@ -290,11 +350,8 @@ class NonlinearBayesianController(BayesianBlock):
         first = sum(port.size for port in self._own_outputs)
         move = make_move(look_ahead) if self.prediction == "model" else stay
         kernel = _make_step(
-            learner.step,
-            learner.report,
-            alarm_of(learner, first),
-            model.g,
-            of_g,
+            (learner.step, learner.report, alarm_of(learner, first)),
+            (model.g, of_g),
             make_minimiser(model.g, of_g, look_ahead, iterations),
             take_joint if self.belief == "joint" else keep_filtered,
             make_predict(model.g, of_g, move),
@@ -314,20 +371,27 @@ class NonlinearBayesianController(BayesianBlock):
             "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
         }  # fmt: skip
         unknowns, equations = p + n, m + g
-        scratch = {
-            "reading": (m,), "C": (m, n), "e": (m,), "present": (m,), "used": (m,), "CP": (m, n), "spread": (m, m),
-            "root": (n, n), "kept": (equations,), "wanted": (g,), "noise": (equations, equations), "point": (n,), "control": (p,),
-            "following": (n,), "F": (n, n), "B": (n, p), "FP": (n, n), "residual": (equations,), "cost": (1,), "cost2": (1,),
-            "X": (n, n), "spread_out": (n, n), "prior": (p, p), "E": (p, p + n) if told else (1, 1),
-            "z": (unknowns,), "slopes": (SLOPES, equations, unknowns), "squares": (SQUARES, unknowns, unknowns),
+        sizes: dict[str, tuple[int, ...]] = {
+            **dict.fromkeys(("heard", "e", "present", "used", "reading", "seer_error"), (m,)),
+            **dict.fromkeys(("root", "F", "FP", "X", "spread_out"), (n, n)),
+            **dict.fromkeys(("C", "CP"), (m, n)),
+            **dict.fromkeys(("reach", "cost", "cost2"), (1,)),
+            **dict.fromkeys(("point", "following"), (n,)),
+            **dict.fromkeys(("kept", "residual"), (equations,)),
+            **{"spread": (m, m), "wanted": (g,), "noise": (equations, equations), "control": (p,), "B": (n, p)},
+            **{"prior": (p, p), "E": (p, p + n) if told else (1, 1), "z": (unknowns,), "work": (learner.work, m, m)},
+            "slopes": (SLOPES, equations, unknowns),
+            "squares": (SQUARES, unknowns, unknowns),
             "vectors": (VECTORS, unknowns),
-        }  # fmt: skip
+            "seer_squares": (SQUARES_OF_CHECK, n, n),
+            "seer_vectors": (VECTORS_OF_CHECK, max(n, m)),
+        }
         state = {
             "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            "work": np.zeros((learner.work, m, m)), **{name: np.zeros(shape) for name, shape in scratch.items()},
             **screens, **watching,
         }  # fmt: skip
-        return Definition(kernel, state=state, parameters=parameters)
+        scratch = {name: np.zeros(shape) for name, shape in sizes.items()}
+        return Definition(kernel, state=state, parameters=parameters, scratch=scratch, records=RECORDS)
 
 
 __all__ = ["NonlinearBayesianController"]

@@ -6,7 +6,6 @@ zero, and only the errors are simulated: the belief's mean is the error of the b
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from bayesftc.controllers.bayesian.estimator import StateEstimator
 from bayesftc.controllers.estimation.innovation import slowest, steady_covariance
 from bayesftc.cosim.stepping.batch_ops import OPERATIONS
 from bayesftc.cosim.stepping.tracing import rebound
+from bayesftc.cosim.types import argument_names
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
@@ -72,14 +72,14 @@ class EstimatorRuns:
         assert definition.output is not None
         assert definition.update is not None
         self._steps = [rebound(kernel, OPERATIONS) for kernel in (definition.output, definition.update)]
-        self._names = [list(inspect.signature(kernel).parameters) for kernel in (definition.output, definition.update)]
+        self._names = [argument_names(kernel) for kernel in (definition.output, definition.update)]
         self._fixed: dict[str, Any] = {
             name: np.atleast_1d(np.asarray(value, float)) for name, value in definition.parameters.items()
         }
         ports = (*estimator.inputs, *estimator.outputs)
         initial = {
             **{port.name: np.zeros(port.shape) for port in ports},
-            **{name: np.asarray(value, float) for name, value in definition.state.items()},
+            **{name: np.asarray(value, float) for name, value in {**definition.state, **definition.scratch}.items()},
             "outputs": np.zeros(sum(port.size for port in estimator.outputs)),
         }
         R = model.matrix("sensor_covariance").copy()

@@ -98,7 +98,7 @@ class Judge:
             u, s, _ = np.linalg.svd(
                 self.part(white, k)[-self.model.moving.states * len(self.seen.begins) :].T, full_matrices=False
             )
-            found.append(u[:, s > 1e-9 * max(s[0], 1e-300)])
+            found.append(u[:, s > 1e-9 * s.max(initial=1e-300)])
         return found
 
     def free(self, white: Floats, k: int, begin: list[Floats]) -> Floats:

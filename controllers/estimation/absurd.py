@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -55,70 +55,119 @@ COUNT, LAST, HEARD, ABSURD = range(4)
 has been an ordinary one, and whether this one is absurd."""
 
 
-def widen(covariance, plant, widening):
+class Reading(NamedTuple):
+    """What the m sensors deliver, what the belief expects of them, and the difference as it is reported (NaN: no sample)."""
+
+    y: Floats
+    expected: Floats
+    innovation: Floats
+
+
+class Screen(NamedTuple):
+    """What tells absurd samples.
+
+    Attributes
+    ----------
+    plant : ndarray of n
+        Which states are the plant's own (1 or 0), not a disturbance or a sensor's error.
+    invalid : ndarray, m x any
+        Values that each device sends in place of a sample.
+    witnesses : ndarray, m x m
+        Which other sensors measure the same quantity (1 or 0).
+    patience : ndarray of 1
+        Samples for which a sensor must confirm its absurd ones.
+    certain : ndarray of 1
+        The probability of a fault of a sensor with an absurd sample.
+    doubts : ndarray, 4 x m
+        The state: rows `COUNT`, `LAST`, `HEARD`, `ABSURD`.
+    widening : ndarray of 1
+        Factor by which the belief's standard deviations are widened next.
+    """
+
+    plant: Floats
+    invalid: Floats
+    witnesses: Floats
+    patience: Floats
+    certain: Floats
+    doubts: Floats
+    widening: Floats
+
+
+def widen(covariance, screen):
     """Multiply the standard deviations of the plant's states; those of disturbances and sensors' errors stay."""
     n = covariance.shape[0]
     for i in range(n):
-        own = 1.0 + plant[i] * (widening[0] - 1.0)
+        own = 1.0 + screen.plant[i] * (screen.widening[0] - 1.0)
         for j in range(n):
-            covariance[i, j] = covariance[i, j] * (own * (1.0 + plant[j] * (widening[0] - 1.0)))
+            covariance[i, j] = covariance[i, j] * (own * (1.0 + screen.plant[j] * (screen.widening[0] - 1.0)))
 
 
-def screen(y, expected, spread, nominal, invalid, patience, widening, heard, doubts):
-    """Write the samples as they count (``heard``): NaN for one that is absurd or has an ``invalid`` value.
+def screen_samples(reading, sample, screen):
+    """Write the samples as they count: NaN for one that is absurd or has an ``invalid`` value.
 
-    ``spread`` is the covariance of what is ``expected``, ``nominal`` that of the sensors' noise. Once the belief has been
+    Once the belief has been
     widened, the samples of sensors that were absurd and have not confirmed it stay absurd at that step: a wide belief explains
     them as well.
     """
-    for i in range(y.shape[0]):
-        sample = y[i]
-        for s in range(invalid.shape[1]):
-            sample = select(y[i] == invalid[i, s], NAN, sample)
-        d = sample - expected[i]
-        unconfirmed = both(widening[0] > 1.0, both(doubts[ABSURD, i] > 0.5, doubts[COUNT, i] <= patience[0]))
-        absurd = either(d * d > EXPLICABLE * (spread[i, i] + nominal[i, i]), unconfirmed)
+    for i in range(reading.y.shape[0]):
+        told = reading.y[i]
+        for s in range(screen.invalid.shape[1]):
+            told = select(reading.y[i] == screen.invalid[i, s], NAN, told)
+        d = told - reading.expected[i]
+        unconfirmed = both(
+            screen.widening[0] > 1.0,
+            both(screen.doubts[ABSURD, i] > 0.5, screen.doubts[COUNT, i] <= screen.patience[0]),
+        )
+        absurd = either(d * d > EXPLICABLE * (sample.spread[i, i] + sample.nominal[i, i]), unconfirmed)
         absurd = both(d - d == 0.0, absurd)
-        doubts[ABSURD, i] = select(absurd, 1.0, 0.0)
-        heard[i] = select(absurd, NAN, sample)
+        screen.doubts[ABSURD, i] = select(absurd, 1.0, 0.0)
+        sample.y[i] = select(absurd, NAN, told)
 
 
-def count_doubts(y, expected, spread, nominal, heard, witnesses, patience, doubts, widening):
+def count_doubts(reading, sample, screen):
     """Count how long each sensor has confirmed its absurd samples, and compute by how much the belief is to be widened.
 
     ``widening`` is a factor of standard deviations, 1 while no sensor has confirmed its samples for longer than ``patience``.
     """
-    widening[0] = 1.0 + 0.0 * patience[0]
-    for i in range(y.shape[0]):
-        absurd, there = doubts[ABSURD, i] > 0.5, heard[i] - heard[i] == 0.0
-        contradicted = 0.0 * patience[0]
-        for j in range(y.shape[0]):
-            contradicted = select(heard[j] - heard[j] == 0.0, maximum(contradicted, witnesses[i, j]), contradicted)
-        count, last, error = doubts[COUNT, i], doubts[LAST, i], absolute(y[i] - expected[i])
-        change = absolute(y[i] - last)
-        repeated = count + select(doubts[HEARD, i] > 0.5, 0.0, REPEATED)
+    screen.widening[0] = 1.0 + 0.0 * screen.patience[0]
+    for i in range(reading.y.shape[0]):
+        absurd, there = screen.doubts[ABSURD, i] > 0.5, sample.y[i] - sample.y[i] == 0.0
+        contradicted = 0.0 * screen.patience[0]
+        for j in range(reading.y.shape[0]):
+            contradicted = select(
+                sample.y[j] - sample.y[j] == 0.0, maximum(contradicted, screen.witnesses[i, j]), contradicted
+            )
+        count, last, error = (
+            screen.doubts[COUNT, i],
+            screen.doubts[LAST, i],
+            absolute(reading.y[i] - reading.expected[i]),
+        )
+        change = absolute(reading.y[i] - last)
+        repeated = count + select(screen.doubts[HEARD, i] > 0.5, 0.0, REPEATED)
         confirmed = select(change == 0.0, repeated, select(change <= NEAR * error, count + 1.0, 1.0))
-        credible = y[i] * y[i] <= CREDIBLE * (spread[i, i] + nominal[i, i])
+        credible = reading.y[i] * reading.y[i] <= CREDIBLE * (sample.spread[i, i] + sample.nominal[i, i])
         confirmed = select(both(credible, contradicted < 0.5), confirmed, 0.0)
-        doubts[COUNT, i] = select(absurd, confirmed, select(there, 0.0, count))
-        doubts[LAST, i] = select(either(there, absurd), y[i], last)
-        doubts[HEARD, i] = select(there, 1.0, doubts[HEARD, i])
-        lost = both(absurd, both(confirmed > patience[0], spread[i, i] > 0.0))
-        widening[0] = maximum(widening[0], select(lost, error / sqrt(select(lost, spread[i, i], 1.0)), 1.0))
+        screen.doubts[COUNT, i] = select(absurd, confirmed, select(there, 0.0, count))
+        screen.doubts[LAST, i] = select(either(there, absurd), reading.y[i], last)
+        screen.doubts[HEARD, i] = select(there, 1.0, screen.doubts[HEARD, i])
+        lost = both(absurd, both(confirmed > screen.patience[0], sample.spread[i, i] > 0.0))
+        screen.widening[0] = maximum(
+            screen.widening[0], select(lost, error / sqrt(select(lost, sample.spread[i, i], 1.0)), 1.0)
+        )
 
 
-def listen(y, patience, heard, doubts):
+def listen(reading, sample, screen):
     """Let samples count that their sensor has confirmed for longer than ``patience``: for a belief without a covariance."""
-    for i in range(y.shape[0]):
-        confirmed = both(doubts[ABSURD, i] > 0.5, doubts[COUNT, i] > patience[0])
-        heard[i] = select(confirmed, y[i], heard[i])
-        doubts[ABSURD, i] = select(confirmed, 0.0, doubts[ABSURD, i])
+    for i in range(reading.y.shape[0]):
+        confirmed = both(screen.doubts[ABSURD, i] > 0.5, screen.doubts[COUNT, i] > screen.patience[0])
+        sample.y[i] = select(confirmed, reading.y[i], sample.y[i])
+        screen.doubts[ABSURD, i] = select(confirmed, 0.0, screen.doubts[ABSURD, i])
 
 
-def blame(doubts, certain, fault_probability):
+def blame(screen, fault_probability):
     """Give the sensors of absurd samples the probability ``certain``: 1, or NaN for a learner that gives no probability."""
     for i in range(fault_probability.shape[0]):
-        fault_probability[i] = select(doubts[ABSURD, i] > 0.5, certain[0], fault_probability[i])
+        fault_probability[i] = select(screen.doubts[ABSURD, i] > 0.5, screen.certain[0], fault_probability[i])
 
 
 def raise_no_alarm(doubts, outputs):
@@ -164,7 +213,7 @@ def screening(block: Any, model: LinearModel) -> tuple[dict[str, Any], dict[str,
     """
     m = model.sensors
     doubts = np.zeros((4, m))
-    state = {"heard": np.zeros(m), "doubts": doubts, "widening": 1.0, "reach": 0.0}
+    state = {"doubts": doubts, "widening": 1.0}
     plant = model.states - model.disturbances
     parameters = {
         "plant": (np.arange(model.states) < plant).astype(np.float64),

@@ -8,15 +8,17 @@ so that a wrong noise level raises nothing. The set that disagrees least decides
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from bayesftc.controllers.estimation.observers import Observers, observers
 from bayesftc.cosim.ops import absolute, both, maximum, minimum, select
+from bayesftc.cosim.stepping.records import named_alike
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.cosim.types import Floats
 
 WINDOW = 100.0
 """Samples in which the moments forget."""
@@ -40,6 +42,40 @@ LEAST = 1e-200
 """Where decay ends: numbers below the normal ones are slow, and have no reciprocal."""
 
 
+class Seers(NamedTuple):
+    """The observers of all sets of sensors.
+
+    Attributes
+    ----------
+    new : ndarray of 1
+        Decays from 1 while they are young.
+    mean, gain, whiten : ndarray
+        Each set's estimate, its observer's gain, and what whitens its innovations.
+    error : ndarray of m
+        Scratch space.
+    white, moments : ndarray
+        Each set's whitened innovations, the last ones and these, and their moments.
+    settings : ndarray
+        Weight of a sample, when they are no longer young, and for each set how its moments count.
+    suspect : ndarray of 1
+        The output ``model_suspect``.
+    """
+
+    new: Floats
+    mean: Floats
+    gain: Floats
+    whiten: Floats
+    error: Floats
+    white: Floats
+    moments: Floats
+    settings: Floats
+    suspect: Floats
+
+
+SEERS = named_alike(Seers, "seer_", suspect="model_suspect")
+"""What the arrays of the observers are called."""
+
+
 def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the state and the parameters of the check for a model and a belief before the first sample."""
     seers, n, m = observers(model), model.states, model.sensors
@@ -61,7 +97,6 @@ def moments_of(seers: Observers | None, m: int) -> tuple[dict[str, Any], list[fl
     scalars = (2.0 - weight) / weight * sizes
     state = {
         "seer_new": np.ones(1),
-        "seer_error": np.zeros(m),
         "seer_white": np.zeros((count, 2, m)),
         "seer_moments": np.concatenate(
             [np.zeros((count, m)), np.nan_to_num(sizes[:, None]), np.zeros((count, 1))], axis=1
@@ -70,83 +105,81 @@ def moments_of(seers: Observers | None, m: int) -> tuple[dict[str, Any], list[fl
     return state, [weight, settled, *(scalars / MEAN_LIMIT)]
 
 
-def check_consistency(
-    y, x_hat, C, seer_new, seer_mean, seer_error, seer_white, seer_moments, seer_gain, seer_whiten, seer_settings, model_suspect
-):  # fmt: skip
+def check_consistency(y, x_hat, C, seers):
     """Take the samples in: correct each observer, update its moments, and say how far the least doubtful set disagrees.
 
     Where a sample of a set is missing or absurd, its observer takes the controller's estimate, and its moments stay.
     """
     m, n = y.shape[0], x_hat.shape[0]
-    counts = grow_old(seer_new, seer_settings)
+    counts = grow_old(seers)
     least = 1e300 + 0.0 * counts
-    for s in range(seer_mean.shape[0]):
+    for s in range(seers.mean.shape[0]):
         for i in range(m):
             total = y[i]
             for j in range(n):
-                total = total - C[i, j] * seer_mean[s, j]
-            seer_error[i] = select(total - total == 0.0, total, UNSEEN)
+                total = total - C[i, j] * seers.mean[s, j]
+            seers.error[i] = select(total - total == 0.0, total, UNSEEN)
         for i in range(m):
-            total = seer_whiten[s, i, 0] * seer_error[0]
+            total = seers.whiten[s, i, 0] * seers.error[0]
             for j in range(1, i + 1):
-                total = total + seer_whiten[s, i, j] * seer_error[j]
-            seer_white[s, 1, i] = total
-        there = is_seen(s, seer_white)
-        least = minimum(least, disagreement(s, there, counts, seer_white, seer_moments, seer_settings))
+                total = total + seers.whiten[s, i, j] * seers.error[j]
+            seers.white[s, 1, i] = total
+        there = is_seen(s, seers.white)
+        least = minimum(least, disagreement(s, there, counts, seers))
         for j in range(n):
-            total = seer_mean[s, j]
+            total = seers.mean[s, j]
             for i in range(m):
-                total = total + seer_gain[s, j, i] * seer_error[i]
-            seer_mean[s, j] = select(there, total, x_hat[j])
-    model_suspect[0] = least / (1.0 + least)
+                total = total + seers.gain[s, j, i] * seers.error[i]
+            seers.mean[s, j] = select(there, total, x_hat[j])
+    seers.suspect[0] = least / (1.0 + least)
 
 
-def grow_old(seer_new, seer_settings):
+def grow_old(seers):
     """Count a sample, and return the weight that one has: none before the observers have forgotten where they began."""
     # What decays has a state at rest, as python-control looks for; a count of samples has none.
-    counts = select(seer_new[0] <= seer_settings[1], seer_settings[0], 0.0)
-    seer_new[0] = maximum((1.0 - seer_settings[0]) * seer_new[0], LEAST)
+    counts = select(seers.new[0] <= seers.settings[1], seers.settings[0], 0.0)
+    seers.new[0] = maximum((1.0 - seers.settings[0]) * seers.new[0], LEAST)
     return counts
 
 
-def is_seen(s, seer_white):
+def is_seen(s, white):
     """Return whether all samples of a set are there and none is absurd."""
-    there = absolute(seer_white[s, 1, 0]) < ABSURD
-    for i in range(1, seer_white.shape[2]):
-        there = both(there, absolute(seer_white[s, 1, i]) < ABSURD)
+    there = absolute(white[s, 1, 0]) < ABSURD
+    for i in range(1, white.shape[2]):
+        there = both(there, absolute(white[s, 1, i]) < ABSURD)
     return there
 
 
-def disagreement(s, there, counts, seer_white, seer_moments, seer_settings):
+def disagreement(s, there, counts, seers):
     """Update the moments of one set, and return how far it disagrees with the model: 1 is where that is suspect."""
-    m = seer_white.shape[2]
+    m = seers.white.shape[2]
     step = select(there, counts, 0.0)
     square, product, far = 0.0 * step, 0.0 * step, 0.0 * step
     for i in range(m):
-        new = select(there, seer_white[s, 1, i], 0.0)
+        new = select(there, seers.white[s, 1, i], 0.0)
         square = square + new * new
-        product = product + new * seer_white[s, 0, i]
-        seer_white[s, 0, i] = new
-        mean = seer_moments[s, i] + step * (new - seer_moments[s, i])
-        seer_moments[s, i] = mean
+        product = product + new * seers.white[s, 0, i]
+        seers.white[s, 0, i] = new
+        mean = seers.moments[s, i] + step * (new - seers.moments[s, i])
+        seers.moments[s, i] = mean
         far = far + mean * mean
-    square = maximum(seer_moments[s, m] + step * (square - seer_moments[s, m]), LEAST)
-    product = seer_moments[s, m + 1] + step * (product - seer_moments[s, m + 1])
-    seer_moments[s, m], seer_moments[s, m + 1] = square, product
+    square = maximum(seers.moments[s, m] + step * (square - seers.moments[s, m]), LEAST)
+    product = seers.moments[s, m + 1] + step * (product - seers.moments[s, m + 1])
+    seers.moments[s, m], seers.moments[s, m + 1] = square, product
     small, alike = 1.0 / square, maximum(product, 0.0)
-    return seer_settings[2 + s] * small * maximum(far, STRICTER * alike * alike * small)
+    return seers.settings[2 + s] * small * maximum(far, STRICTER * alike * alike * small)
 
 
-def follow(effective, A, B, J, seer_mean):
+def follow(effective, A, B, row, seers):
     """Take each observer to the next sample, with the control that arrives."""
     n = A.shape[0]
-    for s in range(seer_mean.shape[0]):
+    for s in range(seers.mean.shape[0]):
         for i in range(n):
-            total = A[i, 0] * seer_mean[s, 0]
+            total = A[i, 0] * seers.mean[s, 0]
             for j in range(1, n):
-                total = total + A[i, j] * seer_mean[s, j]
+                total = total + A[i, j] * seers.mean[s, j]
             for j in range(B.shape[1]):
                 total = total + B[i, j] * effective[j]
-            J[0, i] = total
+            row[i] = total
         for i in range(n):
-            seer_mean[s, i] = J[0, i]
+            seers.mean[s, i] = row[i]

@@ -5,7 +5,7 @@ Learners see the prediction through the sensors only: the innovations e and thei
 update of the belief as far as sensors can see it.
 """
 
-from bayesftc.controllers.estimation.filter import measure
+from bayesftc.controllers.estimation.filter import Belief, UpdateSpace, measure
 from bayesftc.controllers.linalg.dense import cholesky_semidefinite, congruence
 from bayesftc.controllers.precision.base import ERROR_CAP
 from bayesftc.cosim.ops import maximum, minimum, sqrt
@@ -38,10 +38,8 @@ def errors_after(present, R, work):
         zero[0, i] = 0.0
         for j in range(m):
             identity[i, j] = 1.0 if i == j else 0.0
-    measure(
-        work[2][0], present, R, F, zero[0], identity, work[8], work[9], work[10][0], work[11][0], r[0], work[12], work[13],
-        z[0], P,
-    )  # fmt: skip
+    space = UpdateSpace(work[8], work[9], work[10][0], work[11][0], r[0], work[12], work[13])
+    measure(work[2][0], present, R, F, Belief(zero[0], identity, z[0], P), space)
     congruence(F, P, work[12], work[0])
     for i in range(m):
         r[0, i] = work[2][0, i]

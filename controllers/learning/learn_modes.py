@@ -214,7 +214,7 @@ def _expect(
     )  # fmt: skip
     for k, mode in enumerate(modes):
         if isinstance(mode, Offset):
-            squares = (float(size) ** 2 for size in (mode.jump, mode.slope, mode.walk))
+            squares = (float(size) * float(size) for size in (mode.jump, mode.slope, mode.walk))
             offsets(begun, lasts, e, variance, nominal, k, *squares, sizes[k])
         elif isinstance(mode, Noisier):
             gamma = float(mode.shape), float(mode.shape * mode.scale**2), float(mode.forgetting)

@@ -5,11 +5,9 @@ To write a precision learner you must:
 1. make it a frozen dataclass of plain settings, a subclass of `PrecisionLearner`;
 2. return from ``learner(model)`` a `Learner`: the learning step function, its memory before the first sample and its settings
    (flat arrays, for a learner that `ExplicitDetection` may wrap; its own are tables);
-3. write the learning step function with exactly the arguments of `keep_nominal` below. It sees the samples ``y``, the
-   innovations ``e``, which samples are ``present`` (1 or 0), the belief's own uncertainty ``spread`` = C P C' and the nominal
-   sensor covariance; it updates ``memory`` and writes the sensor covariance ``R`` for this very sample, which sensors are
-   ``used`` (1 or 0), and the outputs ``precision``, ``beta`` and ``fault_probability`` for each sensor. ``work`` is scratch
-   space: as many m x m matrices as the `Learner` asks for, ``work[0]``, ``work[1]``, ...;
+3. write the learning step function with exactly the arguments of `keep_nominal` below. It sees a `Sample`, updates ``memory``
+   and writes a `Trust`. ``work`` is scratch space: as many m x m matrices as the `Learner` asks for, ``work[0]``, ``work[1]``,
+   ...;
 4. if it believes more than these outputs say (moments of the precision), name them as ``ports`` of the `Learner` and write
    them in a ``report`` function with the arguments of `report_nothing` below: they become outputs of the controller;
 5. if its ``fault_probability`` is NaN, say why in ``why_no_probability``: ``bayesftc run`` prints that sentence;
@@ -29,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -49,6 +47,50 @@ RATE_FLOOR = 1e-12
 
 TOGETHER = "take a BayesianController with belief='filtered' or a StateEstimator"
 """What learns precisions together with the state."""
+
+
+class Sample(NamedTuple):
+    """What all m sensors say at one time, and what was expected of them; a learner reads it.
+
+    Attributes
+    ----------
+    y : ndarray of m
+        The samples; NaN where there is none.
+    e : ndarray of m
+        The innovations: samples minus what the belief expects; 0 where there is no sample.
+    present : ndarray of m
+        Whether there is a sample (1 or 0).
+    spread : ndarray, m x m
+        The belief's own uncertainty, as the sensors see it: C P C'.
+    nominal : ndarray, m x m
+        The sensor covariance of the model.
+    """
+
+    y: Floats
+    e: Floats
+    present: Floats
+    spread: Floats
+    nominal: Floats
+
+
+class Trust(NamedTuple):
+    """How far the sensors are trusted at one time; a learner writes it.
+
+    Attributes
+    ----------
+    R : ndarray, m x m
+        The sensor covariance for this very sample.
+    used : ndarray of m
+        Whether the update uses the sensor (1 or 0).
+    precision, beta, fault_probability : ndarray of m
+        The controller's outputs of these names.
+    """
+
+    R: Floats
+    used: Floats
+    precision: Floats
+    beta: Floats
+    fault_probability: Floats
 
 
 def report_nothing(memory, settings, nominal, first, outputs):
@@ -137,15 +179,15 @@ class PrecisionLearner:
         return None
 
 
-def keep_nominal(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+def keep_nominal(sample, trust, memory, settings, work):
     """Trust every sensor as the model says."""
-    for i in range(y.shape[0]):
-        for j in range(y.shape[0]):
-            R[i, j] = nominal[i, j]
-        used[i] = present[i]
-        precision[i] = 1.0 / nominal[i, i]
-        beta[i] = settings[0]
-        fault_probability[i] = settings[0]
+    for i in range(sample.y.shape[0]):
+        for j in range(sample.y.shape[0]):
+            trust.R[i, j] = sample.nominal[i, j]
+        trust.used[i] = sample.present[i]
+        trust.precision[i] = 1.0 / sample.nominal[i, i]
+        trust.beta[i] = settings[0]
+        trust.fault_probability[i] = settings[0]
 
 
 @dataclass(frozen=True)

@@ -23,30 +23,31 @@ EFFDI_QUANTILE_999 = 19.76
 """The 99.9 % quantile of EF-FDI's statistic without fault, in standard deviations of the sensor's noise (checked by a test)."""
 
 
-def _decide(i, ignored, nominal, nan, R, used, present, precision, beta, fault_probability):
-    for j in range(R.shape[0]):
-        R[i, j] = nominal[i, j]
-    R[i, i] = select(ignored, INFINITE, nominal[i, i])  # so that the output R says that it is left out
-    trusted = both(present > 0.5, negate(ignored))
-    used[i] = select(trusted, 1.0, 0.0)
-    precision[i] = select(ignored, 0.0, 1.0 / nominal[i, i])
-    beta[i] = nan
-    fault_probability[i] = select(present > 0.5, select(ignored, 1.0, 0.0), nan)
+def _decide(i, ignored, nan, sample, trust):
+    variance = sample.nominal[i, i]
+    for j in range(sample.y.shape[0]):
+        trust.R[i, j] = sample.nominal[i, j]
+    trust.R[i, i] = select(ignored, INFINITE, variance)  # so that the output R says that it is left out
+    trusted = both(sample.present[i] > 0.5, negate(ignored))
+    trust.used[i] = select(trusted, 1.0, 0.0)
+    trust.precision[i] = select(ignored, 0.0, 1.0 / variance)
+    trust.beta[i] = nan
+    trust.fault_probability[i] = select(sample.present[i] > 0.5, select(ignored, 1.0, 0.0), nan)
 
 
-def learn_effdi(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+def learn_effdi(sample, trust, memory, settings, work):
     """``memory``: for each sensor the last two samples, the last two r, and the steps for which it is still ignored."""
-    for i in range(y.shape[0]):
+    for i in range(sample.y.shape[0]):
         at = 5 * i
-        r = absolute(y[i] - 2.0 * memory[at] + memory[at + 1])
-        jumped = r + memory[at + 2] + memory[at + 3] > settings[0] * sqrt(nominal[i, i])
+        r = absolute(sample.y[i] - 2.0 * memory[at] + memory[at + 1])
+        jumped = r + memory[at + 2] + memory[at + 3] > settings[0] * sqrt(sample.nominal[i, i])
         left = select(jumped, settings[1], memory[at + 4])
         memory[at + 1] = memory[at]
-        memory[at] = y[i]
+        memory[at] = sample.y[i]
         memory[at + 3] = memory[at + 2]
         memory[at + 2] = r
         memory[at + 4] = maximum(left - 1.0, 0.0)
-        _decide(i, left > 0.5, nominal, settings[2], R, used, present[i], precision, beta, fault_probability)
+        _decide(i, left > 0.5, settings[2], sample, trust)
 
 
 @dataclass(frozen=True)
@@ -80,29 +81,26 @@ class EFFDI(PrecisionLearner):
         return Learner(learn_effdi, memory, np.array([self.threshold, steps, np.nan]))
 
 
-def learn_serfdi(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+def learn_serfdi(sample, trust, memory, settings, work):
     """Compare each innovation with its standard deviation."""
-    for i in range(y.shape[0]):
-        ignored = absolute(e[i]) > settings[0] * sqrt(spread[i, i] + nominal[i, i])
-        _decide(i, ignored, nominal, settings[1], R, used, present[i], precision, beta, fault_probability)
+    for i in range(sample.y.shape[0]):
+        ignored = absolute(sample.e[i]) > settings[0] * sqrt(sample.spread[i, i] + sample.nominal[i, i])
+        _decide(i, ignored, settings[1], sample, trust)
 
 
-def infer_by_filterpy(
-    y, e, present, nominal, A, B, C, Q, applied, mean, covariance, largest, memory, settings,
-    R, used, precision, beta, fault_probability, works, load, x_hat, P,
-):  # fmt: skip
+def infer_by_filterpy(sample, trust, belief, model, actuators, learning, reach):
     """Predict, decide and update by filterpy's Kalman filter. ``memory``: whether it has begun, its mean, its covariance."""
-    n = len(A)
+    n, memory, settings = len(model.A), learning.memory, learning.settings
     if memory[0]:
-        kf = reference_filter(A, B, Q, memory[1 : n + 1], memory[n + 1 :].reshape(n, n))
-        kf.predict(u=applied.reshape(-1, 1))
+        kf = reference_filter(model.A, model.B, model.Q, memory[1 : n + 1], memory[n + 1 :].reshape(n, n))
+        kf.predict(u=actuators.applied.reshape(-1, 1))
     else:
-        kf = reference_filter(A, B, Q, mean, covariance)
-    ignored = update_by_ser(kf, y, C, nominal, settings[0])
-    x_hat[:], P[:] = kf.x[:, 0], kf.P
-    memory[0], memory[1 : n + 1], memory[n + 1 :] = 1.0, x_hat, P.ravel()
-    for i in range(len(y)):
-        _decide(i, ignored[i], nominal, settings[1], R, used, present[i], precision, beta, fault_probability)
+        kf = reference_filter(model.A, model.B, model.Q, belief.mean, belief.covariance)
+    ignored = update_by_ser(kf, sample.y, model.C, sample.nominal, settings[0])
+    belief.x_hat[:], belief.P[:] = kf.x[:, 0], kf.P
+    memory[0], memory[1 : n + 1], memory[n + 1 :] = 1.0, belief.x_hat, belief.P.ravel()
+    for i in range(len(sample.y)):
+        _decide(i, ignored[i], settings[1], sample, trust)
 
 
 @dataclass(frozen=True)

@@ -47,28 +47,30 @@ def _write(table, row, place, value):
     table[row + place // table.shape[1], place % table.shape[1]] = value
 
 
-def _exceeds(at, e, present, spread, nominal, settings, L, v):
+def _exceeds(at, sample, settings, L, v):
     """Return whether the distance of a group's present sensors has reached its bound; the group's settings begin at `at`.
 
     Other sensors stand in the matrix as independent ones without an error.
     """
-    m = e.shape[0]
+    m = sample.e.shape[0]
     means = at + _MEMBERS + m
     learned = _read(settings, _OWN_SETTINGS, at + _LEARNED) > 0.5
-    here = 0.0 * present[0]
-    members = 0.0 * present[0]
+    here = 0.0 * sample.present[0]
+    members = 0.0 * sample.present[0]
     for i in range(m):
-        member = _read(settings, _OWN_SETTINGS, at + _MEMBERS + i) * present[i] > 0.5
+        member = _read(settings, _OWN_SETTINGS, at + _MEMBERS + i) * sample.present[i] > 0.5
         members = members + _read(settings, _OWN_SETTINGS, at + _MEMBERS + i)
         here = here + select(member, 1.0, 0.0)
         for j in range(m):
-            together = both(member, _read(settings, _OWN_SETTINGS, at + _MEMBERS + j) * present[j] > 0.5)
+            together = both(member, _read(settings, _OWN_SETTINGS, at + _MEMBERS + j) * sample.present[j] > 0.5)
             expected = select(
-                learned, _read(settings, _OWN_SETTINGS, means + m + i * m + j), spread[i, j] + nominal[i, j]
+                learned,
+                _read(settings, _OWN_SETTINGS, means + m + i * m + j),
+                sample.spread[i, j] + sample.nominal[i, j],
             )
             L[i, j] = select(together, expected, 1.0 if i == j else 0.0)
         largest = FURTHEST * sqrt(L[i, i])
-        error = maximum(minimum(e[i] - _read(settings, _OWN_SETTINGS, means + i), largest), -largest)
+        error = maximum(minimum(sample.e[i] - _read(settings, _OWN_SETTINGS, means + i), largest), -largest)
         v[0, i] = select(member, error, 0.0)
     cholesky(L, L)
     squared = 0.0 * v[0, 0]
@@ -90,25 +92,23 @@ def _make_steps(
     Its work matrices end before `scratch`, its own reports before `first_own`.
     """
 
-    def learn_while_detected(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_while_detected(sample, trust, memory, settings, work):
         """Look for faults, let the wrapped learner see the sample, and use what it says if there is a fault."""
-        m = y.shape[0]
-        before = 0.0 * nominal[0, 0]
+        m = sample.y.shape[0]
+        before = 0.0 * sample.nominal[0, 0]
         for g in range(groups):
             before = maximum(before, _read(memory, _OWN_MEMORY, g))
         for i in range(memory.shape[1]):
             memory[0, i] = select(before > 0.5, memory[0, i], memory[_PRIOR, i])
         for i in range(m):
-            _write(memory, _OWN_MEMORY, 2 * groups + i, 0.0 * nominal[0, 0])
-        detected = 0.0 * nominal[0, 0]
+            _write(memory, _OWN_MEMORY, 2 * groups + i, 0.0 * sample.nominal[0, 0])
+        detected = 0.0 * sample.nominal[0, 0]
         for g in range(groups):
             at = _GROUPS + g * (_MEMBERS + 2 * m + m * m)
-            seen = 0.0 * nominal[0, 0]  # a group of which no sensor delivered a sample stays as it is
+            seen = 0.0 * sample.nominal[0, 0]  # a group of which no sensor delivered a sample stays as it is
             for i in range(m):
-                seen = maximum(seen, present[i] * _read(settings, _OWN_SETTINGS, at + _MEMBERS + i))
-            exceeds = _exceeds(at, e, present, spread, nominal, settings, work[scratch], work[scratch + 1])
+                seen = maximum(seen, sample.present[i] * _read(settings, _OWN_SETTINGS, at + _MEMBERS + i))
+            exceeds = _exceeds(at, sample, settings, work[scratch], work[scratch + 1])
             quiet = _read(memory, _OWN_MEMORY, groups + g) + seen
             quiet = select(exceeds, 0.0, quiet)
             recovered = quiet >= _read(settings, _OWN_SETTINGS, _HOLD)
@@ -120,12 +120,12 @@ def _make_steps(
                 member = active * _read(settings, _OWN_SETTINGS, at + _MEMBERS + i)
                 place = 2 * groups + i
                 _write(memory, _OWN_MEMORY, place, maximum(member, _read(memory, _OWN_MEMORY, place)))
-        learn(y, e, present, spread, nominal, memory[0], settings[0], work, R, used, precision, beta, fault_probability)
+        learn(sample, trust, memory[0], settings[0], work)
         for i in range(m):
             for j in range(m):
-                R[i, j] = select(detected > 0.5, R[i, j], nominal[i, j])
-            used[i] = select(detected > 0.5, used[i], present[i])
-            precision[i] = select(detected > 0.5, precision[i], 1.0 / nominal[i, i])
+                trust.R[i, j] = select(detected > 0.5, trust.R[i, j], sample.nominal[i, j])
+            trust.used[i] = select(detected > 0.5, trust.used[i], sample.present[i])
+            trust.precision[i] = select(detected > 0.5, trust.precision[i], 1.0 / sample.nominal[i, i])
 
     def report_detected(memory, settings, nominal, first, outputs):
         """Write what the wrapped learner reports, then for each sensor whether a fault is detected."""

@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 _FORGETTING, _SHAPE0, _TO_PRIOR, _BELIEF, _MODE, _SLOPE, _INTERCEPT = range(7)
 
 
-def _squared(i, e, spread, nominal, settings):
-    squared = e[i] * e[i] + settings[_BELIEF] * spread[i, i]
-    return minimum(squared, ERROR_CAP * nominal[i, i])
+def _squared(i, sample, settings):
+    squared = sample.e[i] * sample.e[i] + settings[_BELIEF] * sample.spread[i, i]
+    return minimum(squared, ERROR_CAP * sample.nominal[i, i])
 
 
-def _report(i, a, b, settings, present, probability, R, used, precision, beta, fault_probability):
+def _report(i, a, b, settings, present, probability, trust):
     """Turn shape and rate of sensor `i` into its precision, covariance, beta and probability."""
-    for j in range(R.shape[0]):
-        R[i, j] = 0.0
-        R[j, i] = 0.0
+    for j in range(trust.R.shape[0]):
+        trust.R[i, j] = 0.0
+        trust.R[j, i] = 0.0
     w = (a - settings[_MODE]) / b
-    R[i, i] = 1.0 / w
-    used[i] = present
-    precision[i] = w
-    beta[i] = b
-    fault_probability[i] = select(present > 0.5, probability, NAN)
+    trust.R[i, i] = 1.0 / w
+    trust.used[i] = present
+    trust.precision[i] = w
+    trust.beta[i] = b
+    trust.fault_probability[i] = select(present > 0.5, probability, NAN)
 
 
 MOMENTS = ("shape", "rate", "mean", "mode", "variance")
@@ -68,53 +68,49 @@ def report_gamma(memory, settings, nominal, first, outputs):
 
 @cache
 def _forgetting_learner(to_probability: Callable[..., float]) -> Callable[..., None]:
-    def learn_gamma(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_gamma(sample, trust, memory, settings, work):
         """Forget, then learn from this sample: shape + 1/2, rate + e^2 / 2 (paper, section 3.2). ``memory``: shapes, rates.
 
         Without a sample the distribution decays towards its prior; one that decays towards zero waits instead, for the shape
         must not vanish.
         """
-        m = y.shape[0]
+        m = sample.y.shape[0]
         a0 = settings[_SHAPE0]
         for i in range(m):
-            b0 = a0 * nominal[i, i]
-            sampled = present[i] > 0.5
+            b0 = a0 * sample.nominal[i, i]
+            sampled = sample.present[i] > 0.5
             rho = select(either(sampled, settings[_TO_PRIOR] > 0.5), settings[_FORGETTING], 1.0)
             back = settings[_TO_PRIOR] * (1.0 - rho)
-            a = rho * memory[i] + back * a0 + 0.5 * present[i]
+            a = rho * memory[i] + back * a0 + 0.5 * sample.present[i]
             b = rho * memory[m + i] + back * b0
-            b = b + select(sampled, 0.5 * _squared(i, e, spread, nominal, settings), 0.0)
+            b = b + select(sampled, 0.5 * _squared(i, sample, settings), 0.0)
             b = maximum(b, RATE_FLOOR * b0)
             memory[i] = a
             memory[m + i] = b
             probability = to_probability(b / b0, settings[_SLOPE], settings[_INTERCEPT])
-            _report(i, a, b, settings, present[i], probability, R, used, precision, beta, fault_probability)
+            _report(i, a, b, settings, sample.present[i], probability, trust)
 
     return learn_gamma
 
 
 @cache
 def _window_learner(to_probability: Callable[..., float]) -> Callable[..., None]:
-    def learn_gamma_window(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_gamma_window(sample, trust, memory, settings, work):
         """Learn from the last samples only.
 
         ``memory``: for each sensor a shift register of e^2; then of 1 for a sample; then shapes, rates.
         """
-        m = y.shape[0]
+        m = sample.y.shape[0]
         length = memory.shape[0] // (2 * m) - 1
         a0 = settings[_SHAPE0]
         for i in range(m):
-            b0 = a0 * nominal[i, i]
+            b0 = a0 * sample.nominal[i, i]
             errors, counts = i * length, (m + i) * length
             for s in range(length - 1):
                 memory[errors + length - 1 - s] = memory[errors + length - 2 - s]
                 memory[counts + length - 1 - s] = memory[counts + length - 2 - s]
-            memory[errors] = select(present[i] > 0.5, _squared(i, e, spread, nominal, settings), 0.0)
-            memory[counts] = present[i]
+            memory[errors] = select(sample.present[i] > 0.5, _squared(i, sample, settings), 0.0)
+            memory[counts] = sample.present[i]
             a, b = a0, b0
             for s in range(length):
                 a = a + 0.5 * memory[counts + s]
@@ -122,7 +118,7 @@ def _window_learner(to_probability: Callable[..., float]) -> Callable[..., None]
             memory[2 * m * length + i] = a
             memory[2 * m * length + m + i] = b
             probability = to_probability(b / b0, settings[_SLOPE], settings[_INTERCEPT])
-            _report(i, a, b, settings, present[i], probability, R, used, precision, beta, fault_probability)
+            _report(i, a, b, settings, sample.present[i], probability, trust)
 
     return learn_gamma_window
 

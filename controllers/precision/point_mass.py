@@ -41,27 +41,25 @@ def descend(w, squared, rate):
 
 @cache
 def _learner(step_down: Callable[..., float]) -> Callable[..., None]:
-    def learn_point_mass(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_point_mass(sample, trust, memory, settings, work):
         """Take one gradient step for each sensor that delivered a sample. ``memory``: relative precisions."""
-        m = y.shape[0]
+        m = sample.y.shape[0]
         for i in range(m):
             w = memory[i]
-            squared = minimum(e[i] * e[i] / nominal[i, i], ERROR_CAP)
+            squared = minimum(sample.e[i] * sample.e[i] / sample.nominal[i, i], ERROR_CAP)
             best = 1.0 / squared  # where this sample's free energy is least; infinite for an error of 0
             stepped = step_down(w, squared, settings[RATE])
             stepped = select(w > best, maximum(stepped, best), minimum(stepped, best))
             stepped = minimum(maximum(stepped, settings[LEAST]), settings[MOST])
-            w = select(present[i] > 0.5, stepped, w)
+            w = select(sample.present[i] > 0.5, stepped, w)
             memory[i] = w
             for j in range(m):
-                R[i, j] = 0.0
-            R[i, i] = nominal[i, i] / w
-            used[i] = present[i]
-            precision[i] = w / nominal[i, i]
-            beta[i] = NAN
-            fault_probability[i] = NAN
+                trust.R[i, j] = 0.0
+            trust.R[i, i] = sample.nominal[i, i] / w
+            trust.used[i] = sample.present[i]
+            trust.precision[i] = w / sample.nominal[i, i]
+            trust.beta[i] = NAN
+            trust.fault_probability[i] = NAN
 
     return learn_point_mass
 

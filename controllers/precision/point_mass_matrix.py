@@ -40,21 +40,33 @@ WORK = 6
 """How many m x m matrices of scratch space it needs."""
 
 
-def learn_matrix(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+def learn_matrix(sample, trust, memory, settings, work):
     """Take one gradient step by the samples that there are. ``memory``: one unused number, the covariance, its inverse."""
-    m = y.shape[0]
+    m = sample.y.shape[0]
     for i in range(m):
         for j in range(m):
-            R[i, j] = memory[1 + i * m + j]
-    _descend(e, present, nominal, settings, R, work[0], work[1], work[2], work[3][0], work[4][0], work[5][0])
-    _bound(nominal, settings, R, work[0], work[1], work[2], work[3], work[4], work[5])
+            trust.R[i, j] = memory[1 + i * m + j]
+    _descend(
+        sample.e,
+        sample.present,
+        sample.nominal,
+        settings,
+        trust.R,
+        work[0],
+        work[1],
+        work[2],
+        work[3][0],
+        work[4][0],
+        work[5][0],
+    )
+    _bound(sample.nominal, settings, trust.R, work[0], work[1], work[2], work[3], work[4], work[5])
     for i in range(m):
         for j in range(m):
-            memory[1 + i * m + j] = R[i, j]
-        used[i] = present[i]
-        precision[i] = 1.0 / R[i, i]
-        beta[i] = NAN
-        fault_probability[i] = NAN
+            memory[1 + i * m + j] = trust.R[i, j]
+        trust.used[i] = sample.present[i]
+        trust.precision[i] = 1.0 / trust.R[i, i]
+        trust.beta[i] = NAN
+        trust.fault_probability[i] = NAN
     invert(memory, work[0], work[1])
 
 

@@ -42,16 +42,17 @@ def mahalanobis(present, nominal, E, L):
     return maximum(minimum(total, ERROR_CAP), 0.0)
 
 
-def use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability):
+def use_weights(weights, joint, sample, trust):
     """Divide the nominal covariance by the weights: one for all sensors, or one for each variance, uncorrelated."""
+    nominal = sample.nominal
     m = nominal.shape[0]
     for i in range(m):
         for j in range(m):
-            R[i, j] = select(joint > 0.5, nominal[i, j], nominal[i, i] if i == j else 0.0) / weights[0, i]
-        used[i] = present[i]
-        precision[i] = 1.0 / R[i, i]
-        beta[i] = NAN
-        fault_probability[i] = NAN
+            trust.R[i, j] = select(joint > 0.5, nominal[i, j], nominal[i, i] if i == j else 0.0) / weights[0, i]
+        trust.used[i] = sample.present[i]
+        trust.precision[i] = 1.0 / trust.R[i, i]
+        trust.beta[i] = NAN
+        trust.fault_probability[i] = NAN
 
 
 def report_weights(memory, settings, nominal, first, outputs):
@@ -66,50 +67,48 @@ _JOINT, _PARAMETER = range(2)
 
 @cache
 def _student_learner(iterations: int) -> Callable[..., None]:
-    def learn_student(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_student(sample, trust, memory, settings, work):
         """Iterate between the belief and the samples' weights. ``memory``: the weights, for the report."""
-        m = y.shape[0]
+        m = sample.y.shape[0]
         joint, freedom = settings[_JOINT], settings[_PARAMETER]
         weights, E = work[14], work[0]
-        prepare(e, spread, nominal, work)
-        count = 0.0 * present[0]
+        prepare(sample.e, sample.spread, sample.nominal, work)
+        count = 0.0 * sample.present[0]
         for i in range(m):
-            count = count + present[i]
+            count = count + sample.present[i]
             weights[0, i] = 1.0
         for _ in range(iterations):
-            use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability)
-            errors_after(present, R, work)
+            use_weights(weights, joint, sample, trust)
+            errors_after(sample.present, trust.R, work)
             for i in range(m):
-                squared = minimum(E[i, i] / nominal[i, i], ERROR_CAP)
-                weights[0, i] = select(present[i] > 0.5, (1.0 + freedom) / (freedom + squared), 1.0)
-            together = mahalanobis(present, nominal, E, work[12])
+                squared = minimum(E[i, i] / sample.nominal[i, i], ERROR_CAP)
+                weights[0, i] = select(sample.present[i] > 0.5, (1.0 + freedom) / (freedom + squared), 1.0)
+            together = mahalanobis(sample.present, sample.nominal, E, work[12])
             for i in range(m):
                 common = select(count > 0.5, (count + freedom) / (freedom + together), 1.0)
                 weights[0, i] = select(joint > 0.5, common, weights[0, i])
-        use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability)
+        use_weights(weights, joint, sample, trust)
         for i in range(m):
             memory[i] = weights[0, i]
 
     return learn_student
 
 
-def learn_weighted(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
+def learn_weighted(sample, trust, memory, settings, work):
     """Weigh each sample by its innovation. ``memory``: the weights, for the report."""
-    m = y.shape[0]
+    m = sample.y.shape[0]
     joint, c2 = settings[_JOINT], settings[_PARAMETER] * settings[_PARAMETER]
     weights, E = work[0], work[1]
     for i in range(m):
         for j in range(m):
-            a, b = sqrt(ERROR_CAP * nominal[i, i]), sqrt(ERROR_CAP * nominal[j, j])
-            E[i, j] = maximum(minimum(e[i], a), -a) * maximum(minimum(e[j], b), -b)
-        weights[0, i] = c2 / (c2 + E[i, i] / nominal[i, i])
-    together = mahalanobis(present, nominal, E, work[2])
+            a, b = sqrt(ERROR_CAP * sample.nominal[i, i]), sqrt(ERROR_CAP * sample.nominal[j, j])
+            E[i, j] = maximum(minimum(sample.e[i], a), -a) * maximum(minimum(sample.e[j], b), -b)
+        weights[0, i] = c2 / (c2 + E[i, i] / sample.nominal[i, i])
+    together = mahalanobis(sample.present, sample.nominal, E, work[2])
     for i in range(m):
         weights[0, i] = select(joint > 0.5, c2 / (c2 + together), weights[0, i])
         memory[i] = weights[0, i]
-    use_weights(weights, present, nominal, joint, R, used, precision, beta, fault_probability)
+    use_weights(weights, joint, sample, trust)
 
 
 @dataclass(frozen=True)

@@ -44,65 +44,61 @@ _FORGETTING, _SHAPE0, _SLOPE, _INTERCEPT = range(4)
 
 @cache
 def _diagonal_learner(to_probability: Callable[..., float], iterations: int) -> Callable[..., None]:
-    def learn_variances(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_variances(sample, trust, memory, settings, work):
         """Iterate between the belief and the rates. ``memory``: rates before this sample, shapes, rates."""
-        m = y.shape[0]
-        prepare(e, spread, nominal, work)
+        m = sample.y.shape[0]
+        prepare(sample.e, sample.spread, sample.nominal, work)
         for i in range(m):
-            rho = select(present[i] > 0.5, settings[_FORGETTING], 1.0)
+            rho = select(sample.present[i] > 0.5, settings[_FORGETTING], 1.0)
             memory[i] = rho * memory[2 * m + i]
-            memory[m + i] = rho * memory[m + i] + 0.5 * present[i]
+            memory[m + i] = rho * memory[m + i] + 0.5 * sample.present[i]
             memory[2 * m + i] = memory[i]
-            used[i] = present[i]
+            trust.used[i] = sample.present[i]
         for _ in range(iterations):
             for i in range(m):
                 for j in range(m):
-                    R[i, j] = memory[2 * m + i] / memory[m + i] if i == j else 0.0
-            errors_after(present, R, work)
+                    trust.R[i, j] = memory[2 * m + i] / memory[m + i] if i == j else 0.0
+            errors_after(sample.present, trust.R, work)
             for i in range(m):
-                squared = minimum(work[0][i, i], ERROR_CAP * nominal[i, i])
-                b = memory[i] + select(present[i] > 0.5, 0.5 * squared, 0.0)
-                memory[2 * m + i] = maximum(b, RATE_FLOOR * settings[_SHAPE0] * nominal[i, i])
+                squared = minimum(work[0][i, i], ERROR_CAP * sample.nominal[i, i])
+                b = memory[i] + select(sample.present[i] > 0.5, 0.5 * squared, 0.0)
+                memory[2 * m + i] = maximum(b, RATE_FLOOR * settings[_SHAPE0] * sample.nominal[i, i])
         for i in range(m):
-            precision[i] = 1.0 / R[i, i]
-            beta[i] = memory[2 * m + i]
-            ratio = beta[i] / (settings[_SHAPE0] * nominal[i, i])
+            trust.precision[i] = 1.0 / trust.R[i, i]
+            trust.beta[i] = memory[2 * m + i]
+            ratio = trust.beta[i] / (settings[_SHAPE0] * sample.nominal[i, i])
             probability = to_probability(ratio, settings[_SLOPE], settings[_INTERCEPT])
-            fault_probability[i] = select(present[i] > 0.5, probability, NAN)
+            trust.fault_probability[i] = select(sample.present[i] > 0.5, probability, NAN)
 
     return learn_variances
 
 
 @cache
 def _full_learner(to_probability: Callable[..., float], iterations: int) -> Callable[..., None]:
-    def learn_covariance(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_covariance(sample, trust, memory, settings, work):
         """Iterate between the belief and the covariance. ``memory``: n, V^-1, V; V holds the V^-1 before this sample."""
-        m = y.shape[0]
-        seen = any_of(present)
-        prepare(e, spread, nominal, work)
-        forget(seen, memory, settings, nominal)
+        m = sample.y.shape[0]
+        seen = any_of(sample.present)
+        prepare(sample.e, sample.spread, sample.nominal, work)
+        forget(seen, memory, settings, sample.nominal)
         degrees = memory[0]
         for at in range(1, 1 + m * m):
             memory[m * m + at] = memory[at]
         memory[0] = degrees + seen
         for _ in range(iterations):
-            expected_covariance(present, memory, settings, R, used, precision, beta)
-            errors_after(present, R, work)
+            expected_covariance(sample.present, memory, settings, trust.R, trust.used, trust.precision, trust.beta)
+            errors_after(sample.present, trust.R, work)
             memory[0] = degrees
             for at in range(1, 1 + m * m):
                 memory[at] = memory[m * m + at]
-            complete(present, memory, settings, nominal, work[0], work[12], work[13])
-            learn_errors(seen, work[0], memory, settings, nominal)
+            complete(sample.present, memory, settings, sample.nominal, work[0], work[12], work[13])
+            learn_errors(seen, work[0], memory, settings, sample.nominal)
         invert(memory, work[0], work[1])
         for i in range(m):
-            beta[i] = 0.5 * memory[1 + i * m + i]
-            ratio = beta[i] / (0.5 * settings[PRIOR] * nominal[i, i])
+            trust.beta[i] = 0.5 * memory[1 + i * m + i]
+            ratio = trust.beta[i] / (0.5 * settings[PRIOR] * sample.nominal[i, i])
             probability = to_probability(ratio, settings[SLOPE], settings[INTERCEPT])
-            fault_probability[i] = select(present[i] > 0.5, probability, NAN)
+            trust.fault_probability[i] = select(sample.present[i] > 0.5, probability, NAN)
 
     return learn_covariance
 

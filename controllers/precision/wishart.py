@@ -40,27 +40,25 @@ if TYPE_CHECKING:
 
 @cache
 def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
-    def learn_wishart(
-        y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability
-    ):
+    def learn_wishart(sample, trust, memory, settings, work):
         """Forget, then learn from this sample: n + 1, V^-1 + e e' (paper, section 3.2)."""
-        m = y.shape[0]
-        seen = any_of(present)
-        forget(seen, memory, settings, nominal)
+        m = sample.y.shape[0]
+        seen = any_of(sample.present)
+        forget(seen, memory, settings, sample.nominal)
         T = work[0]
         for i in range(m):
             for j in range(m):
-                a, b = sqrt(ERROR_CAP * nominal[i, i]), sqrt(ERROR_CAP * nominal[j, j])
-                both = maximum(minimum(e[i], a), -a) * maximum(minimum(e[j], b), -b)
-                T[i, j] = both + settings[BELIEF] * spread[i, j]
-        complete(present, memory, settings, nominal, T, work[1], work[2])
-        learn_errors(seen, T, memory, settings, nominal)
+                a, b = sqrt(ERROR_CAP * sample.nominal[i, i]), sqrt(ERROR_CAP * sample.nominal[j, j])
+                both = maximum(minimum(sample.e[i], a), -a) * maximum(minimum(sample.e[j], b), -b)
+                T[i, j] = both + settings[BELIEF] * sample.spread[i, j]
+        complete(sample.present, memory, settings, sample.nominal, T, work[1], work[2])
+        learn_errors(seen, T, memory, settings, sample.nominal)
         invert(memory, work[0], work[1])
-        expected_covariance(present, memory, settings, R, used, precision, beta)
+        expected_covariance(sample.present, memory, settings, trust.R, trust.used, trust.precision, trust.beta)
         for i in range(m):
-            ratio = beta[i] / (0.5 * settings[PRIOR] * nominal[i, i])
+            ratio = trust.beta[i] / (0.5 * settings[PRIOR] * sample.nominal[i, i])
             probability = to_probability(ratio, settings[SLOPE], settings[INTERCEPT])
-            fault_probability[i] = select(present[i] > 0.5, probability, NAN)
+            trust.fault_probability[i] = select(sample.present[i] > 0.5, probability, NAN)
 
     return learn_wishart
 

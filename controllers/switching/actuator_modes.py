@@ -82,7 +82,8 @@ class InputOffset(ActuatorMode):
 
     def expected(self, scale: float) -> tuple[float, float, float]:
         """See `ActuatorMode.expected`."""
-        return 0.0, (self.jump * scale) ** 2, (self.walk * scale) ** 2
+        jump, walk = self.jump * scale, self.walk * scale
+        return 0.0, jump * jump, walk * walk  # a power would raise an OverflowError
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,8 @@ class StuckActuator(ActuatorMode):
 
     def expected(self, scale: float) -> tuple[float, float, float]:
         """See `ActuatorMode.expected`."""
-        return 0.0, (self.spread * scale) ** 2, 0.0
+        spread = self.spread * scale
+        return 0.0, spread * spread, 0.0
 
 
 ACTUATOR_MODES: tuple[type[ActuatorMode], ...] = (InputOffset, LostEffect, StuckActuator)

@@ -114,16 +114,18 @@ def failed(memory, at, width, faults):
     return minimum(total, 1.0)
 
 
-def use_trust(memory, length, i, present, nominal, R, used, precision, beta):
+def use_trust(memory, length, i, sample, trust):
     """Write a sensor's part of the sensors' covariance: the nominal one by its noise, over what each sensor deserves."""
-    trust = memory[i * length + TRUSTED] / memory[i * length + NOISE]
+    weight = memory[i * length + TRUSTED] / memory[i * length + NOISE]
     for j in range(i):
-        R[i, j] = nominal[i, j] / sqrt(trust * (memory[j * length + TRUSTED] / memory[j * length + NOISE]))
-        R[j, i] = R[i, j]
-    R[i, i] = nominal[i, i] / trust
-    used[i] = present[i]
-    precision[i] = trust / nominal[i, i]
-    beta[i] = NAN
+        trust.R[i, j] = sample.nominal[i, j] / sqrt(
+            weight * (memory[j * length + TRUSTED] / memory[j * length + NOISE])
+        )
+        trust.R[j, i] = trust.R[i, j]
+    trust.R[i, i] = sample.nominal[i, i] / weight
+    trust.used[i] = sample.present[i]
+    trust.precision[i] = weight / sample.nominal[i, i]
+    trust.beta[i] = NAN
 
 
 def report_modes(memory, length, width, modes, sensors, step, first, outputs):

@@ -52,27 +52,28 @@ told{k} = select(present > 0.5, told{k}, 0.0)\
 """
 
 _LEARN = """
-told = 0.0 * nominal[0, 0]
-for i in range(y.shape[0]):
+told = 0.0 * sample.nominal[0, 0]
+for i in range(sample.y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
-    noise = nominal[i, i] * memory[at + NOISE]
-    variance = spread[i, i] + noise
+    noise = sample.nominal[i, i] * memory[at + NOISE]
+    variance = sample.spread[i, i] + noise
     pass_time(memory, at, settings, row)
-    change = y[i] - memory[at + LAST]
-    error = held(e[i], variance)
-    repeats = repetition(change, nominal[i, i], memory, at, settings, row)
+    change = sample.y[i] - memory[at + LAST]
+    error = held(sample.e[i], variance)
+    repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
-    told = told + weigh(error, present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
+    told = told + weigh(error, sample.present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
     told = told + log(memory[at + DENSITY])
     part = noise / variance
-    squared = part * (part * error * error + spread[i, i])
-    learn_noise(minimum(squared / nominal[i, i], FURTHEST), present[i] * memory[at + HEALTHY], memory, at, settings, row)
-    learn_repeats(change, present[i] * memory[at + HEALTHY], memory, at, settings, row)
-    memory[at + LAST] = select(present[i] > 0.5, y[i], memory[at + LAST])
-    fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
-    use_trust(memory, LENGTH, i, present, nominal, R, used, precision, beta)
-memory[y.shape[0] * LENGTH] = memory[y.shape[0] * LENGTH] + 1.0
-memory[y.shape[0] * LENGTH + 1] = told
+    squared = part * (part * error * error + sample.spread[i, i])
+    counts = sample.present[i] * memory[at + HEALTHY]
+    learn_noise(minimum(squared / sample.nominal[i, i], FURTHEST), counts, memory, at, settings, row)
+    learn_repeats(change, counts, memory, at, settings, row)
+    memory[at + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[at + LAST])
+    trust.fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
+    use_trust(memory, LENGTH, i, sample, trust)
+memory[sample.y.shape[0] * LENGTH] = memory[sample.y.shape[0] * LENGTH] + 1.0
+memory[sample.y.shape[0] * LENGTH + 1] = told
 """
 
 _REPORT = """

@@ -49,7 +49,7 @@ def _carried(schedule: Schedule, i: int) -> set[int]:
     everything = {
         slots.offset(name) + j
         for name, (section, _, shape) in slots.sections.items()
-        if section == "state"
+        if section == "state" and name not in definition.scratch
         for j in range(int(np.prod(shape)))
     }
     if not definition.compiled:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dis
 from functools import lru_cache
 from types import CodeType
+from typing import Any
 
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import KernelError
+from bayesftc.cosim.stepping.records import as_written
 from bayesftc.cosim.types import Kernel, argument_names
 
 RESERVED = frozenset({"t", "k", "inputs", "outputs"})
@@ -27,15 +29,16 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
     """
     outputs = {p.name for p in block.outputs}
     late = {p.name for p in block.inputs if not p.feedthrough}
-    known = {p.name for p in block.inputs} | outputs | set(definition.state) | set(definition.parameters) | RESERVED
+    entries = {*definition.state, *definition.parameters, *definition.scratch}
+    known = {p.name for p in block.inputs} | outputs | entries | RESERVED
     for kernel in (definition.output, definition.update):
         if kernel is None:
             continue
         for name in argument_names(kernel):
             if name not in known:
                 raise KernelError(
-                    f"The step function {kernel.__name__!r} of block {title} asks for {name!r}, which is no port, state or "
-                    f"parameter of it (these are: {', '.join(sorted(known))})."
+                    f"The step function {kernel.__name__!r} of block {title} asks for {name!r}, which is no port, state, "
+                    f"parameter or scratch space of it (these are: {', '.join(sorted(known))})."
                 )
             if kernel is definition.output and name in late:
                 raise KernelError(
@@ -55,7 +58,7 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
 
 
 def _check_stores(kernel: Kernel, block: Block, definition: Definition, title: str) -> None:
-    stored = stored_into(kernel.__code__)
+    stored = _stored(kernel, definition)
     fed = sorted(stored & {"inputs", *(p.name for p in block.inputs)})
     if fed:
         raise KernelError(
@@ -70,12 +73,23 @@ def _check_stores(kernel: Kernel, block: Block, definition: Definition, title: s
         )
 
 
+def _stored(kernel: Kernel, definition: Definition) -> set[str]:
+    """Return the names of the arrays into which a step function stores, those in records, too."""
+    found = set()
+    for name in stored_into(as_written(kernel).__code__):
+        array: Any = definition.records
+        for part in name.split("."):
+            array = array.get(part, part) if array is definition.records else getattr(array, part, None)
+        found.add(array if isinstance(array, str) else name)
+    return found
+
+
 @lru_cache(maxsize=1024)  # a campaign builds many diagrams of the same few functions
 def stored_into(code: CodeType) -> frozenset[str]:
     """Return the names of local variables into whose elements `code` stores.
 
-    It follows the operand stack along the text of the function. What is stored by a function that it calls, or under another
-    name of the same array, is not seen.
+    It follows the operand stack along the text of the function; a field of a record is called ``record.field``. What is
+    stored by a function that it calls, or under another name of the same array, is not seen.
     """
     found: set[str] = set()
     stack: list[str | None] = []
@@ -89,6 +103,8 @@ def stored_into(code: CodeType) -> frozenset[str]:
             stack += argument if isinstance(argument, tuple) else [argument]
         elif name.startswith("STORE_FAST_LOAD_FAST"):
             stack[-1:] = [argument[1]]
+        elif name == "LOAD_ATTR" and stack and stack[-1] is not None:
+            stack[-1] = f"{stack[-1]}.{argument}"
         elif name == "COPY":
             stack.append(stack[-instruction.arg] if instruction.arg and instruction.arg <= len(stack) else None)
         elif name == "SWAP":

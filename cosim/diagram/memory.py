@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -45,21 +45,21 @@ def arrange(block: Block, definition: Definition | None, begin: int) -> tuple[Sl
 
     An external block, without a definition, gets room for its table of addresses as its parameters.
     """
-    groups: dict[str, Mapping[str, Floats]] = {
-        "state": _arrays(definition.state) if definition else {},
-        "parameters": _arrays(definition.parameters) if definition else {"<table>": np.zeros(TABLE)},
-        "inputs": {p.name: _filled(p, 0.0 if p.default is None else p.default) for p in block.inputs},
-        "outputs": {p.name: _filled(p, np.nan) for p in block.outputs},
+    groups: dict[str, Iterable[tuple[str, Floats]]] = {
+        "state": [*_arrays(definition.state), *_arrays(definition.scratch)] if definition else (),
+        "parameters": _arrays(definition.parameters) if definition else [("<table>", np.zeros(TABLE))],
+        "inputs": [(p.name, _filled(p, 0.0 if p.default is None else p.default)) for p in block.inputs],
+        "outputs": [(p.name, _filled(p, np.nan)) for p in block.outputs],
     }
     start: dict[str, int] = {}
     sections: Sections = {}
     pieces: list[Floats] = []
     for section in SECTIONS:
         start[section], offset = begin, 0
-        for name, array in groups[section].items():
+        for name, array in groups[section]:
             if name in sections or (definition is not None and name in RESERVED):
                 raise KernelError(
-                    f"{type(block).__name__} uses the name {name!r} twice among its ports, states and parameters "
+                    f"{type(block).__name__} uses the name {name!r} twice among its ports, states, parameters and scratch space "
                     f"({', '.join(sorted(RESERVED))} are taken): rename one."
                 )
             sections[name] = (section, offset, array.shape)
@@ -96,8 +96,8 @@ def bind(kernel: Kernel, slots: Slots, memory: Floats) -> Callable[[float, int],
     return step
 
 
-def _arrays(values: Mapping[str, object]) -> dict[str, Floats]:
-    return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
+def _arrays(values: Mapping[str, object]) -> list[tuple[str, Floats]]:
+    return [(name, np.atleast_1d(np.asarray(value, dtype=np.float64))) for name, value in values.items()]
 
 
 def _filled(port: Port, value: float | tuple[Any, ...]) -> Floats:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from math import prod
 from typing import Any, Literal
 
 import numpy as np
@@ -289,6 +290,10 @@ class Schedule:
 
     def _remembered(self, grouping: Grouping) -> np.ndarray[Any, np.dtype[np.int64]]:
         remembered = np.ones(len(self.initial), dtype=np.bool_)
+        for slots, definition in zip(self.slots, self.definitions, strict=True):
+            for name in definition.scratch if definition else ():
+                begin = slots.offset(name)
+                remembered[begin : begin + prod(slots.sections[name][2])] = False
         for i, node in enumerate(self.nodes):
             begins = {self.slots[i].start["outputs"], *grouping.copies(i)} | {
                 self.ahead[j] for j in {i} & self.ahead.keys()

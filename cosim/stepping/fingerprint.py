@@ -9,7 +9,6 @@ from __future__ import annotations
 import builtins
 import dis
 import hashlib
-import inspect
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -18,13 +17,19 @@ from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
 
+import numpy as np
+
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.instead import instead_of, line_of
+from bayesftc.cosim.stepping.records import as_written, is_record_class
 
 _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
 _BUILTINS = frozenset({range, len})
 _ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
+_OF_ARRAYS = frozenset(name for name, value in vars(np.ndarray).items() if not callable(value))
+"""What NumPy's arrays have besides methods; a field of a record may be called as a method, such as ``mean``."""
+
 _FORBIDDEN = {
     "IMPORT_NAME": "imports inside; import from bayesftc.cosim.ops at the top of the file",
     "STORE_GLOBAL": "writes a global variable; declare a state instead",
@@ -136,6 +141,8 @@ def _filled(cell: CellType) -> bool:
 def _allowed(value: Any) -> bool:
     if isinstance(value, tuple):
         return all(_allowed(item) for item in value)
+    if is_record_class(value):
+        return True
     return value is ops or isinstance(value, Number) or (callable(value) and value in _OPERATIONS | _BUILTINS)
 
 
@@ -155,6 +162,7 @@ def _check_code(function: FunctionType, code: CodeType) -> None:
     def at(instruction: dis.Instruction) -> str:
         return where(function, instruction.positions.lineno if instruction.positions else None)
 
+    before: dis.Instruction | None = None
     for instruction in dis.get_instructions(code):
         if instruction.opname in _FORBIDDEN:
             raise KernelError(f"Step function {at(instruction)} {_FORBIDDEN[instruction.opname]}.")
@@ -167,16 +175,27 @@ def _check_code(function: FunctionType, code: CodeType) -> None:
                 f"Step function {at(instruction)} uses '**', which rounds differently in compiled code: "
                 "multiply, or use ops.square, ops.sqrt or ops.exp."
             )
-        if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and instruction.argval not in _ATTRIBUTES:
+        if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and not (
+            _is_field(instruction.argval, before)
+            and "METHOD" not in instruction.opname
+            and "NULL" not in instruction.argrepr
+        ):
             raise KernelError(
                 f"Step function {at(instruction)} uses the attribute {instruction.argval!r}; of arrays only shape, size and "
-                "indexing are available to a step function."
+                "indexing are available to a step function, of records their fields."
             )
+        before = instruction
+
+
+def _is_field(attribute: str, before: dis.Instruction | None) -> bool:
+    """Return whether an attribute may be one of a record, or is one that a step function may use of anything."""
+    of_variable = before is not None and before.opname.startswith(("LOAD_FAST", "LOAD_ATTR"))
+    return attribute in _ATTRIBUTES or (of_variable and attribute not in _OF_ARRAYS)
 
 
 def where(function: Callable[..., Any], line: int | None = None) -> str:
     """Return a readable name and place of a function, or of a line in it."""
-    code = inspect.unwrap(function).__code__
+    code = as_written(function).__code__
     return f"{function.__name__!r} ({Path(code.co_filename).name}, line {line or code.co_firstlineno})"
 
 
@@ -244,6 +263,8 @@ def _text(value: Any, number: dict[FunctionType, str]) -> str:
         return f"({','.join(_text(item, number) for item in value)})"
     if isinstance(value, ModuleType):
         return "ops"  # no other module passes the check
+    if is_record_class(value):
+        return f"record {value.__name__}({','.join(value._fields)})"
     if callable(value):  # functions of the same name are told apart by their place among those called
         return number.get(value) or f"{value.__module__}.{value.__name__}"
     return f"{type(value).__name__} {value!r}"

@@ -180,10 +180,10 @@ def test_the_summary_is_that_of_the_table(report):
         assert summary["behind_the_best"] == [case for case in ratios if ratios[case] > best[case] + 0.05]
 
 
-def gives_up(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
-    if np.abs(e).max() > 1e3:
+def gives_up(sample, trust, memory, settings, work):
+    if np.abs(sample.e).max() > 1e3:
         raise SimulationError("The learner gives up.")
-    keep_nominal(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability)
+    keep_nominal(sample, trust, memory, settings, work)
 
 
 class GivesUp(controllers.PrecisionLearner):

@@ -52,25 +52,22 @@ def make_infer(
     pass_time, weigh = make_pass_time(layout, pass_alone, pass_other), make_weigh(layout, weigh_alone, weigh_other)
     conclude, summarise, listen = make_conclude(layout), make_summarise(layout), make_listen(layout)
     m, p, sensor, width, faults = layout.m, layout.p, layout.sensor, layout.width, layout.faults
-    count, actuators, actuator = m * layout.sensor, layout.actuators, layout.actuator
+    count, first, actuator = m * layout.sensor, layout.actuators, layout.actuator
 
-    def infer(
-        y, e, present, nominal, A, B, C, Q, applied, mean, covariance, largest, memory, settings,
-        R, used, precision, beta, fault_probability, works, load, x_hat, P,
-    ):  # fmt: skip
-        start = memory[count] < 0.5
-        pass_time(e, present, A, B, C, Q, nominal, start, covariance, largest[0], applied, memory, settings)
-        weigh(y, e, present, nominal, C, memory, settings)
-        conclude(mean, covariance, memory, settings, x_hat, P)
+    def infer(sample, trust, belief, model, actuators, learning, reach):
+        memory, settings = learning.memory, learning.settings
+        pass_time(sample, model, memory[count] < 0.5, belief.covariance, reach[0], actuators.applied, memory, settings)
+        weigh(sample, model.C, memory, settings)
+        conclude(belief, memory, settings)
         summarise(memory, settings)
-        listen(y, present, nominal, memory, settings)
+        listen(sample, memory, settings)
         for i in range(m):
-            use_trust(memory, sensor, i, present, nominal, R, used, precision, beta)
-            fault_probability[i] = failed(memory, i * sensor, width, faults)
+            use_trust(memory, sensor, i, sample, trust)
+            trust.fault_probability[i] = failed(memory, i * sensor, width, faults)
         for j in range(p):
-            own = actuators + j * actuator
-            works[0, j], load[0, j] = memory[own + WORKS], memory[own + LOAD]
-            works[1, j], load[1, j] = memory[own + STEERS], memory[own + PUSHES]
+            own = first + j * actuator
+            actuators.works[0, j], actuators.load[0, j] = memory[own + WORKS], memory[own + LOAD]
+            actuators.works[1, j], actuators.load[1, j] = memory[own + STEERS], memory[own + PUSHES]
         memory[count] = memory[count] + 1.0
 
     return infer

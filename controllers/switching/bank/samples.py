@@ -66,35 +66,45 @@ def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: i
     none, stride, kept = layout.first, layout.length, layout.kept
     told, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
 
-    def condition(h, y, e, present, nominal, C, memory, settings):
+    def condition(h, sample, C, memory, settings):
         at = none + h * stride
         memory[told + h] = 0.0 * memory[at]
         memory[factor + h] = memory[at]
         for i in range(m):
-            variance, row, by = nominal[i, i] * memory[i * sensor + NOISE], i * row_length, judged[h * m + i]
+            variance, row, by = sample.nominal[i, i] * memory[i * sensor + NOISE], i * row_length, judged[h * m + i]
             if by == BY_MODES:
                 spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                 total = spread + variance
-                error = held(e[i] - expected, minimum(total, ABSURD * variance))
-                own, change = at + kept + i * sensor, y[i] - memory[i * sensor + LAST]
+                error = held(sample.e[i] - expected, minimum(total, ABSURD * variance))
+                own, change = at + kept + i * sensor, sample.y[i] - memory[i * sensor + LAST]
                 doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
                 density = weigh_sensor(
-                    error, present[i], total, variance, doubt, change, memory[repeated + i], memory, own, settings, row
+                    error,
+                    sample.present[i],
+                    total,
+                    variance,
+                    doubt,
+                    change,
+                    memory[repeated + i],
+                    memory,
+                    own,
+                    settings,
+                    row,
                 )
                 memory[told + h] = memory[told + h] + density
                 memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
                 noise = variance / memory[own + TRUSTED]
-                correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, present[i])
+                correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, sample.present[i])
                 part = variance / total
                 memory[squares + h * m + i] = part * (part * error * error + spread)
             elif offset and by >= 0:
                 spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
                 total = spread + variance
-                error = held(e[i] - expected, minimum(total, ABSURD * variance))
+                error = held(sample.e[i] - expected, minimum(total, ABSURD * variance))
                 own = row + FIRST_SETTINGS + by * width_of_settings
-                density = select(present[i] > 0.5, log_density(error * error, total), 0.0)
-                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
-                correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, present[i])
+                density = select(sample.present[i] > 0.5, log_density(error * error, total), 0.0)
+                times = select(sample.present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
+                correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, sample.present[i])
                 memory[told + h] = memory[told + h] + density
                 memory[factor + h] = memory[factor + h] * times
                 part = variance / total
@@ -129,33 +139,37 @@ def make_weigh(
     condition_first = make_condition(layout, weigh_alone, 0)
     condition_plain, condition_offset = (make_condition(layout, weigh_other, offset) for offset in (0, 1))
 
-    def weigh(y, e, present, nominal, C, memory, settings):
+    def weigh(sample, C, memory, settings):
         for i in range(m):
-            own, change = i * sensor, y[i] - memory[i * sensor + LAST]
-            memory[repeated + i] = repetition(change, nominal[i, i], memory, own, settings, i * row_length)
-        condition_first(0, y, e, present, nominal, C, memory, settings)
+            own, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
+            memory[repeated + i] = repetition(change, sample.nominal[i, i], memory, own, settings, i * row_length)
+        condition_first(0, sample, C, memory, settings)
         for k in range(1, len(without)):
-            condition_plain(without[k], y, e, present, nominal, C, memory, settings)
+            condition_plain(without[k], sample, C, memory, settings)
         for k in range(H - len(without)):
-            condition_offset(with_offset[k], y, e, present, nominal, C, memory, settings)
+            condition_offset(with_offset[k], sample, C, memory, settings)
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
-                at, own, variance = none + h * stride, i * row_length + k, nominal[i, i]
+                at, own, variance = none + h * stride, i * row_length + k, sample.nominal[i, i]
                 spread, expected = expect(memory, at, n, 0, 0, i, C, scratch)
-                error = held(e[i] - expected, minimum(spread + variance, ABSURD * variance))
+                error = held(sample.e[i] - expected, minimum(spread + variance, ABSURD * variance))
                 deviation, begun = sqrt(variance), courses + (i * U + u) * course
-                change = y[i] - memory[i * sensor + LAST]
+                change = sample.y[i] - memory[i * sensor + LAST]
                 density = follow(
-                    error / deviation, change / deviation, present[i], memory[begun], memory, begun + 1, scratch,
+                    error / deviation, change / deviation, sample.present[i], memory[begun], memory, begun + 1, scratch,
                     settings, own + OWN_SETTINGS,
                 ) - log(deviation)  # fmt: skip
                 width = settings[i * row_length + WIDTH]
                 equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)
-                share = repeats_share(equal, present[i], memory[begun], memory, begun + 1, settings, own + OWN_SETTINGS)
+                share = repeats_share(
+                    equal, sample.present[i], memory[begun], memory, begun + 1, settings, own + OWN_SETTINGS
+                )
                 likely = select(equal > 0.5, share * memory[repeated + i] / width, 1.0 - share)
-                density = select(both(present[i] > 0.5, equal < 0.5), density, 0.0)
-                times = select(present[i] > 0.5, settings[own + MODE_ARRIVES] * likely, settings[own + MODE_MISSING])
+                density = select(both(sample.present[i] > 0.5, equal < 0.5), density, 0.0)
+                times = select(
+                    sample.present[i] > 0.5, settings[own + MODE_ARRIVES] * likely, settings[own + MODE_MISSING]
+                )
                 memory[told + h] = memory[told + h] + density
                 memory[factor + h] = memory[factor + h] * times
         most = memory[told]
@@ -181,7 +195,7 @@ def make_listen(layout: Layout) -> Callable[..., None]:
     m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
     sensor, row, squares, judged = layout.sensor, layout.row, layout.squares, layout.judged
 
-    def listen(y, present, nominal, memory, settings):
+    def listen(sample, memory, settings):
         for i in range(m):
             sound, squared = LEAST + 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
@@ -192,11 +206,13 @@ def make_listen(layout: Layout) -> Callable[..., None]:
                         part = part * memory[at + kept + i * sensor + HEALTHY]
                     sound = sound + part
                     squared = squared + part * memory[squares + h * m + i]
-            squared = minimum(squared / (sound * nominal[i, i]), FURTHEST)
-            learn_noise(squared, present[i] * sound, memory, i * sensor, settings, i * row)
-            change = y[i] - memory[i * sensor + LAST]
-            learn_repeats(change, present[i] * memory[i * sensor + HEALTHY], memory, i * sensor, settings, i * row)
-            memory[i * sensor + LAST] = select(present[i] > 0.5, y[i], memory[i * sensor + LAST])
+            squared = minimum(squared / (sound * sample.nominal[i, i]), FURTHEST)
+            learn_noise(squared, sample.present[i] * sound, memory, i * sensor, settings, i * row)
+            change = sample.y[i] - memory[i * sensor + LAST]
+            learn_repeats(
+                change, sample.present[i] * memory[i * sensor + HEALTHY], memory, i * sensor, settings, i * row
+            )
+            memory[i * sensor + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[i * sensor + LAST])
 
     return listen
 
@@ -216,7 +232,8 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
     first_common, first_ended = layout.first_common, layout.first_ended
     G, process, fading, takes_over = layout.process_modes, layout.process, layout.fades or (0,), layout.takes_over
 
-    def conclude(mean, covariance, memory, settings, x_hat, P):
+    def conclude(belief, memory, settings):
+        mean, covariance, x_hat, P = belief
         rest = 0.0 * memory[none]
         for h in range(H):
             memory[counts + h] = memory[none + h * stride]

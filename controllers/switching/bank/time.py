@@ -62,7 +62,9 @@ def make_pass_time(
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
     couples, shift, scratch = layout.couples, layout.shift, layout.scratch
 
-    def pass_time(e, present, A, B, C, Q, nominal, start, covariance, largest, applied, memory, settings):
+    def pass_time(sample, model, start, covariance, largest, applied, memory, settings):
+        _, e, present, _, nominal = sample
+        A, B, C, Q = model
         sampled = 0.0 * memory[none]
         for i in range(m):
             sampled = maximum(sampled, present[i])

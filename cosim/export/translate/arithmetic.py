@@ -11,7 +11,18 @@ import numpy as np
 
 from bayesftc.cosim import ops
 from bayesftc.cosim.export.translate.context import Context
-from bayesftc.cosim.export.translate.kinds import BOOL, FLOAT, INT, NATURAL, Array, Constant, Kind, Number, joined
+from bayesftc.cosim.export.translate.kinds import (
+    BOOL,
+    FLOAT,
+    INT,
+    NATURAL,
+    Array,
+    Constant,
+    Fields,
+    Kind,
+    Number,
+    joined,
+)
 from bayesftc.cosim.export.translate.values import (
     ATOM,
     PRODUCT,
@@ -55,19 +66,28 @@ class Arithmetic(Context):
         name = node.id
         if name in self.constants:
             return self.constants[name]
-        kind = self.kinds.get(name, self.arguments.get(name))
+        kind = self.kinds.get(name, self.given.get(name))
         if kind is not None:
-            if isinstance(kind, Constant):
-                return constant(kind.value)
-            if isinstance(kind, Array):
-                return Value(self.local(name), kind, roots=self.roots.get(name, frozenset({name})))
-            return Value(self.local(name), kind)
+            return self._variable(name, kind)
         if name in self.names:
             return self.known(node, self.names[name])
         self.refuse(node, f"uses {name!r} before it has a value")
 
+    def _variable(self, name: str, kind: Kind) -> Value:
+        """Return a variable, or an argument."""
+        if isinstance(kind, Constant):
+            return constant(kind.value)
+        if isinstance(kind, Fields):
+            fields = zip(kind.names, kind.items, strict=True)
+            return Value("", kind, fields=tuple(self._variable(f"{name}.{field}", item) for field, item in fields))
+        if isinstance(kind, Array):
+            return Value(self.local(name), kind, roots=self.roots.get(name, frozenset({name})))
+        return Value(self.local(name), kind)
+
     def get_Attribute(self, node: ast.Attribute) -> Value:
         owner = self.value(node.value)
+        if isinstance(owner.kind, Fields) and node.attr in owner.kind.names:
+            return owner.fields[owner.kind.names.index(node.attr)]
         if isinstance(owner.kind, Array) and node.attr in {"shape", "size", "ndim"}:
             shape = owner.kind.shape
             return constant({"shape": shape, "size": owner.kind.size, "ndim": len(shape)}[node.attr])

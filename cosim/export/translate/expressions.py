@@ -7,8 +7,9 @@ from types import FunctionType
 
 from bayesftc.cosim.export.translate.conditions import Conditions
 from bayesftc.cosim.export.translate.context import OPERATIONS
-from bayesftc.cosim.export.translate.kinds import Array, Constant, as_number
-from bayesftc.cosim.export.translate.values import Value, constant
+from bayesftc.cosim.export.translate.kinds import Array, Constant, Fields
+from bayesftc.cosim.export.translate.values import Value, constant, passed_kind
+from bayesftc.cosim.stepping.records import is_record_class
 
 
 class Expressions(Conditions):
@@ -32,13 +33,17 @@ class Expressions(Conditions):
                 return constant(len(owner.value))
         if callable(function) and function in OPERATIONS:
             return self.operation(node, OPERATIONS[function])
+        if isinstance(function, type) and is_record_class(function):
+            fields = tuple(self._kept(value) for value in self.in_order(node, function))
+            return Value("", Fields(function, tuple(value.kind for value in fields)), fields=fields)
         if not isinstance(function, FunctionType):
             self.refuse(node, f"calls {ast.unparse(node.func)!r}, which is no step function")
         arguments = self.in_order(node, function)
-        written = self.functions.require(function, [as_number(a.kind) or a.kind for a in arguments])
+        written = self.functions.require(function, [passed_kind(a) for a in arguments])
         self.called.add(written.name)
         texts = []
-        for argument, name in zip(arguments, written.arguments, strict=True):
+        leaves = [leaf for argument in arguments for leaf in argument.leaves]
+        for argument, name in zip(leaves, written.arguments, strict=True):
             if name in written.passed:
                 texts.append(argument.text)
             if name in written.stored:
@@ -48,3 +53,8 @@ class Expressions(Conditions):
             self.emit(f"{text};")
             return None
         return self.temporary(Value(text, written.returns))
+
+    def _kept(self, value: Value) -> Value:
+        """Return a value as a record keeps it, whatever becomes of the variables that it was computed from."""
+        whole = isinstance(value.kind, Constant | Fields) or value.text in map(self.local, self.arguments)
+        return value if whole else self.temporary(value)

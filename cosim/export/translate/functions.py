@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from inspect import getdoc
 from types import FunctionType
 from typing import Any
 
-from bayesftc.cosim.export.translate.kinds import FLOAT, Array, Constant, Kind, Number, Record
+from bayesftc.cosim.export.translate.kinds import FLOAT, Array, Constant, Fields, Kind, Number, Record
 from bayesftc.cosim.export.translate.translator import Translator
 from bayesftc.cosim.export.translate.values import literal
 from bayesftc.cosim.stepping.fingerprint import functions_called
+from bayesftc.cosim.stepping.records import as_written, given_to
+from bayesftc.cosim.types import argument_names
 
 _ASSIGNMENT = re.compile(r"( *)(?:const \w+ \*?(?:const )?|double \*const )?(\w+) = (.*)")
 
@@ -115,11 +117,34 @@ class Functions:
             # This raises where one of the rules of step functions is broken, with a sentence for each.
             self._checked.update(functions_called(function))
         key = function, tuple(kinds)
+        if key not in self._written and as_written(function) is not function:
+            self._written[key] = self._of_records(function, dict(zip(argument_names(function), kinds, strict=True)))
         if key not in self._written:
             translator = Translator(self, function, kinds)
             translator.translate()
             self._written[key] = self._finished(translator)
         return self._written[key]
+
+    def _of_records(self, function: FunctionType, kinds: dict[str, Kind]) -> Written:
+        """Return the C function that its author wrote with records, as one of arrays: C calls it with these at once."""
+
+        def kind(given: Any) -> Kind:
+            return kinds[given] if isinstance(given, str) else Fields(given[0], tuple(map(kind, given[1])))
+
+        def arrays(given: Any) -> Iterator[str]:
+            if isinstance(given, str):
+                yield given
+            else:
+                for field in given[1]:
+                    yield from arrays(field)
+
+        given = given_to(function)
+        inner = self.require(as_written(function), [kind(one) for one in given])  # type: ignore[arg-type]
+        called = [name for one in given for name in arrays(one)]
+        passed = [(n, own) for n, own in zip(called, inner.arguments, strict=True) if own in inner.passed]
+        stored = frozenset(n for n, own in passed if own in inner.stored)
+        names = tuple(n for n, _ in passed)
+        return Written(inner.name, names, frozenset(names), stored, inner.returns)
 
     def name(self, wanted: str) -> str:
         """Return a name for something of the file, like this one and not taken, and take it."""

@@ -14,7 +14,18 @@ from types import FunctionType
 from typing import TYPE_CHECKING
 
 from bayesftc.cosim.export.translate.expressions import Expressions
-from bayesftc.cosim.export.translate.kinds import INT, NATURAL, Array, Constant, Kind, Number, Record, as_number, joined
+from bayesftc.cosim.export.translate.kinds import (
+    INT,
+    NATURAL,
+    Array,
+    Constant,
+    Fields,
+    Kind,
+    Number,
+    Record,
+    as_number,
+    joined,
+)
 from bayesftc.cosim.export.translate.source import counters, ends, jumps, stores, tree_of, within_block
 from bayesftc.cosim.export.translate.values import Value, as_float, as_kind, as_whole, constant
 from bayesftc.cosim.stepping.fingerprint import references
@@ -165,6 +176,8 @@ class Translator(Expressions):
             whole = self.value(node.value)
             if isinstance(whole.kind, Record):
                 values = [Value(f"{whole.text}.v{i}", kind) for i, kind in enumerate(whole.kind.items)]
+            elif isinstance(whole.kind, Fields):
+                values = list(whole.fields)
             elif isinstance(whole.kind, Constant) and isinstance(whole.kind.value, tuple):
                 values = [constant(item) for item in whole.kind.value]
             else:
@@ -175,7 +188,8 @@ class Translator(Expressions):
         if read & set(stores(target)) or any(isinstance(n, ast.Subscript) for n in ast.walk(target)):
             values = [self.temporary(value) for value in values]  # all are read before the first is written
         for element, value in zip(target.elts, values, strict=True):
-            self.assign(element, value)
+            if not (isinstance(element, ast.Name) and element.id == "_"):  # whom nobody reads
+                self.assign(element, value)
 
     def assign(self, target: ast.expr, value: Value) -> None:
         """Write an assignment."""
@@ -190,6 +204,11 @@ class Translator(Expressions):
             self.refuse(target, "assigns to what is neither a name nor an element of an array")
         name = target.id
         if isinstance(value.kind, Constant) and name in self.once:
+            self.constants[name] = value
+            return
+        if isinstance(value.kind, Fields):
+            if name not in self.once:
+                self.refuse(target, f"assigns the record {name!r} more than once; take two names")
             self.constants[name] = value
             return
         if isinstance(value.kind, Constant) and as_number(value.kind) is None:

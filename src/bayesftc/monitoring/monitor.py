@@ -105,7 +105,7 @@ class Monitor:
                 for name, s in self.sensors.items()
             ]
         )
-        noise = np.diag([sensor.std**2 for sensor in self.sensors.values()])
+        noise = np.diag(np.square([sensor.std for sensor in self.sensors.values()]))
         model = self.plant.linear(rational_step(self.dt), len(self.inputs), C, noise)
         if self._input_errors:
             # The covariance must be positive, also that of an error which never changes.
@@ -252,7 +252,7 @@ class Monitor:
         plant = model.states - model.disturbances
         covariance = np.array(StateEstimator(model, FixedPrecision()).initial_covariance)
         if self._input_errors:
-            variances = [max(given.error_std, SMALL) ** 2 for given in self.inputs.values()]
+            variances = np.square([max(given.error_std, SMALL) for given in self.inputs.values()])
             covariance[plant : plant + len(variances), plant : plant + len(variances)] = np.diag(variances)
         C = model.matrix("C")
         given = self.initial_mean is not None and self.initial_std is not None

@@ -318,10 +318,15 @@ def test_learned_precision_is_in_units_of_the_gain():
         assert out.x_hat[0] == pytest.approx(H * 10.0 * weight * 5e-4, rel=1e-12)
 
 
-def learn_half(y, e, present, spread, nominal, memory, settings, work, R, used, precision, beta, fault_probability):
-    for i in range(y.shape[0]):
-        R[i, i] = 2.0 * nominal[i, i]
-        used[i], precision[i], beta[i], fault_probability[i] = present[i], 0.5 / nominal[i, i], 0.0, 0.0
+def learn_half(sample, trust, memory, settings, work):
+    for i in range(sample.y.shape[0]):
+        trust.R[i, i] = 2.0 * sample.nominal[i, i]
+        trust.used[i], trust.precision[i], trust.beta[i], trust.fault_probability[i] = (
+            sample.present[i],
+            0.5 / sample.nominal[i, i],
+            0.0,
+            0.0,
+        )
 
 
 def count_up(x_hat, goal, calls, u):

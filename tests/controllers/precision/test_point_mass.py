@@ -6,6 +6,7 @@ from hypothesis import given, settings, strategies as st
 
 from bayesftc import controllers
 from bayesftc.controllers import PointMassPrecision
+from bayesftc.controllers.precision.base import Sample, Trust
 from bayesftc.cosim.errors import BayesFTCError
 
 pytestmark = pytest.mark.filterwarnings(
@@ -29,9 +30,12 @@ def learn(precision, errors, model=MODEL):
         e, spread = np.nan_to_num(row), np.zeros((m, m))
         with np.errstate(divide="ignore", over="ignore"):
             learner.step(
-                row, e, present, spread, nominal, memory, learner.settings, np.zeros((learner.work, m, m)),
-                R, used, weight, beta, p,
-            )  # fmt: skip
+                Sample(row, e, present, spread, nominal),
+                Trust(R, used, weight, beta, p),
+                memory,
+                learner.settings,
+                np.zeros((learner.work, m, m)),
+            )
         np.testing.assert_allclose(np.diag(R), 1 / weight, rtol=1e-12)
         out.append(weight * np.diag(nominal))
     return np.array(out)
@@ -55,9 +59,12 @@ def test_a_small_step_goes_down_the_gradient_of_the_free_energy(w, e, rate, para
     R, used, weight, beta, p = np.zeros((2, 2)), *np.zeros((4, 2))
     with np.errstate(divide="ignore"):
         learner.step(
-            np.zeros(2), np.array([e, 0.0]), np.ones(2), R, nominal, memory, learner.settings, np.zeros((1, 2, 2)),
-            R, used, weight, beta, p,
-        )  # fmt: skip
+            Sample(np.zeros(2), np.array([e, 0.0]), np.ones(2), R, nominal),
+            Trust(R, used, weight, beta, p),
+            memory,
+            learner.settings,
+            np.zeros((1, 2, 2)),
+        )
     assert memory[0] == pytest.approx(expected, rel=1e-12)
 
 

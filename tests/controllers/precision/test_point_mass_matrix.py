@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 from bayesftc import controllers
 from bayesftc.controllers import PointMassPrecision
 from bayesftc.controllers.linalg.eigen import diagonalise
+from bayesftc.controllers.precision.base import Sample, Trust
 from bayesftc.cosim.errors import ModelError
 
 LOOSE = {"full": True, "lower_bound": 1e-5, "variance_bound": 1e-5}
@@ -37,9 +38,12 @@ class Learning:
         R, spread, work = np.zeros((m, m)), np.zeros((m, m)), np.zeros((self.learner.work, m, m))
         used, precision, beta, p = np.zeros((4, m))
         self.learner.step(
-            e, np.nan_to_num(e), present, spread, self.nominal, self.memory, self.learner.settings, work,
-            R, used, precision, beta, p,
-        )  # fmt: skip
+            Sample(e, np.nan_to_num(e), present, spread, self.nominal),
+            Trust(R, used, precision, beta, p),
+            self.memory,
+            self.learner.settings,
+            work,
+        )
         np.testing.assert_array_equal(used, present)
         np.testing.assert_allclose(precision, 1 / np.diag(R), rtol=1e-15)
         assert np.isnan([*beta, *p]).all()
@@ -123,9 +127,12 @@ def test_one_sensor_is_the_diagonal_learner():
         R, spread, work, rest = np.zeros((m, m)), np.zeros((m, m)), np.zeros((1, m, m)), np.zeros((4, m))
         with np.errstate(divide="ignore"):
             learner.step(
-                e, np.nan_to_num(e), np.isfinite(e).astype(float), spread, diagonal.nominal, diagonal.memory, learner.settings,
-                work, R, *rest,
-            )  # fmt: skip
+                Sample(e, np.nan_to_num(e), np.isfinite(e).astype(float), spread, diagonal.nominal),
+                Trust(R, *rest),
+                diagonal.memory,
+                learner.settings,
+                work,
+            )
         np.testing.assert_allclose(full(e), R, rtol=1e-12)
 
 

@@ -1,6 +1,7 @@
 """Precision learners: conjugacy against numerical integration, the update rules against NumPy, and the whole list in the loop."""
 
 from dataclasses import dataclass, fields
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -27,6 +28,7 @@ from bayesftc.controllers import (
     WishartPrecision,
 )
 from bayesftc.controllers.bayesian.validation import compare, ser_reference
+from bayesftc.cosim.diagram.memory import arrange, bind
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 from bayesftc.cosim.ops import either, select
 
@@ -388,3 +390,65 @@ def test_what_is_no_value_for_a_setting_is_refused_by_name(cls, field):
         if value is not None or "None" not in field.type:
             with pytest.raises(ModelError, match=f"^{cls.__name__} has {field.name}={value!r}[;,]"):
                 cls(**{field.name: value})
+
+
+# --- scratch space ------------------------------------------------------------------------------------------------------------
+
+
+def swings(x, u, following):
+    following[0] = 0.98 * x[0] + 0.1 * u[0]
+
+
+def reads(x, y):
+    y[0] = x[0]
+    y[1] = x[0] + 0.01 * x[0] * x[0]
+
+
+def all_controllers(precision):
+    """Every controller and the estimator with a learner, where it takes that one."""
+    bent = controllers.NonlinearModel(swings, reads, 1, 1, 2, 0.001, [1.0, 4.0], 0.02)
+    sensors = controllers.Modality("speed", matrix=[[1.0], [1.0]], std=(1.0, 2.0), precision=(1.0, 0.25))
+    law, known = controllers.Proportional(1.0), {"initial_mean": 20.0, "precision": precision}
+    makers = (
+        lambda: controllers.StateEstimator(MODEL, **known),
+        lambda: controllers.BayesianController(MODEL, posterior_outputs=True, control_covariance=1e6, **known),
+        lambda: controllers.BayesianController(MODEL, belief="joint", **known),
+        lambda: controllers.LQGController(MODEL, control_covariance=1e6, **known),
+        lambda: controllers.NonlinearBayesianController(bent, posterior_outputs=True, iterations=3, **known),
+        lambda: controllers.UnbiasedActiveInference(sensors, law, 0.02, 0.1, control="law", **known),
+        lambda: controllers.UnbiasedActiveInference(sensors, law, 0.02, 0.1, control="gradient", **known),
+    )
+    for make in makers:
+        try:
+            yield make()
+        except ModelError:
+            continue  # it does not take this learner
+
+
+@pytest.mark.parametrize("precision", [*EXAMPLES, SwitchingPrecision()], ids=repr)
+def test_what_is_in_scratch_space_before_a_step_function_means_nothing(precision, same_bits):
+    found = list(all_controllers(precision))
+    for block in found:
+        definition = block.define(Fraction(1, 50))
+        (slots, initial), ports = arrange(block, definition, 0), {port.name for port in block.inputs}
+        kernels = [kernel for kernel in (definition.output, definition.update) if kernel is not None]
+        runs = []
+        for spoilt in (False, True):
+            memory, rows = initial.copy(), []
+            steps = [bind(kernel, slots, memory) for kernel in kernels]
+            for k, y in enumerate(samples()[90:130]):
+                given = {"y": y, "speed": y, "goal": [21.0], "u": [100.0]}
+                for name in ports:
+                    begin = slots.offset(name)
+                    memory[begin : begin + len(given[name])] = given[name]
+                for step in steps:
+                    for name in definition.scratch if spoilt else ():
+                        begin = slots.offset(name)
+                        memory[begin : begin + np.prod(slots.sections[name][2])] = np.nan
+                    with np.errstate(all="ignore"):
+                        step(0.02 * k, k)
+                begin, (_, _, shape) = slots.offset("outputs"), slots.sections["outputs"]
+                rows.append(memory[begin : begin + shape[0]].copy())
+            runs.append(np.array(rows))
+        same_bits(*runs)
+    assert len(found) >= 3

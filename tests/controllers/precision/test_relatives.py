@@ -6,6 +6,7 @@ from filterpy.kalman import KalmanFilter
 
 from bayesftc import controllers
 from bayesftc.controllers import StudentTUpdate, VariationalBayesKF, WeightedLikelihood
+from bayesftc.controllers.precision.base import Sample, Trust
 from bayesftc.cosim.errors import BayesFTCError
 
 pytestmark = pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")
@@ -196,9 +197,12 @@ def test_without_a_belief_covariance_the_variances_are_the_gamma_learners():
     R, used, weight, beta, p = np.zeros((3, 3)), *np.zeros((4, 3))
     with np.errstate(all="ignore"):
         learner.step(
-            e, e, np.ones(3), np.zeros((3, 3)), nominal, memory, learner.settings, np.zeros((learner.work, 3, 3)),
-            R, used, weight, beta, p,
-        )  # fmt: skip
+            Sample(e, e, np.ones(3), np.zeros((3, 3)), nominal),
+            Trust(R, used, weight, beta, p),
+            memory,
+            learner.settings,
+            np.zeros((learner.work, 3, 3)),
+        )
     np.testing.assert_allclose(beta, 0.9 * 2.0 * np.diag(nominal) + 0.5 * e**2, rtol=1e-12)
     np.testing.assert_allclose(memory[3:6], 0.9 * 2.0 + 0.5)
 

@@ -6,6 +6,7 @@ from scipy import stats
 
 from bayesftc import controllers
 from bayesftc.controllers import Calibration, GammaPrecision, WishartPrecision
+from bayesftc.controllers.precision.base import Sample, Trust
 from bayesftc.cosim.errors import BayesFTCError
 
 pytestmark = pytest.mark.filterwarnings(
@@ -29,9 +30,12 @@ def learn(precision, nominal, errors, spread=None):
         present = np.isfinite(row).astype(float)
         S = np.zeros((m, m)) if spread is None else spread
         learner.step(
-            row, np.nan_to_num(row), present, S, np.asarray(nominal), memory, learner.settings,
-            np.zeros((learner.work, m, m)), R, used, weight, beta, p,
-        )  # fmt: skip
+            Sample(row, np.nan_to_num(row), present, S, np.asarray(nominal)),
+            Trust(R, used, weight, beta, p),
+            memory,
+            learner.settings,
+            np.zeros((learner.work, m, m)),
+        )
         np.testing.assert_allclose(beta, np.diag(memory[1 : 1 + m * m].reshape(m, m)) / 2, rtol=1e-14)
         np.testing.assert_allclose(weight, 1 / np.diag(R), rtol=1e-14)
         out.append((memory[0], memory[1 : 1 + m * m].reshape(m, m).copy(), R.copy()))
@@ -45,7 +49,9 @@ def reported(precision, nominal, errors):
     R, used, weight, beta, p = np.zeros((m, m)), *np.zeros((4, m))
     for e in errors:
         work = np.zeros((learner.work, m, m))
-        learner.step(e, e, np.ones(m), R * 0, nominal, memory, learner.settings, work, R, used, weight, beta, p)
+        learner.step(
+            Sample(e, e, np.ones(m), R * 0, nominal), Trust(R, used, weight, beta, p), memory, learner.settings, work
+        )
     outputs, found, at = np.zeros(sum(port.size for port in learner.ports)), {}, 0
     learner.report(memory, learner.settings, nominal, 0, outputs)
     for port in learner.ports:

@@ -16,6 +16,7 @@ from scipy import integrate, special, stats
 from bayesftc import controllers, scenario
 from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision, Unmodelled
 from bayesftc.controllers.linalg.special import squared_gamma_half_step
+from bayesftc.controllers.precision.base import Sample, Trust
 from bayesftc.controllers.switching import fault_modes
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import ENTERED, FACTOR, OWN, SIZE
@@ -47,7 +48,11 @@ def learned(learner, y, nominal=None, spread=None):
         e = np.where(present > 0, row - 20.0, 0.0)
         with np.errstate(all="ignore"):
             made.step(
-                row, e, present, spread, nominal, memory, made.settings, work, R, used, precision, beta, probability
+                Sample(row, e, present, spread, nominal),
+                Trust(R, used, precision, beta, probability),
+                memory,
+                made.settings,
+                work,
             )
         yield probability.copy(), memory.copy(), R.copy()
 

@@ -206,7 +206,7 @@ def writes_inputs(held, inputs):
 CASES = {
     "unknown argument": (
         {"output": asks},
-        r"'asks' of block 'b' asks for 'spede', which is no port, state or parameter of it",
+        r"'asks' of block 'b' asks for 'spede', which is no port, state, parameter or scratch space of it",
     ),
     "late input": (
         {"output": too_early},
