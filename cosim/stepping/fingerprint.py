@@ -260,7 +260,8 @@ def _names(code: CodeType) -> Iterator[str]:
 
 def _text(value: Any, number: dict[FunctionType, str]) -> str:
     if isinstance(value, tuple):
-        return f"({','.join(_text(item, number) for item in value)})"
+        fields = ",".join(getattr(value, "_fields", ()))
+        return f"{fields}({','.join(_text(item, number) for item in value)})"
     if isinstance(value, ModuleType):
         return "ops"  # no other module passes the check
     if is_record_class(value):

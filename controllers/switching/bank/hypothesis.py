@@ -6,10 +6,13 @@ covariance (a table of n + 2), then what is kept of each sensor (``sensor_kernel
 leaves c and b alone.
 """
 
+from typing import NamedTuple
+
 from bayesftc.controllers.estimation.filter import MEAN_CAP
 from bayesftc.controllers.switching.mode_kernels import AGE, WEIGHT
 from bayesftc.controllers.switching.sensor_kernels import HEALTHY, LEAST
 from bayesftc.cosim.ops import absolute, both, maximum, select, sqrt
+from bayesftc.cosim.types import Floats
 
 PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
 
@@ -17,13 +20,47 @@ FADED = 100.0
 """Variance of what a sensor reads, in that of its noise, up to which a belief fades: else what no sensor sees would be lost."""
 
 
-def move(memory, at, n, offset, slides, c, cc, cb, bb, walk, A, Q, first, covariance, largest, couples, shift, scratch):
+class Onset(NamedTuple):
+    """What is expected of an offset at its onset, the covariance of it and its slope, and its random walk's variance a sample."""
+
+    c: float
+    cc: float
+    cb: float
+    bb: float
+    walk: float
+
+
+NO_OFFSET = Onset(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Moving(NamedTuple):
+    """The model's matrices A and Q, the belief before the ``first`` sample, and the ``largest`` variance that one may have."""
+
+    A: Floats
+    Q: Floats
+    first: bool
+    covariance: Floats
+    largest: float
+
+
+class Places(NamedTuple):
+    """Where in memory stands by what an offset moves the state, by what all else does, and scratch space."""
+
+    couples: int
+    shift: int
+    scratch: int
+
+
+def move(memory, at, n, offset, slides, onset, moving, places):
     """Take a hypothesis one sample ahead: the state by the model, the offset by its slope if it ``slides``.
 
     The offset moves the state by what stands at ``couples``, all else by what stands at ``shift``. Before the ``first`` sample
     the belief is the controller's ``covariance``, and also where there is no longer one: with a variance beyond the ``largest``
     or below zero. The offset is then what is expected at its onset: ``c`` and the covariance ``cc``, ``cb``, ``bb``.
     """
+    c, cc, cb, bb, walk = onset
+    A, Q, first, covariance, largest = moving
+    couples, shift, scratch = places
     N, used = n + 2, n + 2 * offset
     z, P = at + STATE, at + STATE + n + 2
     for a in range(n):

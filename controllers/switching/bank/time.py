@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers.switching.bank.hypothesis import OFFSET_AGE, STATE, ended, inflate, measurable, move
+from bayesftc.controllers.switching.bank.hypothesis import (
+    NO_OFFSET,
+    OFFSET_AGE,
+    STATE,
+    Moving,
+    Onset,
+    Places,
+    ended,
+    inflate,
+    measurable,
+    move,
+)
 from bayesftc.controllers.switching.bank.layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
@@ -60,7 +71,7 @@ def make_pass_time(
     move_process, arrive = make_move_process(layout, pass_other), make_arrive(layout)
     move_lost, move_common = make_move_lost(layout, pass_other), make_move_common(layout, pass_other)
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
-    couples, shift, scratch = layout.couples, layout.shift, layout.scratch
+    places = Places(layout.couples, layout.shift, layout.scratch)
 
     def pass_time(sample, model, start, covariance, largest, applied, memory, settings):
         _, e, present, _, nominal = sample
@@ -72,14 +83,13 @@ def make_pass_time(
         set_out(B, applied, memory)
         for i in range(m):
             pass_alone(memory, none + kept + i * sensor, settings, i * row_length)
-        move(
-            memory, none, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
-        )  # fmt: skip
-        move_offsets(e, A, C, Q, nominal, start, covariance, largest, memory, settings)
-        move_lost(A, C, Q, nominal, start, covariance, largest, memory, settings)
-        move_common(A, Q, nominal, start, covariance, largest, memory, settings)
-        move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings)
-        move_process(sampled, A, C, Q, nominal, start, covariance, largest, memory, settings)
+        moving = Moving(A, Q, start, covariance, largest)
+        move(memory, none, n, 0, 0, NO_OFFSET, moving, places)
+        move_offsets(e, C, nominal, moving, memory, settings)
+        move_lost(C, nominal, moving, memory, settings)
+        move_common(nominal, moving, memory, settings)
+        move_actuators(B, applied, moving, memory, settings)
+        move_process(sampled, C, nominal, moving, memory, settings)
         arrive(e, sampled, C, Q, nominal, applied, memory, settings)
 
     return pass_time
@@ -118,10 +128,10 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
     fresh, jumps, haste = layout.fresh or (False,), layout.jumps or (False,), layout.haste
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
-    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     witnessed, collect, become = make_witnessed(layout), make_collect(layout), make_become(layout)
 
-    def move_offsets(e, A, C, Q, nominal, start, covariance, largest, memory, settings):
+    def move_offsets(e, C, nominal, moving, memory, settings):
         for i in range(m):
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
@@ -133,10 +143,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                         pass_other(memory, at + kept + j * sensor, settings, j * row_length)
                 jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
                 slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
-                move(
-                    memory, at, n, 1, 1, 0.0, jump + slope, slope, slope, walk,
-                    A, Q, start, covariance, largest, couples, shift, scratch,
-                )  # fmt: skip
+                move(memory, at, n, 1, 1, Onset(0.0, jump + slope, slope, slope, walk), moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 ends = settings[row + ENDS]
                 if jumps[q]:
@@ -154,10 +161,10 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
     """Return the step function that moves the hypotheses that a sensor goes its own course, of which some end, as offsets do."""
     n, m, U, lost = layout.n, layout.m, len(layout.lost), layout.lost or (0,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
-    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     first_lost, haste, collect = layout.first_lost, layout.haste, make_collect(layout)
 
-    def move_lost(A, C, Q, nominal, start, covariance, largest, memory, settings):
+    def move_lost(C, nominal, moving, memory, settings):
         for i in range(m):
             for u in range(U):
                 at = none + (first_lost + i * U + u) * stride
@@ -165,9 +172,7 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
                 for j in range(m):
                     if j != i:
                         pass_other(memory, at + kept + j * sensor, settings, j * row_length)
-                move(
-                    memory, at, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
-                )  # fmt: skip
+                move(memory, at, n, 0, 0, NO_OFFSET, moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 early = settings[haste] * measurable(memory, at, n, C, nominal)
                 collect(memory, at, ended(settings[row + ENDS], memory[at + OFFSET_AGE], early), i)
@@ -186,10 +191,10 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
     first_common, first_ended = layout.first_common, layout.first_ended
     firsts = tuple(group[0] for group in layout.groups) or (0,)
     row_length, sensor, kept, N = layout.row, layout.sensor, layout.kept, layout.n + 2
-    none, length, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    none, length, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     common, collect = FIRST_SETTINGS + layout.common * layout.width_of_settings, make_collect(layout)
 
-    def move_common(A, Q, nominal, start, covariance, largest, memory, settings):
+    def move_common(nominal, moving, memory, settings):
         for g in range(groups):
             i, h = firsts[g], first_common + g
             at, after, row = none + h * length, none + (first_ended + g) * length, i * row_length + common
@@ -197,13 +202,9 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
                 if judged[h * m + j] == BY_MODES:
                     pass_other(memory, at + kept + j * sensor, settings, j * row_length)
             walk = settings[row + OWN_SETTINGS + 2] * nominal[i, i]
-            move(
-                memory, at, n, 1, 0, 0.0, 0.0, 0.0, 0.0, walk, A, Q, start, covariance, largest, couples, shift, scratch
-            )  # fmt: skip
+            move(memory, at, n, 1, 0, Onset(0.0, 0.0, 0.0, 0.0, walk), moving, places)
             memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-            move(
-                memory, after, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
-            )  # fmt: skip
+            move(memory, after, n, 0, 0, NO_OFFSET, moving, places)
             collect(memory, after, 1.0, -1)
             c, cc = memory[at + STATE + n], memory[at + STATE + N + n * N + n]
             ends = select(c * c > TELLING * cc, settings[row + ENDS], 1.0)
@@ -220,10 +221,11 @@ def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Call
     """Return the step function that moves the hypotheses of an actuator's mode, of which some end."""
     n, m, p, L = layout.n, layout.m, layout.p, layout.actuator_modes
     sensor, kept, row_length, first_actuator = layout.sensor, layout.kept, layout.row, layout.first_actuator
-    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
+    couples, shift = layout.couples, layout.shift
     of_actuators, collect = layout.actuator_settings, make_collect(layout)
 
-    def move_actuators(A, B, Q, start, covariance, largest, applied, memory, settings):
+    def move_actuators(B, applied, moving, memory, settings):
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
@@ -233,11 +235,9 @@ def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Call
                 for a in range(n):
                     memory[couples + a] = B[a, j] * (settings[own + ABSOLUTE] + settings[own + RELATIVE] * applied[j])
                     memory[shift + a] = memory[shift + a] + B[a, j] * settings[own + TAKES] * applied[j]
-                move(
-                    memory, at, n, 1, 0, settings[own + MEAN] + settings[own + FOLLOWS] * applied[j],
-                    settings[own + VARIANCE], 0.0, 0.0, settings[own + WALK],
-                    A, Q, start, covariance, largest, couples, shift, scratch,
-                )  # fmt: skip
+                mean = settings[own + MEAN] + settings[own + FOLLOWS] * applied[j]
+                onset = Onset(mean, settings[own + VARIANCE], 0.0, 0.0, settings[own + WALK])
+                move(memory, at, n, 1, 0, onset, moving, places)
                 for a in range(n):
                     memory[shift + a] = memory[shift + a] - B[a, j] * settings[own + TAKES] * applied[j]
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
@@ -254,17 +254,15 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
     """
     n, plant, m, H, G = layout.n, layout.plant, layout.m, layout.hypotheses, layout.process_modes
     sensor, kept, row_length, process = layout.sensor, layout.kept, layout.row, layout.process
-    none, stride, couples, shift, scratch = layout.first, layout.length, layout.couples, layout.shift, layout.scratch
+    none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     of_process, collect, receive = layout.process_settings, make_collect(layout), make_receive(layout)
 
-    def move_process(sampled, A, C, Q, nominal, start, covariance, largest, memory, settings):
+    def move_process(sampled, C, nominal, moving, memory, settings):
         for q in range(H - process):
             at = none + (process + q) * stride
             for i in range(m):
                 pass_other(memory, at + kept + i * sensor, settings, i * row_length)
-            move(
-                memory, at, n, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, A, Q, start, covariance, largest, couples, shift, scratch
-            )  # fmt: skip
+            move(memory, at, n, 0, 0, NO_OFFSET, moving, places)
         if G > 0:
             after = none + (process + G) * stride
             collect(memory, after, SETTLES, -1)
@@ -274,6 +272,6 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 fades = sampled * settings[own + FADES] * measurable(memory, at, n, C, nominal)
-                inflate(memory, at, n, plant, settings[own + MORE], fades, Q)
+                inflate(memory, at, n, plant, settings[own + MORE], fades, moving.Q)
 
     return move_process

@@ -88,6 +88,8 @@ class Arithmetic(Context):
         owner = self.value(node.value)
         if isinstance(owner.kind, Fields) and node.attr in owner.kind.names:
             return owner.fields[owner.kind.names.index(node.attr)]
+        if isinstance(owner.kind, Constant) and node.attr in getattr(owner.kind.value, "_fields", ()):
+            return constant(getattr(owner.kind.value, node.attr))
         if isinstance(owner.kind, Array) and node.attr in {"shape", "size", "ndim"}:
             shape = owner.kind.shape
             return constant({"shape": shape, "size": owner.kind.size, "ndim": len(shape)}[node.attr])
