@@ -33,6 +33,8 @@ class Definition:
         Step function that takes the state from t_k to t_k+1 once all outputs at t_k are known. It sees every input.
     state, parameters : mapping of name to array
         Initial values; their shapes are what the step functions see. Scalars become arrays of one element.
+    compiled : bool
+        False for a block that calls back into Python; the whole diagram then runs interpreted.
     scratch : mapping of name to array
         Space for what a step function computes on the way, since it allocates nothing. It is no state: what is in it when a
         step function begins means nothing, so that what ``update`` needs of ``output`` is a state.
@@ -40,17 +42,15 @@ class Definition:
         Arguments of the step functions that are records of several arrays: a `NamedTuple` class, filled with the *names* of the
         ports and entries that its fields are, as ``{"model": Model(A="A", Q="process_covariance")}``. The step function gets
         the record of the arrays themselves: ``model.Q[i, j]``. A field may be a record again.
-    compiled : bool
-        False for a block that calls back into Python; the whole diagram then runs interpreted.
     """
 
     output: Kernel | None = None
     update: Kernel | None = None
     state: Mapping[str, ArrayLike] = field(default_factory=dict)
     parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
+    compiled: bool = True
     scratch: Mapping[str, ArrayLike] = field(default_factory=dict)
     records: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
-    compiled: bool = True
 
     def __post_init__(self) -> None:
         for name in ("output", "update"):

@@ -129,6 +129,4 @@ class StateEstimator(Block):
         first = sum(port.size for port in self._own_outputs)
         estimate = make_estimate(learner.step, learner.infer, learner.report, alarm_of(learner, first), first)
         state, parameters, scratch = estimation(self, model, learner, largest)
-        return Definition(
-            estimate, look_ahead, state, parameters, scratch, {"est": ESTIMATION}, compiled=learner.compiled
-        )
+        return Definition(estimate, look_ahead, state, parameters, learner.compiled, scratch, {"est": ESTIMATION})

@@ -100,14 +100,11 @@ def bridge_gaps(u: Floats, y: Floats, model: NoisyModel) -> tuple[NoisyModel, fl
     before, best = -np.inf, model
     for _ in range(ROUNDS):
         ahead, P_ahead = np.zeros((steps + 1, n)), np.zeros((steps + 1, n, n))
-        x, P, between, total = np.zeros((steps, n)), np.zeros((steps, n, n)), np.zeros((n, n)), np.zeros(1)
+        x, P, between = np.zeros((steps, n)), np.zeros((steps, n, n)), np.zeros((n, n))
         ahead[0], P_ahead[0] = x0, P0
-        smooth(
-            np.ascontiguousarray(y - model.offset), np.ascontiguousarray(u @ model.B.T + model.drift),
-            *map(np.ascontiguousarray, (model.A, model.C, model.Q, model.R)), ahead, P_ahead, x, P, between,
-            *np.zeros((4, n, n)), np.zeros(n), total,
-        )  # fmt: skip
-        likelihood = float(total[0])
+        known_now = (y - model.offset, u @ model.B.T + model.drift, model.A, model.C, model.Q, model.R)
+        written = (ahead, P_ahead, x, P, between, np.zeros((5, n, n)))
+        likelihood = float(smooth(*map(np.ascontiguousarray, known_now), *written))
         if not likelihood > before + SETTLED:
             break
         before, best = likelihood, model

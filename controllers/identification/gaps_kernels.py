@@ -4,8 +4,8 @@ from bayesftc.controllers.linalg.dense import apply, cholesky, congruence, multi
 from bayesftc.cosim.ops import log
 
 _VECTOR, _TABLE, _TABLES = "float64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
-_TYPES = [_TABLE] * 5 + [_VECTOR] + [_TABLE, _TABLES] * 2 + [_TABLE] * 5 + [_VECTOR] * 2
-SMOOTH = f"void({', '.join(_TYPES)})"
+_TYPES = [_TABLE] * 5 + [_VECTOR] + [_TABLE, _TABLES] * 2 + [_TABLE, _TABLES]
+SMOOTH = f"float64({', '.join(_TYPES)})"
 """What `smooth` is compiled for."""
 
 CALLS = (multiply, congruence, apply, cholesky, solve_columns)
@@ -14,8 +14,8 @@ CALLS = (multiply, congruence, apply, cholesky, solve_columns)
 TWO_PI = 6.283185307179586
 
 
-def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, gain, work, lower, change, column, total):
-    """Write means and covariances of the states given all samples.
+def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, space):
+    """Write means and covariances of the states given all samples; return the logarithm of the samples' density.
 
     Parameters
     ----------
@@ -33,12 +33,12 @@ def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, gain, work, lowe
         Written: the states given all samples.
     between : array, states x states
         Added to: covariances of each state but the first with the one before it, given all samples.
-    gain, work, lower, change, column
-        Scratch: four of states x states, and a vector of states.
-    total : array
-        Added to: the logarithm of the samples' density, in its only element.
+    space : array, 5 x states x states
+        Scratch space.
     """
     steps, m, n = y.shape[0], y.shape[1], A.shape[0]
+    gain, work, lower, change, column = space[0], space[1], space[2], space[3], space[4, 0]
+    total = 0.0
     for k in range(steps):
         for i in range(n):
             x[k, i] = ahead[k, i]
@@ -58,7 +58,7 @@ def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, gain, work, lowe
                     x[k, i] = x[k, i] + column[i] * (e / spread)
                     for j in range(n):
                         P[k, i, j] = P[k, i, j] - column[i] * column[j] / spread
-                total[0] = total[0] - 0.5 * (log(TWO_PI * spread) + e * e / spread)
+                total = total - 0.5 * (log(TWO_PI * spread) + e * e / spread)
         apply(A, x[k], ahead[k + 1])
         congruence(A, P[k], work, P_ahead[k + 1])
         for i in range(n):
@@ -89,3 +89,4 @@ def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, gain, work, lowe
                 for a in range(n):
                     add = add + gain[a, i] * work[a, j]
                 P[k, i, j] = P[k, i, j] + add
+    return total

@@ -159,9 +159,10 @@ class Fault(Block):
             "settings": [[*self.numbers(step), 0.0]],
         }
         memory = {"memory": np.zeros((1, self.memory(step)))}
+        kernel, records = kernels.one_kind(self.kernel()), {"draws": kernels.ONE, "course": kernels.COURSE}
         if self.remembers:
-            return Definition(kernels.one_kind(self.kernel()), state={**STATE, **memory}, parameters=parameters)
-        return Definition(kernels.one_kind(self.kernel()), state=STATE, parameters={**parameters, **memory})
+            return Definition(kernel, state={**STATE, **memory}, parameters=parameters, records=records)
+        return Definition(kernel, state=STATE, parameters={**parameters, **memory}, records=records)
 
     @property
     def shape(self) -> tuple[int, ...]:

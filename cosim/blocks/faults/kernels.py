@@ -11,10 +11,11 @@ the onset and while the fault is absent.
 from collections.abc import Callable
 from functools import cache
 from math import tau
-from typing import Any
+from typing import Any, NamedTuple
 
 from bayesftc.cosim.ops import both, floor, maximum, minimum, select, sin
-from bayesftc.cosim.types import Kernel
+from bayesftc.cosim.stepping.records import named_alike
+from bayesftc.cosim.types import Floats, Kernel
 
 Value = Callable[..., Any]
 
@@ -116,12 +117,13 @@ def without_memory(kind: Value) -> Value:
     return value
 
 
-def gate(t, transition, window, hazard, on, age):
+def gate(t, transition, course):
     """Let the fault come and go.
 
     Within the window (start <= t < stop) it comes with probability ``hazard[0]`` and goes with ``hazard[1]`` at each
     step; a fault that is only scheduled has 1 and 0. ``age`` counts the steps since the onset.
     """
+    window, hazard, _, on, age = course
     stays = select(transition[0] < hazard[1], 0.0, 1.0)
     comes = select(transition[0] < hazard[0], 1.0, 0.0)
     present = select(both(t >= window[0], t < window[1]), select(on[0] > HALF, stays, comes), 0.0)
@@ -143,17 +145,48 @@ def replace(u, channel, value, y):
         y[i] = select(channel[0] == i, value, u[i])
 
 
+class Draws(NamedTuple):
+    """Random numbers of a step: of coming and going, uniform and normal ones of the fault itself, and of its kind."""
+
+    transition: Floats
+    chance: Floats
+    noise: Floats
+    pick: Floats
+
+
+class Course(NamedTuple):
+    """When the fault may be there, the probabilities of coming and going, the step, whether it is on, and for how many steps."""
+
+    window: Floats
+    hazard: Floats
+    step: Floats
+    on: Floats
+    age: Floats
+
+
+class Kinds(NamedTuple):
+    """Which kind there is now, by the ``shares`` of each, and a row of settings and of memory for each."""
+
+    shares: Floats
+    chosen: Floats
+    settings: Floats
+    memory: Floats
+
+
+COURSE, KINDS = named_alike(Course), named_alike(Kinds)
+ONE, SEVERAL = named_alike(Draws, pick="chance"), named_alike(Draws)
+
+
 @cache
 def one_kind(kind: Value) -> Kernel:
     """Return the step function of a fault of one kind, which takes a memory; ``settings`` and ``memory`` have one row."""
 
-    def fault(
-        t, k, u, transition, chance, noise, channel, window, hazard, step, settings, on, age, held, memory, y, active
-    ):  # fmt: skip
-        gate(t, transition, window, hazard, on, age)
+    def fault(t, k, u, channel, draws, course, settings, memory, held, y, active):
+        on, age = course.on, course.age
+        gate(t, draws.transition, course)
         sample = element(u, channel)
         before = select(k == 0, sample, held[0])
-        value = kind(sample, before, age[0] * step[0], chance[0], noise[0], settings[0], memory[0])
+        value = kind(sample, before, age[0] * course.step[0], draws.chance[0], draws.noise[0], settings[0], memory[0])
         replace(u, channel, select(on[0] > HALF, value, sample), y)
         held[0] = select(on[0] > HALF, before, sample)
         active[0] = on[0]
@@ -166,18 +199,18 @@ def several_kinds(kinds: tuple[Value, ...]) -> Kernel:
     """Return the step function of a fault whose kind is drawn at every onset; ``settings`` and ``memory`` have a row for each."""
     value_of = _numbered(kinds, len(kinds) - 1)
 
-    def fault(
-        t, k, u, transition, pick, chance, noise, channel, window, hazard, step, shares, settings, on, age, held,
-        chosen, memory, y, active, kind,
-    ):  # fmt: skip
-        gate(t, transition, window, hazard, on, age)
+    def fault(t, k, u, channel, draws, course, kinds, held, y, active, kind):
+        on, age = course.on, course.age
+        shares, chosen, settings, memory = kinds
+        gate(t, draws.transition, course)
         sample = element(u, channel)
         before = select(k == 0, sample, held[0])
         drawn = 0.0
         for i in range(shares.shape[0] - 1):  # the last share is 1, which no draw reaches
-            drawn = drawn + select(pick[0] >= shares[i], 1.0, 0.0)
+            drawn = drawn + select(draws.pick[0] >= shares[i], 1.0, 0.0)
         chosen[0] = select(age[0] == 0.0, drawn, chosen[0])
-        value = value_of(chosen[0], sample, before, age[0] * step[0], chance[0], noise[0], settings, memory)
+        chance, noise = draws.chance[0], draws.noise[0]
+        value = value_of(chosen[0], sample, before, age[0] * course.step[0], chance, noise, settings, memory)
         replace(u, channel, select(on[0] > HALF, value, sample), y)
         held[0] = select(on[0] > HALF, before, sample)
         active[0] = on[0]

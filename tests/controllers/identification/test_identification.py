@@ -143,14 +143,14 @@ def test_the_smoother_is_one_large_gaussian():
     x0, P0 = rng.normal(size=n), np.array([[2.0, 0.3], [0.3, 1.0]])
     expected, cov, density = dense(y, drive, A, C, Q, np.diag(R), x0, P0)
     ahead, P_ahead = np.zeros((steps + 1, n)), np.zeros((steps + 1, n, n))
-    x, P, between, total = np.zeros((steps, n)), np.zeros((steps, n, n)), np.zeros((n, n)), np.zeros(1)
+    x, P, between = np.zeros((steps, n)), np.zeros((steps, n, n)), np.zeros((n, n))
     ahead[0], P_ahead[0] = x0, P0
-    smooth(y, drive, A, C, Q, np.diag(R), ahead, P_ahead, x, P, between, *np.zeros((4, n, n)), np.zeros(n), total)
+    found = smooth(y, drive, A, C, Q, np.diag(R), ahead, P_ahead, x, P, between, np.zeros((5, n, n)))
     np.testing.assert_allclose(x, expected, atol=1e-12)
     blocks = cov.reshape(steps, n, steps, n)
     np.testing.assert_allclose(P, [blocks[k, :, k] for k in range(steps)], atol=1e-12)
     np.testing.assert_allclose(between, sum(blocks[k + 1, :, k] for k in range(steps - 1)), atol=1e-12)
-    assert total[0] == pytest.approx(density)
+    assert found == pytest.approx(density)
 
 
 @pytest.mark.parametrize("slow", [["y2"], ["y0", "y1", "y2"]])
