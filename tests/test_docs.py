@@ -70,11 +70,25 @@ def test_readme_has_both_commands_and_they_are_what_ci_runs():
     assert "<!-- test command -->" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
+def anchors(page):
+    """Return the anchors of a page's headings, as GitHub makes them; none twice."""
+    prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", prose, re.M)}
+
+
 def test_links_of_the_pages_lead_somewhere():
-    for page in PAGES:
-        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
+    for page in [*PAGES, *(ROOT / f"{name}.md" for name in ("CHANGELOG", "CONTRIBUTING", "SECURITY"))]:
+        for target, anchor in re.findall(r"\]\(([^)#]*)#?([^)]*)\)", page.read_text(encoding="utf-8")):
             if "://" not in target:
-                assert (page.parent / target).exists(), f"{page.name} links to {target}"
+                linked = page.parent / target if target else page
+                assert linked.exists(), f"{page.name} links to {target}"
+                assert not anchor or anchor in anchors(linked), f"{page.name} links to {target}#{anchor}"
+
+
+def test_every_page_leads_to_the_glossary():
+    for page in PAGES:
+        if page.name not in {"glossary.md", "reference.md"}:
+            assert "glossary.md)" in page.read_text(encoding="utf-8"), f"{page.name} does not link to the glossary"
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))
