@@ -243,53 +243,62 @@ class Diagram:
         duration: float | str | Fraction,
         *,
         seed: int = 0,
-        record: Iterable[str] | None = None,
+        record: Iterable[str | PortRef] | None = None,
         decimation: int = 1,
         engine: Literal["auto", "compiled", "interpreted"] = "auto",
         progress: Progress | None = None,
         time_limit: float | None = None,
         pace: float | None = None,
     ) -> Result:
-        """Run the diagram from its initial state; `bayesftc.cosim.run.simulation.simulate` describes every option.
+        """Run the diagram for `duration` seconds from its initial state; it is built and frozen if it is not yet.
 
         Parameters
         ----------
         duration : float, str or Fraction
-            Length of the run in seconds, a whole number of base steps.
+            Seconds; a whole number of base steps. The result has a row at both ends (with `decimation`, at the end only if it
+            divides the number of steps).
         seed : int
-            Seed of all random streams.
+            Seed of all random streams. The same seed gives the same numbers, whatever else is in the diagram.
         record : iterable of str, optional
-            Names or patterns of the signals to keep; by default all outputs.
+            Names of the signals to keep, ``*`` allowed (``["plant.v", "controller.*"]``), or ports (``plant["v"]``); by default
+            all outputs. Inputs can be recorded as well, by name.
         decimation : int
-            Keep every `decimation`-th step.
+            Keep every `decimation`-th step, from step 0 on.
         engine : {"auto", "compiled", "interpreted"}
-            Both give the same bits.
+            ``auto`` is compiled where every block allows it. Both give the same bits.
         progress : callable, optional
-            Called as ``progress(step, steps)`` now and then.
+            Called as ``progress(step, steps)`` about twenty times a second.
         time_limit : float, optional
             Seconds of computing after which the run is stopped.
         pace : float, optional
-            Simulated seconds for each second of the clock, 1.0 for real time; ``result.metadata["pace"]`` reports overruns.
+            Simulated seconds for each second of the clock, 1.0 for real time: what belongs to t_k is computed when its time has
+            come. ``result.metadata["pace"]`` says how many steps were not done before the next was due (``overruns``) and by how
+            many seconds at worst (``worst_overrun``). By default as fast as the machine can.
 
         Returns
         -------
         Result
-            Signals by name (``"plant.v"``) at t_0 ... t_N.
+            The recorded signals.
+
+        Warns
+        -----
+        UserWarning
+            If an FMU has ended the run: ``result.stopped`` says why.
+
+        Raises
+        ------
+        SimulationError
+            If a plant's output is NaN or infinite, an FMU reports an error, or the time limit is reached; its ``result`` has the
+            signals up to the last complete step.
+        KeyboardInterrupt
+            On Ctrl-C, within about a twentieth of a second (an FMU's single step is not cut short). The signals so far are
+            discarded; to keep those of a run that may take too long, give it a ``time_limit``.
         """
         import_engine()
-        from bayesftc.cosim.run.simulation import simulate
+        from bayesftc.cosim.run.session import Session
 
-        return simulate(
-            self,
-            duration,
-            seed=seed,
-            record=record,
-            decimation=decimation,
-            engine=engine,
-            progress=progress,
-            time_limit=time_limit,
-            pace=pace,
-        )
+        with Session(self, seed=seed, record=record, decimation=decimation, engine=engine) as session:
+            return session.advance(duration, progress=progress, time_limit=time_limit, pace=pace)
 
     def start(
         self,

@@ -37,6 +37,5 @@ def import_engine() -> None:
         from bayesftc.cosim.run import (
             loop as _loop,  # noqa: F401
             session,  # noqa: F401
-            simulation,  # noqa: F401
         )
         from bayesftc.cosim.stepping import compiler as _compiler  # noqa: F401

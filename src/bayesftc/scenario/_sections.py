@@ -25,7 +25,7 @@ SOURCES: tuple[type[Block], ...] = tuple(getattr(sources, name) for name in sour
 
 @dataclass(frozen=True)
 class Simulation:
-    """How a scenario is run, unless a run says otherwise; see `bayesftc.cosim.run.simulation.simulate`.
+    """How a scenario is run, unless a run says otherwise; see `bayesftc.cosim.Diagram.simulate`.
 
     Attributes
     ----------
