@@ -24,11 +24,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from bayesftc.cosim import errors
-from bayesftc.cosim.base.timebase import step_at
 from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.errors import FMUCrashed, FMUError
 from bayesftc.cosim.fmi.reading.archive import DESCRIPTION, Archive, extract
 from bayesftc.cosim.fmi.reading.messages import KEPT, quoted
+from bayesftc.cosim.fmi.running.by_address import ENTRY, ByAddress
 from bayesftc.cosim.isolation import protocol
 from bayesftc.cosim.isolation.process import Patience, WorkerProcess
 from bayesftc.cosim.isolation.settings import DEFAULT_LIMIT
@@ -49,7 +49,6 @@ _WHAT = {
     protocol.STEPPING: "its step",
     protocol.READING: "the computation of its outputs",
 }
-_ATTEND = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
 
 
 def isolated(block: ExternalBlock, archive: Archive, step: Fraction, name: str, time_limit: float | None) -> Isolated:
@@ -58,7 +57,7 @@ def isolated(block: ExternalBlock, archive: Archive, step: Fraction, name: str, 
     return Isolated(block, step, name, DEFAULT_LIMIT if time_limit is None else float(time_limit))
 
 
-class Isolated:
+class Isolated(ByAddress):
     """A running instance of an FMU in a process of its own; see `bayesftc.cosim.block.External`.
 
     Parameters
@@ -89,7 +88,7 @@ class Isolated:
 
     def __init__(self, block: ExternalBlock, step: Fraction, name: str, time_limit: float):
         self.crash: FMUCrashed | None = None
-        self._name, self._step, self._h, self._limit = name, step, float(step), time_limit
+        self._name, self._step, self._limit = name, step, time_limit
         path = getattr(block, "path", None)
         self._file = f" ({Path(path).name})" if path else ""
         self._lines: deque[str] = deque(maxlen=KEPT)
@@ -109,11 +108,11 @@ class Isolated:
         shared.words[:] = 0
         # From compiled code, for all that is not a plain answer; by a weak reference, so that no circle keeps the process.
         myself = weakref.ref(self)
-        self._attend = _ATTEND(lambda a, b, c, answered, t, k: _attend(myself, answered))
+        self._attend = ENTRY(lambda a, b, c, answered, t, k: _attend(myself, answered))
         self.table = np.array(
             [
                 *protocol.system_functions(), self._process.steps.fileno(), shared.words.ctypes.data, inputs, outputs,
-                ctypes.cast(self._attend, ctypes.c_void_p).value, int(np.float64(self._h).view(np.int64)),
+                ctypes.cast(self._attend, ctypes.c_void_p).value, int(np.float64(float(step)).view(np.int64)),
             ],
             dtype=np.int64,
         )  # fmt: skip
@@ -153,29 +152,6 @@ class Isolated:
             self._is_compiled = True
         return _compiled(role)
 
-    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        """See `bayesftc.cosim.block.External.output`."""
-        words = self.shared.words
-        status = int(words[protocol.READ_STATUS]) if words[protocol.AHEAD] else self._exchange(protocol.READ, inputs, t)
-        outputs[:] = self.shared.outputs
-        return status
-
-    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        """See `bayesftc.cosim.block.External.update`."""
-        return self._exchange(protocol.STEP, inputs, t) if self._updates else 0
-
-    def _exchange(self, command: int, inputs: Floats, t: float) -> int:
-        """Do what `kernels` does, in Python."""
-        shared = self.shared
-        shared.inputs[:] = inputs
-        shared.time[0], shared.size[0] = t, self._h
-        shared.words[protocol.COUNT] = step_at(t, self._step)
-        shared.words[protocol.PHASE] = protocol.ASKED
-        self._order(command)
-        status = self.attend(0)
-        self._raise_interrupt()
-        return status
-
     @property
     def rounding(self) -> Isolated:
         """See `bayesftc.cosim.fmi.running.rounding.Roundable`: itself, for it asks the FMU's process."""
@@ -198,10 +174,6 @@ class Isolated:
 
     #: See `bayesftc.cosim.block.VariableStep`.
     step_word = 8
-
-    def resize(self, h: float) -> None:
-        """Make steps of `h` seconds from now on, in interpreted runs."""
-        self._h = h
 
     def expect_return(self) -> None:
         """See `bayesftc.cosim.block.External.expect_return`."""

@@ -18,7 +18,7 @@ import traceback
 from contextlib import suppress
 from fractions import Fraction
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +26,8 @@ from bayesftc.cosim.base.processes import begin
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import BayesFTCError, FMUError
 from bayesftc.cosim.fmi.reading import messages
+from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.isolation import protocol
-
-if TYPE_CHECKING:
-    from bayesftc.cosim.block import VariableStep
 
 _LOST = {errno.EPIPE, errno.ECONNRESET, errno.EBADF, errno.ENOTSOCK}
 
@@ -169,7 +167,7 @@ class _Worker:
         while True:
             self._answer(self._open)
             while self._instance is not None:
-                command = self._serve() if self._serve else self._step_once()
+                command = self._serve() if self._serve else self._await_talk()
                 if command == protocol.TALK:
                     what, *arguments = self._talk.recv()
                     self._answer(getattr(self, f"_do_{what}"), *arguments)
@@ -198,47 +196,12 @@ class _Worker:
         wide = rounding.wide_outputs if rounding is not None else ()
         return {"can_save": instance.can_save, "can_resize": can_resize, "own_inputs": own, "wide": wide}
 
-    def _step_once(self) -> int:
-        """Do what `kernels.serve` does, in Python and for one command."""
-        if not self._steps.recv(protocol.MESSAGE):
-            return 0
-        shared, instance = self._shared, self._running
-        words = shared.words
-        command, t = int(words[protocol.COMMAND]), float(shared.time[0])
-        if command == protocol.READ:
-            words[protocol.PHASE] = protocol.READING
-            status = instance.output(shared.inputs, shared.outputs, t)
-        elif command == protocol.STEP:
-            words[protocol.AHEAD] = 0
-            words[protocol.PHASE] = protocol.STEPPING
-            size = float(shared.size[0])
-            if getattr(instance, "step_word", 0) > 0:
-                cast("VariableStep", instance).resize(size)
-            status = instance.update(shared.inputs, shared.outputs, t)
-            if status == 0 and self._reads_ahead:
-                words[protocol.PHASE] = protocol.READING
-                words[protocol.READ_STATUS] = instance.output(shared.inputs, shared.outputs, self._end(t, size))
-                words[protocol.AHEAD] = 1
-        else:
-            return command
-        words[protocol.STATUS] = status
-        words[protocol.PHASE] = protocol.IDLE
-        self._steps.send(bytes(protocol.MESSAGE))
-        return command
-
-    def _end(self, t: float, size: float) -> float:
-        """Return when a step ends: at the engine's own next instant, to the last bit, if it is no part of a step."""
-        k, numerator, denominator = (
-            int(self._shared.words[protocol.COUNT]),
-            self._step.numerator,
-            self._step.denominator,
-        )
-        if size == numerator / denominator and t == k * numerator / denominator:
-            return (k + 1) * numerator / denominator
-        return t + size
+    def _await_talk(self) -> int:
+        """Return the command that comes before any step does: what is compiled is loaded first."""
+        return int(self._shared.words[protocol.COMMAND]) if self._steps.recv(protocol.MESSAGE) else protocol.GONE
 
     def _do_compile(self) -> None:
-        """Step in compiled code from now on."""
+        """Make steps from now on."""
         self._serve = _CompiledLoop(self._running, self._shared, self._steps, self._step, self._reads_ahead)
 
     def _do_expect_return(self) -> None:
@@ -303,9 +266,7 @@ class _CompiledLoop:
         ]  # fmt: skip
         self._table = np.array(words, dtype=np.int64)
         function: Any = kernels.serve
-        i64 = ctypes.c_int64
-        compiled = compile_raw(function)
-        self._entry = ctypes.CFUNCTYPE(ctypes.c_int32, i64, i64, i64, i64, ctypes.c_double, i64)(compiled.address or 0)
+        self._entry = ENTRY(compile_raw(function).address or 0)
         self._shared, self._everywhere, self._paused = shared, os.sched_getaffinity(0), time.monotonic()
 
     def __call__(self) -> int:

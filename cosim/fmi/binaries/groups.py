@@ -175,15 +175,8 @@ class Group:
 
     @cached_property
     def _call(self) -> Callable[[int], int]:
-        return self._bound(self.function)
-
-    @cached_property
-    def _look(self) -> Callable[[int], int]:
-        return self._bound(self.read)
-
-    def _bound(self, function: int) -> Callable[[int], int]:
         references, count, buffer = self.references.ctypes.data, len(self.references), self.buffer.ctypes.data
-        call: Any = (VALUES3 if self.major == 3 else VALUES2)(function)
+        call: Any = (VALUES3 if self.major == 3 else VALUES2)(self.function)
         size = (self.size,) if self.major == 3 else ()
         return lambda component: int(call(component, references, count, buffer, *size))
 
@@ -237,11 +230,6 @@ class Group:
         """Return whether the FMU writes beyond the memory that it is given for the group."""
         self._call(component)
         return not self.guarded.intact
-
-    def changed(self, component: int, inputs: Floats) -> tuple[int, bool]:
-        """Return FMI's status, and whether discrete inputs are others than the instance has."""
-        status = self._look(component)
-        return status, bool((inputs[self.mine] != self.buffer[: self.size].astype(np.float64)).any())
 
 
 def groups(

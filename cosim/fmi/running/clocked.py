@@ -1,7 +1,8 @@
 """Running FMUs of FMI 3 with clocks: they tick in event mode, at the instants that the FMU asks for.
 
 A clock that is due at t_k ticks with the inputs of t_k, before the step from there; one that is due within a step cuts it.
-Clocked outputs keep between ticks what they had at the last one. All this is done in Python, which compiled code calls back.
+Clocked outputs keep between ticks what they had at the last one. This is done in Python, which compiled code calls back; the
+steps between are compiled, and know when the next clock is due.
 """
 
 from __future__ import annotations
@@ -10,29 +11,21 @@ import ctypes
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import StepSizeError
-from bayesftc.cosim.fmi.binaries.codes import (
-    ENDLESS,
-    EVENTS,
-    TERMINATED,
-    TOLERANCE,
-    TRIES,
-    UNFIT,
-    UPDATE,
-    UPDATE_TERMINATE,
-)
+from bayesftc.cosim.fmi.binaries.codes import DUE, TOLERANCE, UNFIT, failed
 from bayesftc.cosim.fmi.binaries.groups import Group
 from bayesftc.cosim.fmi.binaries.library import CallError, Library
 from bayesftc.cosim.fmi.reading.clocks import CHANGED, Ticks
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Value
+from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.fmi.running.instance import Instance
 from bayesftc.cosim.fmi.running.refusals import function_of
-from bayesftc.cosim.fmi.running.steps import failed
 from bayesftc.cosim.stepping.callbacks import Callback
 from bayesftc.cosim.types import Floats
 
@@ -84,12 +77,17 @@ class ClockedInstance(Instance):
         tolerance: float = 0.0,
     ):
         self._clocks = [Ticks(v.name, v.reference, v.clock) for v in _timed(library.description) if v.clock]
-        self._reason, self._end = "", -math.inf
+        self._reason, self._last, self._slack = "", -math.inf, 0.0
+        self._ticking: list[Ticks] = []
         self._sizes = sum(math.prod(v.shape) for v in inputs), sum(math.prod(v.shape) for v in outputs)
         self._inputs, self._held = np.zeros(self._sizes[0]), np.zeros(self._sizes[1])
         super().__init__(library, name, step, timing, start, inputs, outputs, tolerance)
-        arguments = self._sizes, self.resize, self.step_word, RAISED
-        self._callbacks_of_engine = [Callback(self.output, *arguments), Callback(self.update, *arguments)]
+        arguments = self.resize, self.step_word, RAISED
+        self._callbacks_of_engine = [
+            *(Callback(function, self._sizes, *arguments) for function in (self.output, self.update)),
+            Callback(lambda inputs, outputs, now: self._settle(now), (0, 0), *arguments),
+        ]
+        self.table[-1] = self._callbacks_of_engine[2].address
         try:
             self._check_periods(step)
         except StepSizeError:
@@ -189,51 +187,57 @@ class ClockedInstance(Instance):
         """Address of a callback of `update`; 0 where all is done in the output function."""
         return self._callbacks_of_engine[1].address if self._timing == "plant" else 0
 
-    def _read(self, outputs: Floats) -> int:
-        status = super()._read(outputs)
-        for group in self._clocked[1]:
-            outputs[group.mine] = self._held[group.mine]
+    @cached_property
+    def _entries(self) -> tuple[Any, Any]:
+        return ENTRY(super().output_address), ENTRY(super().update_address)
+
+    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.output`."""
+        self._begin(inputs, t)
+        status = super().output(inputs, outputs, t)
+        self._give_held(outputs)
         return status
 
-    def _advance(self, inputs: Floats, t: float) -> int:
-        self._inputs, self._end = inputs, t + self._h
-        return super()._advance(inputs, t)
+    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.update`."""
+        self._begin(inputs, t)
+        return super().update(inputs, outputs, t)
+
+    def _begin(self, inputs: Floats, t: float) -> None:
+        h = float(self.table.view(np.float64)[self.step_word])
+        self._inputs, self._slack = inputs, TOLERANCE * h
+        self._last = t + h - self._slack
+
+    def _read(self, outputs: Floats) -> int:
+        self._give_held(outputs)
+        return super()._read(outputs)
+
+    def _give_held(self, outputs: Floats) -> None:
+        for group in self._clocked[1]:
+            outputs[group.mine] = self._held[group.mine]
 
     def _due(self, now: float) -> list[Ticks]:
         """Return the clocks to tick; those that are due when the step ends wait for the inputs of then."""
-        slack = TOLERANCE * self._h
-        return [c for c in self._clocks if c.due <= now + slack and c.due < self._end - slack]
-
-    def _has_event(self, now: float) -> bool:
-        return bool(self._due(now))
-
-    @property
-    def _next_event(self) -> float:
-        due = min((c.due for c in self._clocks), default=math.inf)
-        return min(self._announced, due if due < self._end - TOLERANCE * self._h else math.inf)
+        return [c for c in self._clocks if c.due <= now + self._slack and c.due < self._last]
 
     def _settle(self, now: float) -> int:
-        _, update, leave = self._modes
         try:
-            for _ in range(TRIES):
-                ticking = self._due(now)
-                status = self._tick(ticking) or failed(EVENTS, update(self._component, *self._places[UPDATE:]))
-                if status:
-                    return status
-                if self._scratch[UPDATE_TERMINATE]:
-                    return TERMINATED
-                self._ask(now, ticking)
-                if not self._scratch[UPDATE] and not self._due(now):
-                    return failed(EVENTS, leave(self._component))
+            return super()._settle(now)
         except CallError as error:
             said = error.sentence()
             self._reason = f"{said[0].upper()}{said[1:]}."
             return CLOCK
-        return ENDLESS
+        finally:
+            self._note_due()
 
-    def _tick(self, ticking: list[Ticks]) -> int:
+    def _note_due(self) -> None:
+        """Let compiled code know when the next clock ticks."""
+        self._scratch.view(np.float64)[DUE] = min((c.due for c in self._clocks), default=math.inf)
+
+    def _tick(self, now: float) -> int:
         """Activate clocks, set clocked inputs, and read clocked outputs while their clocks are active."""
-        active = self._activate(ticking)
+        self._ticking = self._due(now)
+        active = self._activate(self._ticking)
         for group in self._clocked[0]:
             status = self._put(group, self._inputs) if active.intersection(group.clocks) else 0
             if status:
@@ -259,16 +263,17 @@ class ClockedInstance(Instance):
             clock.tick()
         return {clock.reference for clock in ticking}
 
-    def _ask(self, now: float, ticked: list[Ticks]) -> None:
+    def _still_ticks(self, now: float) -> bool:
         for clock in self._clocks:
             kind = clock.clock.kind
             tunes = kind == "tunable" and clock.clock.interval is None
-            if tunes or kind == "countdown" or (kind == "changing" and clock in ticked):
+            if tunes or kind == "countdown" or (kind == "changing" and clock in self._ticking):
                 qualifier, interval = self._interval(clock)
                 if qualifier == CHANGED:
                     clock.change(now, interval)
                 elif kind == "changing" and clock.interval is not None:
                     clock.change(now, clock.interval)
+        return bool(self._due(now))
 
     # What others ask
 
@@ -279,6 +284,7 @@ class ClockedInstance(Instance):
         super()._put_beside(values)
         for clock, state in zip(self._clocks, values[1], strict=True):
             clock.state = state
+        self._note_due()
         self._held[:] = values[2]
 
     def _called(self, side: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from fractions import Fraction
 from math import inf, isfinite
@@ -29,6 +30,10 @@ from bayesftc.cosim.fmi.binaries.codes import (
     UNFIT,
     UNFIT_INPUT,
     UNFIT_OUTPUT,
+    UPDATE,
+    UPDATE_TERMINATE,
+    decoded,
+    failed,
 )
 from bayesftc.cosim.fmi.binaries.groups import Group, element_names, groups
 from bayesftc.cosim.fmi.binaries.guards import beyond
@@ -40,7 +45,11 @@ from bayesftc.cosim.fmi.running.own_inputs import own_inputs
 from bayesftc.cosim.fmi.running.refusals import function_of, misfit
 from bayesftc.cosim.fmi.running.rounding import Rounding
 from bayesftc.cosim.fmi.running.states import SavedState, States
-from bayesftc.cosim.fmi.running.steps import StepFunctions, decoded
+from bayesftc.cosim.fmi.running.steps import StepFunctions
+from bayesftc.cosim.types import Floats
+
+_MODE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+_UPDATE = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 7)
 
 _UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
 """The bits of a NaN that no computation makes."""
@@ -81,7 +90,7 @@ class Instance(StepFunctions):
             self._healthy = False
             self.close()
             raise
-        super().__init__(major, addresses, self._component, into, out, float(step), timing, self._cut())
+        super().__init__(major, addresses, self._component, into, out, step, timing, self._cut())
         self._elements = element_names(list(inputs)), element_names(outputs)
         self.rounding = Rounding(out, self._elements[1])
         if addresses.enter_event_mode:
@@ -141,6 +150,50 @@ class Instance(StepFunctions):
             raise FMUError(
                 f"The FMU {self._library.description.name!r} could not be initialized as {self._name!r}: {what}"
             )
+
+    def _settle(self, now: float) -> int:
+        """Update the discrete states in event mode until they stay, and go back to step mode.
+
+        Steps have it done by compiled code (`kernels.settle3`), which calls this where there are clocks.
+        """
+        scratch, a = self._scratch, self._addresses
+        update, leave = _UPDATE(a.update_discrete), _MODE(a.enter_step_mode)
+        places = [scratch.ctypes.data + 8 * i for i in range(UPDATE, UPDATE + 6)]
+        for _ in range(TRIES):
+            status = self._tick(now) or failed(EVENTS, update(self._component, *places))
+            if status:
+                return status
+            if scratch[UPDATE_TERMINATE]:
+                return TERMINATED
+            if not self._still_ticks(now) and not scratch[UPDATE]:
+                return failed(EVENTS, leave(self._component))
+        return ENDLESS
+
+    def _tick(self, now: float) -> int:
+        """Let the clocks tick that are due; return a status."""
+        return 0
+
+    def _still_ticks(self, now: float) -> bool:
+        """Return whether more clocks are due."""
+        return False
+
+    def _read(self, outputs: Floats) -> int:
+        """Read the outputs by way of guarded memory; return a status."""
+        return next(filter(None, (self._take(group, outputs) for group in self._groups[1])), 0)
+
+    def _take(self, group: Group, outputs: Floats) -> int:
+        status, unfit = group.take(self._component, outputs)
+        return self._noted(group, failed(GET, status), unfit, UNFIT_OUTPUT)
+
+    def _put(self, group: Group, inputs: Floats) -> int:
+        status, unfit = group.put(self._component, inputs)
+        return self._noted(group, failed(SET, status), unfit, UNFIT_INPUT)
+
+    def _noted(self, group: Group, status: int, unfit: int, misfit: int) -> int:
+        """Return the status of a group that was set or read, and remember which value or group it is about."""
+        if unfit >= 0 or status:
+            self._scratch[UNFIT] = unfit if unfit >= 0 else group.begin
+        return misfit if unfit >= 0 else status
 
     def _check_written(self) -> None:
         """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values; or too much.
@@ -216,7 +269,7 @@ class Instance(StepFunctions):
 
     def _beside(self) -> tuple[Any, ...]:
         """Return what is to be remembered beside the FMU's own state: when it wants its next event."""
-        return (self._announced,)
+        return (float(self._scratch.view(np.float64)[NEXT_TIME]) if self._scratch[NEXT_DEFINED] else inf,)
 
     def _put_beside(self, values: tuple[Any, ...]) -> None:
         next_event = values[0] if values else inf

@@ -19,19 +19,17 @@ from numba.extending import intrinsic
 from bayesftc.cosim.fmi.binaries.codes import (
     ANSWER,
     DISCARD,
+    DUE,
     EARLY,
     ENDLESS,
     EVENT,
     EVENTS,
     GET,
     HAS_TERMINATED,
-    LAST,
     LAST_TIME,
-    MOST,
     NEXT_DEFINED,
     NEXT_TIME,
     NO_RETURN,
-    ODD,
     REACHED,
     RETURNED_EARLY,
     SET,
@@ -43,16 +41,20 @@ from bayesftc.cosim.fmi.binaries.codes import (
     TRIES,
     UPDATE,
     UPDATE_TERMINATE,
+    failed as _failed,
 )
+from bayesftc.cosim.stepping.by_address import call_block
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 
 # Words of the table.
 (
     COMPONENT, GET_REAL, SET_REAL, DO_STEP, INPUTS, INPUT_COUNT, OUTPUTS, OUTPUT_COUNT, STEP_SIZE, SCRATCH, INPUT_SIZE,
     OUTPUT_SIZE, REAL_STATUS, BOOLEAN_STATUS, ENTER_EVENT_MODE, UPDATE_DISCRETE, ENTER_STEP_MODE, INPUT_GROUPS,
-    INPUT_GROUP_COUNT, OUTPUT_GROUPS, OUTPUT_GROUP_COUNT, GRID,
-) = range(22)  # fmt: skip
-WORDS = 22
+    INPUT_GROUP_COUNT, OUTPUT_GROUPS, OUTPUT_GROUP_COUNT, GRID, SETTLE,
+) = range(23)  # fmt: skip
+WORDS = 23
+
+failed = inlined(_failed)
 
 _I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
 
@@ -183,16 +185,6 @@ def put_number(typingctx, address, index, value):
 
 
 @inlined
-def failed(where, status):
-    """Return 0 for FMI's OK and Warning, else the status of a step; see `bayesftc.cosim.fmi.running.steps.decoded`."""
-    if status == 0 or status == 1:
-        return 0
-    if status > 1 and status <= LAST:
-        return where + status
-    return ODD * where + min(max(status, -MOST), MOST) + MOST
-
-
-@inlined
 def _get2(parameters, outputs):
     count = word(parameters, OUTPUT_COUNT)
     if count == 0:
@@ -304,7 +296,8 @@ def do_step3(parameters, t):
 def do_event_step3(parameters, t):
     """Make a step of an FMI 3 instance that uses event mode, with the events within it and at its end."""
     h = number(parameters, STEP_SIZE)
-    size = _part3(parameters, t, h, TOLERANCE * h)
+    slack = TOLERANCE * h
+    size = _part3(parameters, t, h, slack, t + h - slack)
     scratch = word(parameters, SCRATCH)
     no_return = word(scratch, NO_RETURN)
     status = step3(word(parameters, DO_STEP), word(parameters, COMPONENT), t, size, no_return, scratch)
@@ -329,36 +322,45 @@ def _go_on3(parameters, t, h, size, status):
             return TERMINATED
         else:
             reached = number(scratch, REACHED) if word(scratch, RETURNED_EARLY) != 0 else now + size
-            event = events and (word(scratch, EVENT) != 0 or _next_event3(scratch) <= reached + slack)
+            event = events and (word(scratch, EVENT) != 0 or _next_event3(scratch, end - slack) <= reached + slack)
             if not (reached > now or (event and reached == now)):
                 return EARLY
             now = reached
             if event:
                 status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))
                 if status == 0:
-                    status = settle3(parameters)
+                    status = settle3(parameters, now)
                 if status != 0:
                     return status
         left = end - now
         if left <= slack:
             return 0
-        size = _part3(parameters, now, most if most < left - slack else left, slack)
+        size = _part3(parameters, now, most if most < left - slack else left, slack, end - slack)
         status = step3(word(parameters, DO_STEP), component, now, size, no_return, scratch)
     return ENDLESS
 
 
 @callee
-def _next_event3(scratch):
-    """Return when the instance wants the next time event: what fmi3UpdateDiscreteStates said last."""
-    return number(scratch, NEXT_TIME) if word(scratch, NEXT_DEFINED) != 0 else np.inf
+def _next_event3(scratch, last):
+    """Return when the instance wants the next time event: what fmi3UpdateDiscreteStates said last, or a clock before `last`."""
+    event = number(scratch, NEXT_TIME) if word(scratch, NEXT_DEFINED) != 0 else np.inf
+    due = number(scratch, DUE)
+    return min(event, due) if due < last else event
 
 
 @callee
-def _part3(parameters, now, size, slack):
+def clock_is_due3(parameters, t):
+    """Return whether a clock ticks at the beginning of the step from `t`."""
+    h, due = number(parameters, STEP_SIZE), number(word(parameters, SCRATCH), DUE)
+    return due <= t + TOLERANCE * h and due < t + h - TOLERANCE * h
+
+
+@callee
+def _part3(parameters, now, size, slack, last):
     """Return the size of the next part of a step: no more than to the next time event, where the step may be cut there."""
     if word(parameters, ENTER_EVENT_MODE) == 0:
         return size
-    event = _next_event3(word(parameters, SCRATCH))
+    event = _next_event3(word(parameters, SCRATCH), last)
     if not (event > now + slack and event < now + size - slack):
         return size
     grid = number(parameters, GRID)
@@ -369,8 +371,13 @@ def _part3(parameters, now, size, slack):
 
 
 @callee
-def settle3(parameters):
-    """Update the discrete states of an FMI 3 instance in event mode until they stay, and go back to step mode."""
+def settle3(parameters, now):
+    """Update the discrete states of an FMI 3 instance in event mode until they stay, and go back to step mode.
+
+    With clocks, which are a matter of Python, it is called back: see `Instance._settle`.
+    """
+    if word(parameters, SETTLE) != 0:
+        return call_block(word(parameters, SETTLE), 0, parameters, 0, 0, now, 0)
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
     for _ in range(TRIES):
         status = failed(EVENTS, update3(word(parameters, UPDATE_DISCRETE), component, scratch + 8 * UPDATE))

@@ -31,6 +31,7 @@ from bayesftc.cosim.fmi.running.kernels import (
     OUTPUT_GROUP_COUNT,
     OUTPUT_GROUPS,
     SCRATCH,
+    clock_is_due3,
     do_event_step3,
     do_step2,
     do_step3,
@@ -201,13 +202,13 @@ def _changed(parameters, inputs, group):
 
 
 @callee
-def _set_all(major, parameters, inputs):
+def _set_all(major, parameters, inputs, t):
     """Set the inputs, all of them in event mode if one has changed that may only change at events.
 
     What the instance has is asked before anything is set: afterwards FMI allows no reading before the step.
     """
     events = major == 3 and word(parameters, ENTER_EVENT_MODE) != 0
-    changed = False
+    changed = events and clock_is_due3(parameters, t)
     component, note = word(parameters, COMPONENT), word(parameters, SCRATCH) + 8 * UNFIT
     first, count = word(parameters, INPUT_GROUPS), word(parameters, INPUT_GROUP_COUNT)
     if events:
@@ -226,7 +227,7 @@ def _set_all(major, parameters, inputs):
         if status == 0 and (changed or not events or word(group, DISCRETE) == 0):
             status = put(major, component, note, inputs, group)
     if changed and status == 0:
-        return settle3(parameters)
+        return settle3(parameters, t)
     return status
 
 
@@ -260,7 +261,7 @@ def typed_get3(state, parameters, inputs, outputs, t, k):
 
 def typed_advance2(state, parameters, inputs, outputs, t, k):
     """Set the inputs of an FMI 2 instance and make its step."""
-    status = _set_all(2, parameters, inputs)
+    status = _set_all(2, parameters, inputs, t)
     if status != 0:
         return status
     return do_step2(parameters, t)
@@ -268,7 +269,7 @@ def typed_advance2(state, parameters, inputs, outputs, t, k):
 
 def typed_advance3(state, parameters, inputs, outputs, t, k):
     """Set the inputs of an FMI 3 instance and make its step."""
-    status = _set_all(3, parameters, inputs)
+    status = _set_all(3, parameters, inputs, t)
     if status != 0:
         return status
     return _step3(parameters, t)
@@ -276,7 +277,7 @@ def typed_advance3(state, parameters, inputs, outputs, t, k):
 
 def typed_sampled2(state, parameters, inputs, outputs, t, k):
     """Set the inputs of an FMI 2 instance, make its step, read its outputs."""
-    status = _set_all(2, parameters, inputs)
+    status = _set_all(2, parameters, inputs, t)
     if status == 0:
         status = do_step2(parameters, t)
     if status != 0:
@@ -286,7 +287,7 @@ def typed_sampled2(state, parameters, inputs, outputs, t, k):
 
 def typed_sampled3(state, parameters, inputs, outputs, t, k):
     """Set the inputs of an FMI 3 instance, make its step, read its outputs."""
-    status = _set_all(3, parameters, inputs)
+    status = _set_all(3, parameters, inputs, t)
     if status == 0:
         status = _step3(parameters, t)
     if status != 0:

@@ -1,12 +1,20 @@
-"""What FMI functions return, for each status and in both engines, with functions that need no compiler."""
+"""What FMI functions return, for each status, with functions that need no compiler."""
 
 import ctypes
+from fractions import Fraction
 
 import numpy as np
 import pytest
 
 from bayesftc.cosim.fmi.binaries import groups as _fmi_groups
+from bayesftc.cosim.fmi.binaries.addresses import Addresses
 from bayesftc.cosim.fmi.running import kernels as _fmi_kernels, steps as _fmi_steps, typed_kernels as _fmi_typed_kernels
+
+STEP2 = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int)
+STEP3 = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_bool, *[ctypes.c_void_p] * 4
+)
+DT = Fraction(1, 100)
 
 
 def fake(returns, writes=()):
@@ -27,8 +35,8 @@ def fake(returns, writes=()):
     return (
         _fmi_groups.VALUES2(values),
         _fmi_groups.VALUES3(values),
-        _fmi_steps._STEP2(step2),
-        _fmi_steps._STEP3(step3),
+        STEP2(step2),
+        STEP3(step3),
     )
 
 
@@ -53,35 +61,29 @@ STATUS = [
 
 
 @pytest.mark.parametrize(("major", "values", "step", "writes", "expected"), STATUS)
-def test_status_of_every_kind_in_both_engines(major, values, step, writes, expected):
+def test_status_of_every_kind(major, values, step, writes, expected):
     functions = fake({"values": values, "step": step}, writes)
     get, advance = (functions[0], functions[2]) if major == 2 else (functions[1], functions[3])
     values_at, step_at = (ctypes.cast(f, ctypes.c_void_p).value for f in (get, advance))
-    addresses = _fmi_steps.Addresses(step_at)
+    addresses = Addresses(step_at)
     into, out = (_fmi_groups.Group("", values_at, _fmi_groups.FLOAT64, major, [i], 0, 1) for i in range(2))
     u, y = np.zeros(1), np.zeros(1)
-    entry = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
     for timing in ("plant", "sampled"):
-        steps = _fmi_steps.StepFunctions(major, addresses, 1, [into], [out], 0.01, timing)
-        plain = steps.update if timing == "plant" else steps.output
-        compiled = entry(steps.update_address if timing == "plant" else steps.output_address)
+        steps = _fmi_steps.StepFunctions(major, addresses, 1, [into], [out], DT, timing)
         assert len(steps.table) <= 32
-        assert plain(u, y, 1.0) == expected
-        assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == expected
+        assert (steps.update if timing == "plant" else steps.output)(u, y, 1.0) == expected
     if values > 1:
-        steps = _fmi_steps.StepFunctions(major, addresses, 1, [into], [out], 0.01, "plant")
+        steps = _fmi_steps.StepFunctions(major, addresses, 1, [into], [out], DT, "plant")
         assert steps.output(u, y, 1.0) == 100 + values
-        compiled = entry(steps.output_address)
-        assert compiled(0, steps.table.ctypes.data, u.ctypes.data, y.ctypes.data, 1.0, 100) == 100 + values
     del functions
 
 
-def test_both_engines_have_the_same_types_and_tables():
+def test_python_and_compiled_code_have_the_same_types_and_tables():
     codes = ("FLOAT64", "FLOAT32", "INT8", "UINT8", "INT16", "UINT16", "INT32", "UINT32", "INT64", "UINT64")
     for i, name in enumerate(codes):
         assert getattr(_fmi_typed_kernels, name) == i
         assert np.dtype(name.lower()) == _fmi_groups.NumericType(i, 0.0, 0.0).dtype
     group = _fmi_groups.Group("", 0, _fmi_groups.FLOAT64, 2, [0], 0, 1)
     assert len(group.words()) == _fmi_typed_kernels.GROUP_WORDS
-    steps = _fmi_steps.StepFunctions(2, _fmi_steps.Addresses(0), 0, [], [], 0.01, "plant")
+    steps = _fmi_steps.StepFunctions(2, Addresses(0), 0, [], [], DT, "plant")
     assert len(steps.table) == _fmi_kernels.WORDS

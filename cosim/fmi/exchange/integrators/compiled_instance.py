@@ -8,28 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.timebase import step_at
 from bayesftc.cosim.fmi.exchange import words
-from bayesftc.cosim.fmi.exchange.integrators.instance import ENTRY, ExchangeInstance, Timing
+from bayesftc.cosim.fmi.exchange.integrators.instance import ExchangeInstance, Timing
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
 from bayesftc.cosim.fmi.exchange.port_values import StopError
 from bayesftc.cosim.fmi.exchange.reasons import reason
 from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS, RESTARTED
-from bayesftc.cosim.types import Floats
+from bayesftc.cosim.fmi.running.by_address import ENTRY
 
 
 @cache
-def _compiled(role: str) -> tuple[Any, Any]:
+def _compiled(role: str) -> Any:
     from bayesftc.cosim.fmi.exchange.integrators.kernels import FUNCTIONS
     from bayesftc.cosim.stepping.compiler import compile_raw
 
     function: Any = FUNCTIONS[role]
-    compiled = compile_raw(function)
-    return compiled, ENTRY(int(compiled.address or 0))
+    return compile_raw(function)
 
 
 class CompiledInstance(ExchangeInstance):
-    """One whose integrator is compiled, as is all else of a step; the interpreted engine calls the same functions.
+    """One whose integrator is compiled, as is all else of a step.
 
     Parameters
     ----------
@@ -78,29 +76,17 @@ class CompiledInstance(ExchangeInstance):
     @property
     def output_address(self) -> int:
         """Address of the compiled output function."""
-        return int(_compiled(self._timing)[0].address)
+        return int(_compiled(self._timing).address)
 
     @property
     def update_address(self) -> int:
         """Address of the compiled update function; 0 where all is done in the output function."""
-        return 0 if self._timing == "sampled" else int(_compiled("update")[0].address)
-
-    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        """See `bayesftc.cosim.block.External.output`."""
-        return self._call(self._timing, inputs, outputs, t)
-
-    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        return self._call("update", inputs, outputs, t)
-
-    def _call(self, role: str, inputs: Floats, outputs: Floats, t: float) -> int:
-        entry = _compiled(role)[1]
-        addresses = self.table.ctypes.data, inputs.ctypes.data, outputs.ctypes.data
-        return int(entry(0, *addresses, t, step_at(t, self._step)))
+        return 0 if self._timing == "sampled" else int(_compiled("update").address)
 
     def _set_tolerances(self) -> None:
         if self._model.nx or self._model.nz:
             nothing = np.zeros(0)
-            if self._call("tolerances", nothing, nothing, 0.0):
+            if self._entered(ENTRY(_compiled("tolerances").address), nothing, nothing, 0.0):
                 raise StopError(self._why())
 
     @property

@@ -7,7 +7,6 @@ gives the bits of one that was not.
 
 from __future__ import annotations
 
-import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
@@ -22,15 +21,13 @@ from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel, SavedModel
 from bayesftc.cosim.fmi.exchange.port_values import StopError
 from bayesftc.cosim.fmi.reading.description import FMUVariable, Value
+from bayesftc.cosim.fmi.running.by_address import ByAddress
 from bayesftc.cosim.types import Floats
 
 Timing = Literal["plant", "direct", "sampled"]
 
-ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
-"""How the engine calls: state, parameters, inputs, outputs, time, step."""
 
-
-class ExchangeInstance(ABC):
+class ExchangeInstance(ByAddress, ABC):
     """What all of them have in common; see `bayesftc.cosim.block.External`.
 
     Parameters
@@ -52,31 +49,6 @@ class ExchangeInstance(ABC):
         self.rounding = model.ports.rounding
         self.table = np.array([model.table.ctypes.data, 0], dtype=np.int64)
         self.resize(float(step))
-
-    def resize(self, h: float) -> None:
-        """See `bayesftc.cosim.block.VariableStep.resize`."""
-        self.table.view(np.float64)[words.STEP_WORD] = h
-
-    @property
-    @abstractmethod
-    def output_address(self) -> int:
-        """Address of the output function."""
-
-    @property
-    @abstractmethod
-    def update_address(self) -> int:
-        """Address of the update function; 0 where all is done in the output function."""
-
-    @abstractmethod
-    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        """See `bayesftc.cosim.block.External.output`."""
-
-    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
-        """See `bayesftc.cosim.block.External.update`."""
-        return 0 if self._timing == "sampled" else self._update(inputs, outputs, t)
-
-    @abstractmethod
-    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int: ...
 
     def explain(self, status: int) -> str:
         """Return why it stopped, with the last messages of the instance."""

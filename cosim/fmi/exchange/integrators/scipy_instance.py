@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable
 from fractions import Fraction
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,10 +10,11 @@ import numpy as np
 from bayesftc.cosim.base.timebase import step_at
 from bayesftc.cosim.fmi.binaries.library import CallError
 from bayesftc.cosim.fmi.exchange import words
-from bayesftc.cosim.fmi.exchange.integrators.instance import ENTRY, ExchangeInstance, Timing
+from bayesftc.cosim.fmi.exchange.integrators.instance import ExchangeInstance, Timing
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
 from bayesftc.cosim.fmi.exchange.port_values import EndError, StopError
 from bayesftc.cosim.fmi.exchange.reasons import endless_events, too_many_events
+from bayesftc.cosim.stepping.callbacks import Callback
 from bayesftc.cosim.types import Floats
 
 INTERRUPTED = 902  # as in bayesftc.cosim.isolation.protocol
@@ -37,41 +35,18 @@ class ScipyInstance(ExchangeInstance):
     def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing, solver: Any):
         super().__init__(model, step, timing)
         self._solver, self._reason, self._has_ended = solver, "", False
-        self._raised: BaseException | None = None
-        self._views: dict[tuple[int, int], Floats] = {}
+        arguments = model.sizes, self.resize, self.step_word, INTERRUPTED
+        self._callbacks = [Callback(function, *arguments) for function in (self.output, self.update)]
 
     @property
     def output_address(self) -> int:
         """Address of a callback of `output`."""
-        return ctypes.cast(self._entries[0], ctypes.c_void_p).value or 0
+        return self._callbacks[0].address
 
     @property
     def update_address(self) -> int:
         """Address of a callback of `update`; 0 where all is done in the output function."""
-        return 0 if self._timing == "sampled" else ctypes.cast(self._entries[1], ctypes.c_void_p).value or 0
-
-    @cached_property
-    def _entries(self) -> tuple[Any, Any]:
-        return ENTRY(self._entry(self.output)), ENTRY(self._entry(self.update))
-
-    def _entry(self, function: Callable[[Floats, Floats, float], int]) -> Callable[..., int]:
-        sizes, view = self._model.sizes, self._view
-
-        def entry(state: int, parameters: int, inputs: int, outputs: int, t: float, k: int) -> int:
-            try:
-                self.resize(ctypes.c_double.from_address(parameters + 8 * words.STEP_WORD).value)
-                return function(view(inputs, sizes[0]), view(outputs, sizes[1]), t)
-            except BaseException as error:  # noqa: BLE001 - C code has no way for it; `explain` raises it
-                self._raised = error
-                return INTERRUPTED
-
-        return entry
-
-    def _view(self, address: int, size: int) -> Floats:
-        key = address, size
-        if key not in self._views:
-            self._views[key] = np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
-        return self._views[key]
+        return 0 if self._timing == "sampled" else self._callbacks[1].address
 
     def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
         """See `bayesftc.cosim.block.External.output`."""
@@ -85,7 +60,10 @@ class ScipyInstance(ExchangeInstance):
             return self._stop(error)
         return 0
 
-    def _update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.update`; of a sampled one, all is done in `output`."""
+        if self._timing == "sampled":
+            return 0
         try:
             self._advance(inputs, t)
         except (StopError, CallError) as error:
@@ -103,9 +81,9 @@ class ScipyInstance(ExchangeInstance):
         return self._has_ended
 
     def _why(self) -> str:
-        raised, self._raised = self._raised, None
-        if raised is not None:
-            raise raised
+        for raised in [callback.taken() for callback in self._callbacks]:
+            if raised is not None:
+                raise raised
         return self._reason
 
     def _set_tolerances(self) -> None:

@@ -1,0 +1,63 @@
+"""How the interpreted engine steps what has compiled step functions: it calls them by address, as compiled code does."""
+
+from __future__ import annotations
+
+import ctypes
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesftc.cosim.base.timebase import step_at
+from bayesftc.cosim.types import Floats
+
+ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
+"""The engine's signature: state, parameters, inputs, outputs, time, step; they return a status."""
+
+
+class ByAddress:
+    """An instance that is stepped by address alone; see `bayesftc.cosim.block.External`.
+
+    Attributes
+    ----------
+    table : ndarray of int64
+        What the compiled functions find at the address ``parameters``.
+    step_word : int
+        The word of the table that holds the step size.
+    """
+
+    table: NDArray[np.int64]
+    step_word: int
+    _step: Fraction
+
+    @property
+    def output_address(self) -> int:
+        """Address of the compiled output function."""
+        raise NotImplementedError
+
+    @property
+    def update_address(self) -> int:
+        """Address of the compiled update function; 0 where all is done in the output function."""
+        raise NotImplementedError
+
+    def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.output`."""
+        return self._entered(self._entries[0], inputs, outputs, t)
+
+    def update(self, inputs: Floats, outputs: Floats, t: float) -> int:
+        """See `bayesftc.cosim.block.External.update`."""
+        return self._entered(self._entries[1], inputs, outputs, t) if self._entries[1] else 0
+
+    def resize(self, h: float) -> None:
+        """Make steps of `h` seconds from now on; compiled runs have a copy of the table, and change that."""
+        self.table.view(np.float64)[self.step_word] = h
+
+    @cached_property
+    def _entries(self) -> tuple[Any, Any]:
+        return ENTRY(self.output_address), ENTRY(self.update_address)
+
+    def _entered(self, entry: Any, inputs: Floats, outputs: Floats, t: float) -> int:
+        addresses = self.table.ctypes.data, inputs.ctypes.data, outputs.ctypes.data
+        return int(entry(0, *addresses, t, step_at(t, self._step)))
