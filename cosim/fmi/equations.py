@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from os import PathLike
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -79,21 +80,21 @@ class ModelEquations:
                 f"The FMU {archive.path} is not for model exchange, so its states and derivatives cannot be evaluated: export it "
                 "for model exchange, or identify a model from its inputs and outputs."
             )
-        start, inputs, outputs = fmu._variables()
-        self._model = ExchangeModel(
-            load_model(archive, description), fmu.default_name, start, inputs, outputs, fmu.rtol or DEFAULT_TOLERANCE
-        )
+        beginning, outputs = fmu._variables()
+        beginning = replace(beginning, tolerance=fmu.rtol or DEFAULT_TOLERANCE)
+        inputs = list(beginning.inputs)
+        self._model = ExchangeModel(load_model(archive, description), fmu.default_name, beginning, outputs)
         given: Any = fmu.parameters or {}
         variables = resolved(archive, description, given)
         states = [variables[v.name] for v in info.states]
         names = [name for name, _ in element_names(states)] if states else self._model.state_names
         self.state_names: tuple[str, ...] = tuple(names)
         self.input_names, self.output_names = (
-            tuple(name for name, _ in element_names(side)) for side in (list(inputs), outputs)
+            tuple(name for name, _ in element_names(side)) for side in (inputs, outputs)
         )
         self.has_directional_derivatives = info.directional
         self._knowns = np.array([v.reference for v in (*info.states, *inputs)], dtype=np.uint32)
-        self._whole = [name for name, v in element_names(list(inputs)) if not v.is_float]
+        self._whole = [name for name, v in element_names(inputs) if not v.is_float]
         unknowns = [*info.derivatives, *(v for v in outputs if v.is_float)]
         self._unknowns = np.array([v.reference for v in unknowns], dtype=np.uint32)
         smooth = [v.is_float for _, v in element_names(outputs)]
@@ -241,9 +242,8 @@ class ModelEquations:
             action()  # type: ignore[operator]
         except (CallError, StopError) as error:
             model = self._model
-            what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(
-                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {what}; evaluate it where its "
+                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {error}; evaluate it where its "
                 f"equations hold. {model.messages.quoted()}"
             ) from None
 

@@ -14,6 +14,7 @@ from typing import Literal, cast
 from bayesftc.cosim.base.units import UnitDefinition
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.fmi.binaries.library import Beginning
 from bayesftc.cosim.fmi.exchange.settings import checked_settings
 from bayesftc.cosim.fmi.reading.archive import Archive, absolute, open_archive
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Given, Value, read_description
@@ -284,26 +285,24 @@ class FMU(ExternalBlock):
 
             return isolated(self, self._read()[0], step, name, self.time_limit)
         archive, description = self._read()
-        start, inputs, outputs = self._variables()
+        beginning, outputs = self._variables()
         timing = self.timing or "plant"
         if self.kind == "model exchange":
             from bayesftc.cosim.fmi.binaries.model_library import load_model
             from bayesftc.cosim.fmi.exchange.integrators.instance import exchange_instance
 
-            solver = self.solver or "cvode", self.rtol or 0.0, self.atol
-            return exchange_instance(
-                load_model(archive, description), name, step, timing, start, inputs, outputs, solver
-            )
+            model, solver = load_model(archive, description), self.solver or "cvode"
+            return exchange_instance(model, name, step, timing, beginning, outputs, solver, self.atol)
         from bayesftc.cosim.fmi.binaries.loading import load_library
         from bayesftc.cosim.fmi.running.clocked import ClockedInstance, has_clocks
         from bayesftc.cosim.fmi.running.instance import Instance
 
         kind: Literal["plant", "sampled"] = "sampled" if timing == "sampled" else "plant"
-        instance = ClockedInstance if has_clocks(description, [*inputs, *outputs]) else Instance
-        return instance(load_library(archive, description), name, step, kind, start, inputs, outputs, self.rtol or 0.0)
+        instance = ClockedInstance if has_clocks(description, [*beginning.inputs, *outputs]) else Instance
+        return instance(load_library(archive, description), name, step, kind, beginning, outputs)
 
-    def _variables(self) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value | None], list[FMUVariable]]:
-        """Return the start values, the inputs with their start values (None: the FMU's own), and the outputs, by variable."""
+    def _variables(self) -> tuple[Beginning, list[FMUVariable]]:
+        """Return what an instance begins with, and the outputs."""
         given = self._given
         variables = resolved(*self._read(), given)
         missing = [n for n in (*(p.name for p in self._ports), *given) if n not in variables]
@@ -316,7 +315,7 @@ class FMU(ExternalBlock):
         own = {v for v in into if v.start is None and v.name not in given and described[v.name] is not None}
         inputs = {variable: None if variable in own else value_of(variable, given) for variable in into}
         start = {variables[n]: value for n, value in given.items()}
-        return start, inputs, [variables[p.name] for p in self._ports[self._count :]]
+        return Beginning(start, inputs, self.rtol or 0.0), [variables[p.name] for p in self._ports[self._count :]]
 
     def _without_tunable(self, side: str) -> Sequence[str | Port] | None:
         # A block that is made anew from its fields has its tunable parameters among the inputs.

@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from bayesftc.cosim.fmi.running.kernels import number, word
+from bayesftc.cosim.fmi.running.kernels import number, put_number, put_word, word
 from bayesftc.cosim.isolation import protocol
 from bayesftc.cosim.stepping.by_address import call_block
 from bayesftc.cosim.stepping.numba_called import inlined
@@ -34,7 +34,7 @@ PAUSE = protocol.PAUSE
 NO_SIGNAL = 0x4000
 """MSG_NOSIGNAL of Linux: that the other process is gone is an answer, not a signal."""
 
-_I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
+_I32, _I64 = ir.IntType(32), ir.IntType(64)
 
 
 @intrinsic
@@ -59,50 +59,23 @@ def processor(typingctx, function):
     return types.int32(types.int64), codegen
 
 
-def _place(builder, args, kind):
-    place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
-    return builder.inttoptr(place, kind.as_pointer())
-
-
-@intrinsic
-def set_word(typingctx, address, index, value):
-    """Store the 64-bit integer number `index` of those that begin at an address."""
-
-    def codegen(context, builder, signature, args):
-        builder.store(args[2], _place(builder, args, _I64))
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.int64), codegen
-
-
-@intrinsic
-def set_number(typingctx, address, index, value):
-    """Store the double number `index` of those that begin at an address."""
-
-    def codegen(context, builder, signature, args):
-        builder.store(args[2], _place(builder, args, _DOUBLE))
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.float64), codegen
-
-
 @inlined
 def _exchange(command, parameters, inputs, t, k):
     shared = word(parameters, SHARED)
     for i in range(word(parameters, INPUT_COUNT)):
-        set_number(shared, HEADER + i, number(inputs, i))
-    set_number(shared, TIME, t)
-    set_number(shared, SIZE, number(parameters, STEP_SIZE))
-    set_word(shared, COUNT, k)
-    set_word(shared, PROCESSOR, processor(word(parameters, WHERE)))
-    set_word(shared, PHASE, ASKED)
-    set_word(shared, COMMAND, command)
+        put_number(shared, HEADER + i, number(inputs, i))
+    put_number(shared, TIME, t)
+    put_number(shared, SIZE, number(parameters, STEP_SIZE))
+    put_word(shared, COUNT, k)
+    put_word(shared, PROCESSOR, processor(word(parameters, WHERE)))
+    put_word(shared, PHASE, ASKED)
+    put_word(shared, COMMAND, command)
     socket = word(parameters, SOCKET)
     answered = 0
     if transfer(word(parameters, SEND), socket, shared + 8 * COMMAND, MESSAGE, NO_SIGNAL) == MESSAGE:
         answered = transfer(word(parameters, RECEIVE), socket, shared + 8 * ANSWER, MESSAGE, 0)
     if answered != MESSAGE or word(shared, LOGGED) != 0 or word(shared, PHASE) != IDLE:
-        set_word(shared, RESULT, INTERRUPTED)  # stands if Ctrl-C comes before the callback can say anything
+        put_word(shared, RESULT, INTERRUPTED)  # stands if Ctrl-C comes before the callback can say anything
         call_block(word(parameters, ATTEND), 0, 0, 0, answered, t, k)
         return word(shared, RESULT)
     return word(shared, STATUS)
@@ -117,7 +90,7 @@ def output(state, parameters, inputs, outputs, t, k):
         status = _exchange(READ, parameters, inputs, t, k)
     begin = HEADER + word(parameters, INPUT_COUNT)
     for i in range(word(parameters, OUTPUT_COUNT)):
-        set_number(outputs, i, number(shared, begin + i))
+        put_number(outputs, i, number(shared, begin + i))
     return status
 
 
@@ -143,27 +116,27 @@ def serve(state, parameters, inputs, outputs, t, k):
         command = word(shared, COMMAND)
         instant, count = number(shared, TIME), word(shared, COUNT)
         if command == READ:
-            set_word(shared, PHASE, READING)
+            put_word(shared, PHASE, READING)
             status = call_block(compute, 0, table, u, y, instant, count)
         elif command == STEP:
-            set_word(shared, AHEAD, 0)
-            set_word(shared, PHASE, STEPPING)
+            put_word(shared, AHEAD, 0)
+            put_word(shared, PHASE, STEPPING)
             size = number(shared, SIZE)
             if step_word != 0:
-                set_number(table, step_word, size)
+                put_number(table, step_word, size)
             status = call_block(make_step, 0, table, u, y, instant, count)
             if status == 0 and ahead != 0:
-                set_word(shared, PHASE, READING)
+                put_word(shared, PHASE, READING)
                 if size == own_size and instant == count * numerator / denominator:
                     instant = (count + 1) * numerator / denominator  # the engine's own next instant, to the last bit
                 else:
                     instant = instant + size
-                set_word(shared, READ_STATUS, call_block(compute, 0, table, u, y, instant, count + 1))
-                set_word(shared, AHEAD, 1)
+                put_word(shared, READ_STATUS, call_block(compute, 0, table, u, y, instant, count + 1))
+                put_word(shared, AHEAD, 1)
         else:
             return command
-        set_word(shared, STATUS, status)
-        set_word(shared, PHASE, IDLE)
+        put_word(shared, STATUS, status)
+        put_word(shared, PHASE, IDLE)
         if transfer(send, socket, shared + 8 * STATUS, MESSAGE, NO_SIGNAL) != MESSAGE:
             return GONE
         if follows != 0 and word(shared, PROCESSOR) != processor(where):

@@ -10,10 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from bayesftc.cosim.block import External
-from bayesftc.cosim.diagram.memory import bind
 from bayesftc.cosim.diagram.schedule import NOT_FINITE, Call, Schedule
 from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
-from bayesftc.cosim.run.coupled.engines import CompiledGroup, GroupRun, InterpretedGroup
+from bayesftc.cosim.run.coupled.engines import CompiledGroup, GroupRun, InterpretedGroup, address_of, step_function
 from bayesftc.cosim.run.state_functions import StateFunctions
 from bayesftc.cosim.types import Floats
 
@@ -141,7 +140,7 @@ class CompiledEngine:
                 group = self._groups[len(rows)] = CompiledGroup(run, call.group)
                 address, table = group.address, group.parameters
             else:
-                address = self._address(call)
+                address = 0 if call.kind == "inputs" else address_of(run, call.node, call.kind)
             rows.append(
                 [address, schedule.every(call), start["state"], table, start["inputs"], begin,
                  len(gathers), len(gathers) + len(call.gathers), *(outputs if checked else (0, 0))]
@@ -152,19 +151,6 @@ class CompiledEngine:
         self._streams, self._drawn, self._buffer = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
         self._failed = np.array([-1, 0], dtype=np.int64)
         self._entry = compiled_loop()
-
-    def _address(self, call: Call) -> int:
-        schedule = self._run.schedule
-        if call.kind == "inputs":
-            return 0
-        if call.node in self._run.instances:
-            instance = self._run.instances[call.node]
-            return instance.output_address if call.kind in WRITES else instance.update_address
-        from bayesftc.cosim.stepping.compiler import compile_kernel
-
-        kernel = schedule.kernel(call)
-        assert kernel is not None
-        return compile_kernel(kernel, schedule.slots[call.node].sections)
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
@@ -287,30 +273,11 @@ class InterpretedEngine:
         self._draws = Draws(run)
 
     def _bind(self, call: Call) -> tuple[Call, Callable[[float, int], int]]:
-        run, schedule = self._run, self._run.schedule
-        slots, node = schedule.slots[call.node], schedule.nodes[call.node]
-        memory = run.memory
         if call.kind == "inputs":
             return call, lambda t, k: 0
         if call.group:
-            return call, InterpretedGroup(run, call.group)
-        if call.node in run.instances:
-            instance = run.instances[call.node]
-            function = instance.output if call.kind in WRITES else instance.update
-            size_in, size_out = (sum(p.size for p in ports) for ports in (node.inputs, node.outputs))
-            inputs = memory[slots.start["inputs"] : slots.start["inputs"] + size_in]
-            begin = schedule.outputs_start(call)
-            outputs = memory[begin : begin + size_out]
-            return call, lambda t, k: function(inputs, outputs, t)
-        kernel = schedule.kernel(call)
-        assert kernel is not None
-        plain = bind(kernel, slots, memory)
-
-        def step(t: float, k: int) -> int:
-            plain(t, k)
-            return 0
-
-        return call, step
+            return call, InterpretedGroup(self._run, call.group)
+        return call, step_function(self._run, call.node, call.kind, self._run.schedule.outputs_start(call))
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import ctypes
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -44,9 +45,43 @@ class CallError(Exception):
         super().__init__(function, status)
         self.function, self.status = function, status
 
-    def sentence(self) -> str:
+    def __str__(self) -> str:
         """Return what happened in FMI's words."""
         return f"{self.function} returned {status_word(self.status)}"
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What is set before and while an instance is initialized.
+
+    Attributes
+    ----------
+    start : mapping
+        Start values.
+    inputs : mapping
+        What is set while it runs (inputs and tunable parameters) with its start values; None for what the FMU itself gives it.
+    tolerance : float
+        Above 0 it is told to the FMU, which solves its equations as well as that needs.
+    """
+
+    start: Mapping[FMUVariable, Value]
+    inputs: Mapping[FMUVariable, Value | None]
+    tolerance: float = 0.0
+
+    @property
+    def before(self) -> dict[FMUVariable, Value]:
+        """What is set before initialization mode."""
+        return {v: value for v, value in self.start.items() if v.causality != "input"}
+
+    @property
+    def known(self) -> dict[FMUVariable, Value]:
+        """The inputs whose values are known."""
+        return {v: value for v, value in self.inputs.items() if value is not None}
+
+    @property
+    def during(self) -> dict[FMUVariable, Value]:
+        """What is set in initialization mode: inputs, also those that are no ports."""
+        return {v: value for v, value in self.start.items() if v.causality == "input"} | self.known
 
 
 class Library(ABC):
@@ -90,9 +125,31 @@ class Library(ABC):
         """Return the addresses of the functions that a step of co-simulation may call."""
 
     def begin(self, name: str, messages: Messages) -> tuple[int, Any]:
-        """Return what `create` does; if it is a model in Python, of its own Python files."""
+        """Return a new instance and what must be kept alive with it; if it is a model in Python, of its own Python files.
+
+        Raises
+        ------
+        FMUError
+            If the FMU refuses it.
+        """
+        model, can = self.description.name, self.description.capabilities
+        if self.alive and can.get("canBeInstantiatedOnlyOncePerProcess"):
+            raise FMUError(
+                f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
+                "after the other, or each in a process of its own with FMU(..., isolate=True)."
+            )
         with in_this_python(Path(self._slave.unzipDirectory, "resources"), self._keep):
-            return self.create(name, messages)
+            component, kept = self.create(name, messages)
+        if not component:
+            tool = self.description.generation_tool or "the tool that exported it"
+            needs = (
+                f"It needs {tool} to run (needsExecutionTool): install it here, or export the FMU without that need."
+                if can.get("needsExecutionTool")
+                else "If it needs a tool or a licence, check that it is there."
+            )
+            raise FMUError(f"The FMU {model!r} refused to be instantiated as {name!r}. {needs} {messages.quoted()}")
+        self.alive += 1
+        return component, kept
 
     @abstractmethod
     def create(self, name: str, messages: Messages) -> tuple[int, Any]:
@@ -100,18 +157,11 @@ class Library(ABC):
 
     @abstractmethod
     def initialize(
-        self,
-        component: int,
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value | None],
-        tolerance: float = 0.0,
-        time: float = 0.0,
-        meanwhile: Callable[[], None] = lambda: None,
+        self, component: int, beginning: Beginning, time: float = 0.0, meanwhile: Callable[[], None] = lambda: None
     ) -> None:
         """Set the start values, go through initialization mode, and leave it ready for the first step.
 
-        Inputs whose value is None keep what the FMU gives them. The FMU is told a `tolerance` above 0: it solves its equations
-        as well as that needs. `time` is when it begins. `meanwhile` is called in initialization mode, when all is set.
+        `time` is when it begins. `meanwhile` is called in initialization mode, when all is set.
         """
 
     @abstractmethod
@@ -223,20 +273,14 @@ class Library2(Library):
         return component or 0, callbacks
 
     def initialize(
-        self,
-        component: int,
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value | None],
-        tolerance: float = 0.0,
-        time: float = 0.0,
-        meanwhile: Callable[[], None] = lambda: None,
+        self, component: int, beginning: Beginning, time: float = 0.0, meanwhile: Callable[[], None] = lambda: None
     ) -> None:
         """See `Library.initialize`."""
+        tolerance = beginning.tolerance
         self.call("fmi2SetupExperiment", component, int(tolerance > 0.0), tolerance, time, 0, 0.0)
-        before, during = _in_their_modes(start, inputs)
-        self.set_values(component, before)
+        self.set_values(component, beginning.before)
         self.call("fmi2EnterInitializationMode", component)
-        self.set_values(component, during)
+        self.set_values(component, beginning.during)
         meanwhile()
         self.call("fmi2ExitInitializationMode", component)
 
@@ -296,16 +340,10 @@ class Library3(Library):
         return component or 0, callback
 
     def initialize(
-        self,
-        component: int,
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value | None],
-        tolerance: float = 0.0,
-        time: float = 0.0,
-        meanwhile: Callable[[], None] = lambda: None,
+        self, component: int, beginning: Beginning, time: float = 0.0, meanwhile: Callable[[], None] = lambda: None
     ) -> None:
         """See `Library.initialize`."""
-        before, during = _in_their_modes(start, inputs)
+        before, tolerance = beginning.before, beginning.tolerance
         structure = {v: value for v, value in before.items() if v.causality == "structuralParameter"}
         if structure:
             self.call("fmi3EnterConfigurationMode", component)
@@ -313,7 +351,7 @@ class Library3(Library):
             self.call("fmi3ExitConfigurationMode", component)
         self.set_values(component, {v: value for v, value in before.items() if v not in structure})
         self.call("fmi3EnterInitializationMode", component, tolerance > 0.0, tolerance, time, False, 0.0)
-        self.set_values(component, during)
+        self.set_values(component, beginning.during)
         meanwhile()
         self.call("fmi3ExitInitializationMode", component)
 
@@ -351,12 +389,3 @@ class Library3(Library):
 
     def _set(self, function: str, component: int, reference: Any, array: Any) -> None:
         self.call(function, component, reference, 1, array, len(array))
-
-
-def _in_their_modes(
-    start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value | None]
-) -> tuple[dict[FMUVariable, Value], dict[FMUVariable, Value]]:
-    """Return what is set before initialization mode, and in it: inputs, also those that are no ports."""
-    before = {v: value for v, value in start.items() if v.causality != "input"}
-    known = {v: value for v, value in inputs.items() if value is not None}
-    return before, {**{v: value for v, value in start.items() if v not in before}, **known}

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bayesftc.cosim.fmi.binaries.addresses import Addresses
-from bayesftc.cosim.fmi.binaries.library import C_TYPES, CallError, Library
-from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Value
+from bayesftc.cosim.fmi.binaries.library import C_TYPES, Beginning, CallError, Library
+from bayesftc.cosim.fmi.reading.description import FMUDescription
 from bayesftc.cosim.fmi.reading.messages import Messages, callbacks1
 
 TRUE, FALSE = b"\1", b"\0"
@@ -61,18 +61,12 @@ class Library1(Library):
         return self.call("fmiInstantiateSlave", name, token, where, _MIME, 0.0, FALSE, FALSE, callbacks, TRUE)
 
     def initialize(
-        self,
-        component: int,
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value | None],
-        tolerance: float = 0.0,
-        time: float = 0.0,
-        meanwhile: Callable[[], None] = lambda: None,
+        self, component: int, beginning: Beginning, time: float = 0.0, meanwhile: Callable[[], None] = lambda: None
     ) -> None:
         """See `Library.initialize`."""
-        self.set_values(component, {**start, **{v: value for v, value in inputs.items() if value is not None}})
+        self.set_values(component, {**beginning.start, **beginning.known})
         meanwhile()
-        self._initialize(component, tolerance, time)
+        self._initialize(component, beginning.tolerance, time)
 
     def _initialize(self, component: int, tolerance: float, time: float) -> None:
         self.call("fmiInitializeSlave", component, time, FALSE, 0.0)

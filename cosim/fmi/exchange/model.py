@@ -12,13 +12,13 @@ import numpy as np
 
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.fmi.binaries.guards import Guarded
-from bayesftc.cosim.fmi.binaries.library import CallError
+from bayesftc.cosim.fmi.binaries.library import Beginning, CallError
 from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary
 from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.port_values import EndError, PortValues, StopError
 from bayesftc.cosim.fmi.exchange.words import ITERATIONS
 from bayesftc.cosim.fmi.exchange.written import UNWRITTEN, check_written
-from bayesftc.cosim.fmi.reading.description import FMUVariable, Value
+from bayesftc.cosim.fmi.reading.description import FMUVariable
 from bayesftc.cosim.fmi.reading.messages import ENDS, Messages
 from bayesftc.cosim.fmi.running.own_inputs import own_inputs
 from bayesftc.cosim.fmi.running.states import SavedState, States
@@ -49,14 +49,10 @@ class ExchangeModel:
         The binary; its description has an ``exchange``.
     name : str
         Name of the instance.
-    start : dict
-        Start values.
-    inputs : dict
-        The inputs and tunable parameters that are set while it runs, with their start values.
+    beginning : Beginning
+        Start values, inputs, and the relative tolerance of its integrator, for equations that the FMU solves by itself.
     outputs : sequence of FMUVariable
         The outputs that are read while it runs.
-    tolerance : float
-        The relative tolerance of its integrator, for equations that the FMU solves by itself.
 
     Attributes
     ----------
@@ -83,10 +79,8 @@ class ExchangeModel:
         self,
         library: ModelLibrary,
         name: str,
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value | None],
+        beginning: Beginning,
         outputs: Sequence[FMUVariable],
-        tolerance: float,
     ):
         exchange = library.description.exchange
         assert exchange is not None
@@ -97,7 +91,7 @@ class ExchangeModel:
         self.reals = self.table.view(np.float64)
         self.time, self.next_event = 0.0, math.inf
         self._event_info = library.event_info()
-        self._begin = start, inputs, tolerance
+        self._beginning, inputs = beginning, beginning.inputs
         self.ports = PortValues(library, list(inputs), outputs)
         self.jumps = not all(v.variability == "continuous" and v.is_float for v in inputs)
         try:
@@ -114,22 +108,11 @@ class ExchangeModel:
 
     def _start(self) -> None:
         library, model = self.library, self.library.description.name
-        if library.alive and self.info.once:
-            raise FMUError(
-                f"{self.name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
-                "after the other, or each in a process of its own with FMU(..., isolate=True)."
-            )
         self.component, self._callbacks = library.begin(self.name, self.messages)
-        if not self.component:
-            raise FMUError(
-                f"The FMU {model!r} refused to be instantiated as {self.name!r} for model exchange. If it needs a tool or "
-                f"a licence, check that it is there. {self.messages.quoted()}"
-            )
-        library.alive += 1
         self.states = States(library, self.component, self.name)
         self._bound = library.bound
         try:
-            library.initialize(self.component, *self._begin)
+            library.initialize(self.component, self._beginning)
             self.nx = library.size(self.component, "states", self._declared)
             if self.nx != self._declared and not any(v.dimensions for v in self.info.states):
                 raise StopError(f"Its binary has {self.nx} continuous states, its model description {self._declared}")
@@ -142,9 +125,8 @@ class ExchangeModel:
             self._iterate()
         except (CallError, StopError) as error:
             self.fatal = isinstance(error, CallError) and error.status == _FATAL
-            what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(
-                f"The FMU {model!r} could not be initialized as {self.name!r}: {what}. Check its parameters and "
+                f"The FMU {model!r} could not be initialized as {self.name!r}: {error}. Check its parameters and "
                 f"start values. {self.messages.quoted()}"
             ) from None
 
@@ -355,7 +337,7 @@ class ExchangeModel:
             else:
                 self._go_back(saved)
         except (CallError, StopError) as error:
-            what = error.sentence() if isinstance(error, CallError) else str(error)
+            what = str(error)
             raise FMUError(f"{self.name!r} could not be restored: {what}. {self.messages.quoted()}") from None
         self.next_event = saved.next_event
         self.healthy = not self.fatal
@@ -373,7 +355,7 @@ class ExchangeModel:
                 raise
             # By the letter of FMI, time does not go back before the last event: such an FMU begins anew.
             self.library.call(f"fmi{self.library.description.fmi_major}Reset", self.component)
-            self.library.initialize(self.component, *self._begin, saved.time)
+            self.library.initialize(self.component, self._beginning, saved.time)
             self.time = saved.time
             self._iterate()
             self.event(saved.inputs)

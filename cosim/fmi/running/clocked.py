@@ -20,9 +20,9 @@ from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import StepSizeError
 from bayesftc.cosim.fmi.binaries.codes import DUE, TOLERANCE, UNFIT, failed
 from bayesftc.cosim.fmi.binaries.groups import Group
-from bayesftc.cosim.fmi.binaries.library import CallError, Library
+from bayesftc.cosim.fmi.binaries.library import Beginning, CallError, Library
 from bayesftc.cosim.fmi.reading.clocks import CHANGED, Ticks
-from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Value
+from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable
 from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.fmi.running.instance import Instance
 from bayesftc.cosim.fmi.running.refusals import function_of
@@ -49,7 +49,7 @@ class ClockError(CallError):
         super().__init__("", 0)
         self._text = text
 
-    def sentence(self) -> str:
+    def __str__(self) -> str:
         """Return what is wrong."""
         return self._text
 
@@ -71,17 +71,15 @@ class ClockedInstance(Instance):
         name: str,
         step: Fraction,
         timing: Literal["plant", "sampled"],
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value | None],
+        beginning: Beginning,
         outputs: Sequence[FMUVariable],
-        tolerance: float = 0.0,
     ):
         self._clocks = [Ticks(v.name, v.reference, v.clock) for v in _timed(library.description) if v.clock]
         self._reason, self._last, self._slack = "", -math.inf, 0.0
         self._ticking: list[Ticks] = []
-        self._sizes = sum(math.prod(v.shape) for v in inputs), sum(math.prod(v.shape) for v in outputs)
+        self._sizes = sum(math.prod(v.shape) for v in beginning.inputs), sum(math.prod(v.shape) for v in outputs)
         self._inputs, self._held = np.zeros(self._sizes[0]), np.zeros(self._sizes[1])
-        super().__init__(library, name, step, timing, start, inputs, outputs, tolerance)
+        super().__init__(library, name, step, timing, beginning, outputs)
         arguments = self.resize, self.step_word, RAISED
         self._callbacks_of_engine = [
             *(Callback(function, self._sizes, *arguments) for function in (self.output, self.update)),
@@ -224,7 +222,7 @@ class ClockedInstance(Instance):
         try:
             return super()._settle(now)
         except CallError as error:
-            said = error.sentence()
+            said = str(error)
             self._reason = f"{said[0].upper()}{said[1:]}."
             return CLOCK
         finally:

@@ -37,8 +37,8 @@ from bayesftc.cosim.fmi.binaries.codes import (
 )
 from bayesftc.cosim.fmi.binaries.groups import Group, element_names, groups
 from bayesftc.cosim.fmi.binaries.guards import beyond
-from bayesftc.cosim.fmi.binaries.library import CallError, Library
-from bayesftc.cosim.fmi.reading.description import FMUVariable, Value
+from bayesftc.cosim.fmi.binaries.library import Beginning, CallError, Library
+from bayesftc.cosim.fmi.reading.description import FMUVariable
 from bayesftc.cosim.fmi.reading.messages import ENDS, Messages, status_word
 from bayesftc.cosim.fmi.reading.versions import prefix
 from bayesftc.cosim.fmi.running.own_inputs import own_inputs
@@ -70,10 +70,8 @@ class Instance(StepFunctions):
         name: str,
         step: Fraction,
         timing: Literal["plant", "sampled"],
-        start: dict[FMUVariable, Value],
-        inputs: dict[FMUVariable, Value | None],
+        beginning: Beginning,
         outputs: Sequence[FMUVariable],
-        tolerance: float = 0.0,
     ):
         _check_step(library, name, step)
         self._library, self._name = library, name
@@ -81,52 +79,35 @@ class Instance(StepFunctions):
         self._component, self._healthy, self._fatal = 0, True, False
         self.has_ended = False
         major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
-        into = groups(list(inputs), major, "Set", find, events=addresses.enter_event_mode != 0)
+        inputs = list(beginning.inputs)
+        into = groups(inputs, major, "Set", find, events=addresses.enter_event_mode != 0)
         into, out = self._arranged((into, groups(outputs, major, "Get", find)))
         try:
-            self._start(start, inputs, tolerance)
-            self.own_inputs = own_inputs(library, self._component, inputs)
+            self._start(beginning)
+            self.own_inputs = own_inputs(library, self._component, beginning.inputs)
         except BaseException:
             self._healthy = False
             self.close()
             raise
         super().__init__(major, addresses, self._component, into, out, step, timing, self._cut())
-        self._elements = element_names(list(inputs)), element_names(outputs)
+        self._elements = element_names(inputs), element_names(outputs)
         self.rounding = Rounding(out, self._elements[1])
         if addresses.enter_event_mode:
             self._first_events()
         self._check_written()
 
-    def _start(
-        self, start: dict[FMUVariable, Value], inputs: dict[FMUVariable, Value | None], tolerance: float
-    ) -> None:
+    def _start(self, beginning: Beginning) -> None:
         library, name = self._library, self._name
         model = library.description.name
-        if library.alive and library.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
-            raise FMUError(
-                f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
-                "after the other, or each in a process of its own with FMU(..., isolate=True)."
-            )
         component, self._callbacks = library.begin(name, self._messages)
-        if not component:
-            tool = library.description.generation_tool or "the tool that exported it"
-            needs = (
-                f"It needs {tool} to run (needsExecutionTool): install it here, or export the FMU without that need."
-                if library.description.capabilities.get("needsExecutionTool")
-                else "If it needs a tool or a licence, check that it is there."
-            )
-            raise FMUError(
-                f"The FMU {model!r} refused to be instantiated as {name!r}. {needs} {self._messages.quoted()}"
-            )
         self._component = component
-        library.alive += 1
         self._states = States(library, component, name)
         try:
-            library.initialize(component, start, inputs, tolerance, meanwhile=self._initializing)
+            library.initialize(component, beginning, meanwhile=self._initializing)
         except CallError as error:
             self._fatal = error.status == FATAL
             raise FMUError(
-                f"The FMU {model!r} could not be initialized as {name!r}: {error.sentence()}. Check its "
+                f"The FMU {model!r} could not be initialized as {name!r}: {error}. Check its "
                 f"parameters and start values. {self._messages.quoted()}"
             ) from None
 

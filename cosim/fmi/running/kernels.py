@@ -59,51 +59,75 @@ failed = inlined(_failed)
 _I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
 
 
+def _place(builder, args, kind):
+    place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+    return builder.inttoptr(place, kind.as_pointer())
+
+
+def _loaded(kind, llvm):
+    def codegen(context, builder, signature, args):
+        return builder.load(_place(builder, args, llvm))
+
+    return kind(types.int64, types.int64), codegen
+
+
+def _stored(kind, llvm):
+    def codegen(context, builder, signature, args):
+        builder.store(args[2], _place(builder, args, llvm))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, kind), codegen
+
+
 @intrinsic
 def word(typingctx, address, index):
     """Load the 64-bit integer number `index` of those that begin at an address."""
-
-    def codegen(context, builder, signature, args):
-        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
-        return builder.load(builder.inttoptr(place, _I64.as_pointer()))
-
-    return types.int64(types.int64, types.int64), codegen
+    return _loaded(types.int64, _I64)
 
 
 @intrinsic
 def number(typingctx, address, index):
     """Load the double number `index` of those that begin at an address."""
-
-    def codegen(context, builder, signature, args):
-        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
-        return builder.load(builder.inttoptr(place, _DOUBLE.as_pointer()))
-
-    return types.float64(types.int64, types.int64), codegen
+    return _loaded(types.float64, _DOUBLE)
 
 
-def _call(builder, function, arguments):
+@intrinsic
+def put_word(typingctx, address, index, value):
+    """Store a 64-bit integer as number `index` of those that begin at an address."""
+    return _stored(types.int64, _I64)
+
+
+@intrinsic
+def put_number(typingctx, address, index, value):
+    """Store a double as number `index` of those that begin at an address."""
+    return _stored(types.float64, _DOUBLE)
+
+
+def call(builder, function, arguments):
+    """Call a C function that returns an int, by its address."""
     kind = ir.FunctionType(_I32, [argument.type for argument in arguments])
     return builder.call(builder.inttoptr(function, kind.as_pointer()), arguments)
+
+
+def as_given(*arguments):
+    """Return what an intrinsic returns that calls a C function with integers and doubles as they come."""
+
+    def codegen(context, builder, signature, args):
+        return call(builder, args[0], args[1:])
+
+    return types.int32(*(types.float64 if a == types.float64 else types.int64 for a in arguments)), codegen
 
 
 @intrinsic
 def values2(typingctx, function, component, references, count, values):
     """int32 (*)(void *, const uint32 *, size_t, double *): fmi2GetReal and fmi2SetReal."""
-
-    def codegen(context, builder, signature, args):
-        return _call(builder, args[0], args[1:])
-
-    return types.int32(*[types.int64] * 5), codegen
+    return as_given(function, component, references, count, values)
 
 
 @intrinsic
 def values3(typingctx, function, component, references, count, values, size):
     """int32 (*)(void *, const uint32 *, size_t, double *, size_t): fmi3GetFloat64, fmi3SetFloat64 and their relatives."""
-
-    def codegen(context, builder, signature, args):
-        return _call(builder, args[0], args[1:])
-
-    return types.int32(*[types.int64] * 6), codegen
+    return as_given(function, component, references, count, values, size)
 
 
 @intrinsic
@@ -111,7 +135,7 @@ def step2(typingctx, function, component, t, h, no_return):
     """int32 (*)(void *, double, double, int): fmi2DoStep, with the promise or not that nobody goes back."""
 
     def codegen(context, builder, signature, args):
-        return _call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32)])
+        return call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32)])
 
     return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64), codegen
 
@@ -125,7 +149,7 @@ def step3(typingctx, function, component, t, h, no_return, scratch):
 
     def codegen(context, builder, signature, args):
         places = [builder.add(args[5], ir.Constant(_I64, 8 * i)) for i in (EVENT, TERMINATE, RETURNED_EARLY, REACHED)]
-        return _call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32), *places])
+        return call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32), *places])
 
     return types.int32(types.int64, types.int64, types.float64, types.float64, types.int64, types.int64), codegen
 
@@ -135,53 +159,25 @@ def ask2(typingctx, function, component, kind, place):
     """int32 (*)(void *, int, void *): fmi2GetRealStatus and fmi2GetBooleanStatus."""
 
     def codegen(context, builder, signature, args):
-        return _call(builder, args[0], [args[1], builder.trunc(args[2], _I32), args[3]])
+        return call(builder, args[0], [args[1], builder.trunc(args[2], _I32), args[3]])
 
     return types.int32(*[types.int64] * 4), codegen
 
 
 @intrinsic
 def mode3(typingctx, function, component):
-    """int32 (*)(void *): fmi3EnterEventMode and fmi3EnterStepMode."""
-
-    def codegen(context, builder, signature, args):
-        return _call(builder, args[0], args[1:])
-
-    return types.int32(types.int64, types.int64), codegen
+    """int32 (*)(void *): fmi3EnterEventMode, fmi3EnterStepMode and their relatives."""
+    return as_given(function, component)
 
 
 @intrinsic
 def update3(typingctx, function, component, place):
-    """int32 (*)(void *, bool *, bool *, bool *, bool *, bool *, double *): fmi3UpdateDiscreteStates."""
+    """int32 (*)(void *, bool * (5), double *): fmi3UpdateDiscreteStates, which writes to six words one after the other."""
 
     def codegen(context, builder, signature, args):
-        return _call(builder, args[0], [args[1], *(builder.add(args[2], ir.Constant(_I64, 8 * i)) for i in range(6))])
+        return call(builder, args[0], [args[1], *(builder.add(args[2], ir.Constant(_I64, 8 * i)) for i in range(6))])
 
     return types.int32(*[types.int64] * 3), codegen
-
-
-@intrinsic
-def put_word(typingctx, address, index, value):
-    """Store a 64-bit integer as number `index` of those that begin at an address."""
-
-    def codegen(context, builder, signature, args):
-        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
-        builder.store(args[2], builder.inttoptr(place, _I64.as_pointer()))
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.int64), codegen
-
-
-@intrinsic
-def put_number(typingctx, address, index, value):
-    """Store a double as number `index` of those that begin at an address."""
-
-    def codegen(context, builder, signature, args):
-        place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
-        builder.store(args[2], builder.inttoptr(place, _DOUBLE.as_pointer()))
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.float64), codegen
 
 
 @inlined

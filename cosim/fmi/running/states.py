@@ -225,5 +225,5 @@ class States:
             self._library.call(function, self._component, *arguments)
         except CallError as error:
             raise FMUError(
-                f"The FMU {self.model!r} ({self._name!r}) could not do what it says that it can: {error.sentence()}."
+                f"The FMU {self.model!r} ({self._name!r}) could not do what it says that it can: {error}."
             ) from None

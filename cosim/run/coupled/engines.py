@@ -21,6 +21,7 @@ from bayesftc.cosim.run.state_functions import ERROR, StateFunctions
 if TYPE_CHECKING:
     from bayesftc.cosim.block import External, VariableStep
     from bayesftc.cosim.run.engines import Run
+    from bayesftc.cosim.types import Kernel
 
 _ACCELERATION = {None: steps.PLAIN, "aitken": steps.AITKEN, "anderson": steps.ANDERSON}
 _MARGIN = 0.5
@@ -92,12 +93,48 @@ class GroupRun(ABC):
         """Return what the FMUs' Python methods raised while states were saved or restored."""
 
 
+def step_function(run: Run, i: int, kind: str, begin: int) -> Callable[[float, int], int]:
+    """Return one of the step functions of node `i`, in Python; its outputs `begin` at a place in memory."""
+    schedule, memory = run.schedule, run.memory
+    slots, block, instance = schedule.slots[i], schedule.nodes[i].block, run.instances.get(i)
+    if instance is not None:
+        function, here = instance.update if kind == "update" else instance.output, slots.start["inputs"]
+        size_in, size_out = (sum(p.size for p in ports) for ports in (block.inputs, block.outputs))
+        inputs, outputs = memory[here : here + size_in], memory[begin : begin + size_out]
+        return lambda t, k: function(inputs, outputs, t)
+    plain = bind(_kernel(run, i, kind), replace(slots, start={**slots.start, "outputs": begin}), memory)
+
+    def step(t: float, k: int) -> int:
+        plain(t, k)
+        return 0
+
+    return step
+
+
+def address_of(run: Run, i: int, kind: str) -> int:
+    """Return the address of one of the step functions of node `i`, compiled."""
+    instance = run.instances.get(i)
+    if instance is not None:
+        return instance.update_address if kind == "update" else instance.output_address
+    from bayesftc.cosim.stepping.compiler import compile_kernel
+
+    return compile_kernel(_kernel(run, i, kind), run.schedule.slots[i].sections)
+
+
+def _kernel(run: Run, i: int, kind: str) -> Kernel:
+    definition = run.schedule.definitions[i]
+    assert definition is not None
+    kernel = definition.update if kind == "update" else definition.output
+    assert kernel is not None
+    return kernel
+
+
 class InterpretedGroup(GroupRun):
     """A group in plain Python."""
 
     def __init__(self, run: Run, group: Group):
         super().__init__(run, group)
-        self._parts = [(part, self._bound(part)) for part in group.parts]
+        self._parts = [(part, step_function(run, part.node, part.kind, part.outputs)) for part in group.parts]
         self._saved: list[list[Any]] = [[], []]
         self._error: FMUError | None = None
         self._compute = steps.build(_sweep, _save, _restore, _forget, _resize)
@@ -169,27 +206,6 @@ class InterpretedGroup(GroupRun):
         for i in self.group.externals:
             cast("VariableStep", self.run.instances[i]).resize(h)
 
-    def _bound(self, part: Part) -> Callable[[float, int], int]:
-        run, schedule = self.run, self.run.schedule
-        slots, block = schedule.slots[part.node], schedule.nodes[part.node].block
-        instance = run.instances.get(part.node)
-        if instance is not None:
-            function = instance.update if part.kind == "update" else instance.output
-            size_in, size_out = (sum(p.size for p in ports) for ports in (block.inputs, block.outputs))
-            inputs = run.memory[slots.start["inputs"] : slots.start["inputs"] + size_in]
-            outputs = run.memory[part.outputs : part.outputs + size_out]
-            return lambda t, k: function(inputs, outputs, t)
-        definition = schedule.definitions[part.node]
-        assert definition is not None
-        assert definition.output is not None
-        plain = bind(definition.output, replace(slots, start={**slots.start, "outputs": part.outputs}), run.memory)
-
-        def step(t: float, k: int) -> int:
-            plain(t, k)
-            return 0
-
-        return step
-
 
 def _sweep(machine: InterpretedGroup, memory: Any, t: float, h: float, k: int, record: Any) -> int:
     return machine.sweep(t, h, k)
@@ -226,7 +242,7 @@ class CompiledGroup(GroupRun):
             outputs = part.outputs, part.outputs + schedule.depended_on(part.node)
             checked = node.block.checks_finite and part.kind != "update"
             rows.append(
-                [self._function(part), node.every if group.every == 1 else 1,
+                [address_of(run, part.node, part.kind), node.every if group.every == 1 else 1,
                  *(start[s] for s in ("state", "parameters", "inputs")), part.outputs, len(gathers),
                  len(gathers) + len(part.gathers), *(outputs if checked else (0, 0)), int(part.kind == "ahead")]
             )  # fmt: skip
@@ -266,18 +282,6 @@ class CompiledGroup(GroupRun):
         kept = [self.run.state_functions[i] for i in self.group.externals if i in self.run.state_functions]
         errors = [functions.take() for functions in kept]
         return next((error for error in errors if error is not None), None)
-
-    def _function(self, part: Part) -> int:
-        schedule = self.run.schedule
-        instance = self.run.instances.get(part.node)
-        if instance is not None:
-            return instance.update_address if part.kind == "update" else instance.output_address
-        from bayesftc.cosim.stepping.compiler import compile_kernel
-
-        definition = schedule.definitions[part.node]
-        assert definition is not None
-        assert definition.output is not None
-        return compile_kernel(definition.output, schedule.slots[part.node].sections)
 
 
 @cache

@@ -8,7 +8,7 @@ from numba import carray, types
 from numba.extending import intrinsic
 
 from bayesftc.cosim.diagram.schedule import NOT_FINITE
-from bayesftc.cosim.fmi.running.kernels import number, word
+from bayesftc.cosim.fmi.running.kernels import number, put_word, word
 from bayesftc.cosim.run.coupled.steps import PART, RECORD_WORDS, SAVING, STATUS, WORK_ROWS, build
 from bayesftc.cosim.run.loop import (
     CHECK_FROM,
@@ -23,7 +23,7 @@ from bayesftc.cosim.run.loop import (
     PARAMETERS,
     STATE,
 )
-from bayesftc.cosim.stepping.by_address import call_block
+from bayesftc.cosim.stepping.by_address import call_block, put_back as call_state
 from bayesftc.cosim.stepping.compiler import as_floats
 from bayesftc.cosim.stepping.numba_called import callee
 
@@ -50,18 +50,6 @@ def as_integers(typingctx, address):
         return builder.inttoptr(args[0], ir.IntType(64).as_pointer())
 
     return types.CPointer(types.int64)(types.int64), codegen
-
-
-@intrinsic
-def call_state(typingctx, function, component, state):
-    """int32 (*)(void *, void *): the functions of FMI that save, restore and free a state."""
-
-    def codegen(context, builder, signature, args):
-        i64 = ir.IntType(64)
-        kind = ir.FunctionType(ir.IntType(32), [i64, i64])
-        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
-
-    return types.int32(types.int64, types.int64, types.int64), codegen
 
 
 @callee
@@ -91,47 +79,43 @@ def _sweep(machine, memory, t, h, k, record):
 
 
 @callee
+def _each_fmu(machine, role, slot):
+    base, fmus = machine[0], machine[3]
+    for f in range(fmus.shape[0]):
+        place = base + 8 * fmus[f, 0]
+        state = place + 8 * (SAVED + slot)
+        function, component = word(place, role), word(place, COMPONENT)
+        status = call_state(function, component, word(state, 0) if role == RESTORE else state)
+        if role == FREE:
+            put_word(state, 0, 0)  # no state, whatever the FMU has left there
+        if status > 1 or status < 0:
+            return SAVING + status
+    return 0
+
+
+@callee
 def _save(machine, memory, slot):
-    base, _, _, fmus, states, kept = machine
-    at = 0
+    states, kept, at = machine[4], machine[5], 0
     for s in range(states.shape[0]):
         for i in range(states[s, 0], states[s, 1]):
             kept[slot, at] = memory[i]
             at += 1
-    for f in range(fmus.shape[0]):
-        place = base + 8 * fmus[f, 0]
-        status = call_state(word(place, SAVE), word(place, COMPONENT), place + 8 * (SAVED + slot))
-        if status > 1 or status < 0:
-            return SAVING + status
-    return 0
+    return _each_fmu(machine, SAVE, slot)
 
 
 @callee
 def _restore(machine, memory, slot):
-    base, _, _, fmus, states, kept = machine
-    at = 0
+    states, kept, at = machine[4], machine[5], 0
     for s in range(states.shape[0]):
         for i in range(states[s, 0], states[s, 1]):
             memory[i] = kept[slot, at]
             at += 1
-    for f in range(fmus.shape[0]):
-        place = base + 8 * fmus[f, 0]
-        status = call_state(word(place, RESTORE), word(place, COMPONENT), word(place, SAVED + slot))
-        if status > 1 or status < 0:
-            return SAVING + status
-    return 0
+    return _each_fmu(machine, RESTORE, slot)
 
 
 @callee
 def _forget(machine, memory, slot):
-    base, _, _, fmus, _, _ = machine
-    for f in range(fmus.shape[0]):
-        place = base + 8 * fmus[f, 0]
-        status = call_state(word(place, FREE), word(place, COMPONENT), place + 8 * (SAVED + slot))
-        memory[fmus[f, 0] + SAVED + slot] = 0.0  # no state, whatever the FMU has left there
-        if status > 1 or status < 0:
-            return SAVING + status
-    return 0
+    return _each_fmu(machine, FREE, slot)
 
 
 @callee

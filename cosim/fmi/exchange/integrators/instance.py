@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 
 from bayesftc.cosim.errors import FMUError, UnknownNameError, did_you_mean
-from bayesftc.cosim.fmi.binaries.library import CallError
+from bayesftc.cosim.fmi.binaries.library import Beginning, CallError
 from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary
 from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel, SavedModel
 from bayesftc.cosim.fmi.exchange.port_values import StopError
-from bayesftc.cosim.fmi.reading.description import FMUVariable, Value
+from bayesftc.cosim.fmi.reading.description import FMUVariable
 from bayesftc.cosim.fmi.running.by_address import ByAddress
 from bayesftc.cosim.types import Floats
 
@@ -93,7 +93,7 @@ class ExchangeInstance(ByAddress, ABC):
         try:
             self._set_tolerances()
         except (CallError, StopError) as error:
-            why = error.sentence() if isinstance(error, CallError) else str(error)
+            why = str(error)
             raise FMUError(f"{self._model.name!r} {what}: {why}. {self._model.messages.quoted()}") from None
 
     def forget(self, saved: object) -> None:
@@ -125,7 +125,7 @@ class ExchangeInstance(ByAddress, ABC):
             model.write_states()
             model.event()
         except (CallError, StopError) as error:
-            what = error.sentence() if isinstance(error, CallError) else str(error)
+            what = str(error)
             raise FMUError(f"{model.name!r} refuses these states: {what}. {model.messages.quoted()}") from None
         self._retune("refuses these states")
 
@@ -139,10 +139,10 @@ def exchange_instance(
     name: str,
     step: Fraction,
     timing: Timing,
-    start: dict[FMUVariable, Value],
-    inputs: dict[FMUVariable, Value | None],
+    beginning: Beginning,
     outputs: Sequence[FMUVariable],
-    solver: tuple[str, float, float | None],
+    solver: str,
+    atol: float | None,
 ) -> ExchangeInstance:
     """Return an initialized model exchange FMU with its integrator.
 
@@ -154,33 +154,33 @@ def exchange_instance(
         The instance's name.
     step, timing
         See `ExchangeInstance`.
-    start, inputs, outputs
-        Start values, inputs with theirs, and outputs, by variable.
-    solver : tuple
-        Name, relative and absolute tolerance.
+    beginning, outputs
+        See `ExchangeModel`.
+    solver : str
+        Name of the integrator, whose relative tolerance `beginning` has.
+    atol : float or None
+        Its absolute tolerance; None for the relative one times nominal values.
 
     Raises
     ------
     FMUError
         If the FMU refuses to be instantiated or initialized, or the integrator cannot be had.
     """
-    which, rtol, atol = solver
-    model = ExchangeModel(library, name, start, inputs, outputs, rtol)
+    model, rtol = ExchangeModel(library, name, beginning, outputs), beginning.tolerance
     try:
-        if which.startswith("scipy:") and (model.nx or model.nz):
+        if solver.startswith("scipy:") and (model.nx or model.nz):
             from bayesftc.cosim.fmi.exchange.integrators.scipy_instance import ScipyInstance
             from bayesftc.cosim.fmi.exchange.integrators.scipy_methods import ScipySolver
 
-            return ScipyInstance(model, step, timing, ScipySolver(model, which.removeprefix("scipy:"), rtol, atol))
+            return ScipyInstance(model, step, timing, ScipySolver(model, solver.removeprefix("scipy:"), rtol, atol))
         from bayesftc.cosim.fmi.exchange.integrators.compiled_instance import CompiledInstance
 
-        return CompiledInstance(model, step, timing, "rk45" if which.startswith("scipy:") else which, rtol, atol)
+        return CompiledInstance(model, step, timing, "rk45" if solver.startswith("scipy:") else solver, rtol, atol)
     except BaseException as error:
         model.healthy = False
         model.close()
         if isinstance(error, StopError | CallError):
-            what = error.sentence() if isinstance(error, CallError) else str(error)
             raise FMUError(
-                f"The FMU {library.description.name!r} could not be initialized as {name!r}: {what}. {model.messages.quoted()}"
+                f"The FMU {library.description.name!r} could not be initialized as {name!r}: {error}. {model.messages.quoted()}"
             ) from None
         raise

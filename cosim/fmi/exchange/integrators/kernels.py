@@ -9,7 +9,7 @@ Nothing here returns to Python, so that a right-hand side costs what the FMU's o
 # mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
 
 from bayesftc.cosim.fmi.binaries.codes import GET, SET, UNFIT_INPUT as UNFIT_IN, UNFIT_OUTPUT as UNFIT_OUT
-from bayesftc.cosim.fmi.exchange.calls import at_time, plain, restart, update1, update2, update3, vector
+from bayesftc.cosim.fmi.exchange.calls import at_time, restart, update1, update2, vector
 from bayesftc.cosim.fmi.exchange.integrators.cvode_kernels import cvode
 from bayesftc.cosim.fmi.exchange.integrators.runge_kutta import runge_kutta
 from bayesftc.cosim.fmi.exchange.right import failed, not_finite
@@ -71,7 +71,7 @@ from bayesftc.cosim.fmi.exchange.words import (
     UPDATE_DISCRETE,
     X,
 )
-from bayesftc.cosim.fmi.running.kernels import number, put_number, put_word, word
+from bayesftc.cosim.fmi.running.kernels import mode3, number, put_number, put_word, update3, word
 from bayesftc.cosim.fmi.running.typed_kernels import GROUP_WORDS, put, take
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 
@@ -91,7 +91,7 @@ def _mode(table, role):
     """Go into another mode, where the FMU's version of FMI has any."""
     if word(table, role) == 0:
         return 0
-    return _called(table, role, plain(word(table, role), word(table, COMPONENT)))
+    return _called(table, role, mode3(word(table, role), word(table, COMPONENT)))
 
 
 @callee

@@ -71,7 +71,7 @@ class ScipyInstance(ExchangeInstance):
         return 0
 
     def _stop(self, error: StopError | CallError) -> int:
-        self._reason = error.sentence() if isinstance(error, CallError) else str(error)
+        self._reason = str(error)
         self._has_ended = isinstance(error, EndError)
         return words.STOPPED
 
