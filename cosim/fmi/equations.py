@@ -15,9 +15,9 @@ from bayesftc.cosim.fmi.binaries.groups import element_names
 from bayesftc.cosim.fmi.binaries.library import CallError
 from bayesftc.cosim.fmi.binaries.model_library import load_model
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
-from bayesftc.cosim.fmi.exchange.port_values import StopError
 from bayesftc.cosim.fmi.exchange.settings import DEFAULT_TOLERANCE
 from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.fmi.running.port_values import StopError
 from bayesftc.cosim.fmi.running.values import resolved
 from bayesftc.cosim.types import Floats
 

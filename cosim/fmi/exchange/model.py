@@ -15,12 +15,12 @@ from bayesftc.cosim.fmi.binaries.guards import Guarded
 from bayesftc.cosim.fmi.binaries.library import Beginning, CallError
 from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary
 from bayesftc.cosim.fmi.exchange import words
-from bayesftc.cosim.fmi.exchange.port_values import EndError, PortValues, StopError
 from bayesftc.cosim.fmi.exchange.words import ITERATIONS
 from bayesftc.cosim.fmi.exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim.fmi.reading.description import FMUVariable
 from bayesftc.cosim.fmi.reading.messages import ENDS, Messages
 from bayesftc.cosim.fmi.running.own_inputs import own_inputs
+from bayesftc.cosim.fmi.running.port_values import EndError, PortValues, StopError
 from bayesftc.cosim.fmi.running.states import SavedState, States
 from bayesftc.cosim.types import Floats
 

@@ -10,7 +10,7 @@ import numpy as np
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.fmi.binaries.guards import Guarded
 from bayesftc.cosim.fmi.binaries.library import CallError
-from bayesftc.cosim.fmi.exchange.port_values import StopError
+from bayesftc.cosim.fmi.running.port_values import StopError
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:

@@ -18,14 +18,14 @@ import numpy as np
 
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import StepSizeError
-from bayesftc.cosim.fmi.binaries.codes import DUE, TOLERANCE, UNFIT, failed
+from bayesftc.cosim.fmi.binaries.codes import DUE, TOLERANCE, failed
 from bayesftc.cosim.fmi.binaries.groups import Group
 from bayesftc.cosim.fmi.binaries.library import Beginning, CallError, Library
 from bayesftc.cosim.fmi.reading.clocks import CHANGED, Ticks
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable
 from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.fmi.running.instance import Instance
-from bayesftc.cosim.fmi.running.refusals import function_of
+from bayesftc.cosim.fmi.running.port_values import StopError
 from bayesftc.cosim.stepping.callbacks import Callback
 from bayesftc.cosim.types import Floats
 
@@ -40,18 +40,6 @@ def has_clocks(description: FMUDescription, ports: Sequence[FMUVariable]) -> boo
 
 def _timed(description: FMUDescription) -> list[FMUVariable]:
     return [v for v in description.variables if v.causality == "input" and v.clock and v.clock.is_timed]
-
-
-class ClockError(CallError):
-    """An FMU that asks for a clock that cannot be."""
-
-    def __init__(self, text: str):
-        super().__init__("", 0)
-        self._text = text
-
-    def __str__(self) -> str:
-        """Return what is wrong."""
-        return self._text
 
 
 class ClockedInstance(Instance):
@@ -170,7 +158,7 @@ class ClockedInstance(Instance):
         number, parts = value
         if not (math.isfinite(number) and parts and (number > 0 or (number == 0 and not least))):
             shown = number if parts == 1 else f"{number}/{parts}"
-            raise ClockError(f"its clock {clock.name!r} has the {what} {shown} s, which is none")
+            raise StopError(f"its clock {clock.name!r} has the {what} {shown} s, which is none")
         return Fraction(number) / parts
 
     # Steps
@@ -206,9 +194,9 @@ class ClockedInstance(Instance):
         self._inputs, self._slack = inputs, TOLERANCE * h
         self._last = t + h - self._slack
 
-    def _read(self, outputs: Floats) -> int:
+    def _read(self, outputs: Floats) -> None:
         self._give_held(outputs)
-        return super()._read(outputs)
+        super()._read(outputs)
 
     def _give_held(self, outputs: Floats) -> None:
         for group in self._clocked[1]:
@@ -221,7 +209,7 @@ class ClockedInstance(Instance):
     def _settle(self, now: float) -> int:
         try:
             return super()._settle(now)
-        except CallError as error:
+        except (CallError, StopError) as error:
             said = str(error)
             self._reason = f"{said[0].upper()}{said[1:]}."
             return CLOCK
@@ -232,24 +220,21 @@ class ClockedInstance(Instance):
         """Let compiled code know when the next clock ticks."""
         self._scratch.view(np.float64)[DUE] = min((c.due for c in self._clocks), default=math.inf)
 
-    def _tick(self, now: float) -> int:
+    def _tick(self, now: float) -> None:
         """Activate clocks, set clocked inputs, and read clocked outputs while their clocks are active."""
         self._ticking = self._due(now)
         active = self._activate(self._ticking)
         for group in self._clocked[0]:
-            status = self._put(group, self._inputs) if active.intersection(group.clocks) else 0
-            if status:
-                return status
+            if active.intersection(group.clocks):
+                self._ports.put(self._component, group, self._inputs)
         if self._asked:
             count = len(self._asked)
             values = (ctypes.c_bool * count)()
             self._library.call("fmi3GetClock", self._component, (ctypes.c_uint * count)(*self._asked), count, values)
             active.update(r for r, value in zip(self._asked, values, strict=True) if value)
         for group in self._clocked[1]:
-            status = self._take(group, self._held) if active.intersection(group.clocks) else 0
-            if status:
-                return status
-        return 0
+            if active.intersection(group.clocks):
+                self._ports.take(self._component, group, self._held)
 
     def _activate(self, ticking: list[Ticks]) -> set[int]:
         count = len(ticking)
@@ -284,10 +269,6 @@ class ClockedInstance(Instance):
             clock.state = state
         self._note_due()
         self._held[:] = values[2]
-
-    def _called(self, side: int) -> str:
-        groups = [*self._groups[side], *self._clocked[side]]
-        return function_of(groups, self._elements[side], int(self._scratch[UNFIT]))
 
     def close(self) -> None:
         """See `Instance.close`."""

@@ -35,15 +35,13 @@ from bayesftc.cosim.fmi.binaries.codes import (
     decoded,
     failed,
 )
-from bayesftc.cosim.fmi.binaries.groups import Group, element_names, groups
-from bayesftc.cosim.fmi.binaries.guards import beyond
+from bayesftc.cosim.fmi.binaries.groups import Group
 from bayesftc.cosim.fmi.binaries.library import Beginning, CallError, Library
 from bayesftc.cosim.fmi.reading.description import FMUVariable
 from bayesftc.cosim.fmi.reading.messages import ENDS, Messages, status_word
 from bayesftc.cosim.fmi.reading.versions import prefix
 from bayesftc.cosim.fmi.running.own_inputs import own_inputs
-from bayesftc.cosim.fmi.running.refusals import function_of, misfit
-from bayesftc.cosim.fmi.running.rounding import Rounding
+from bayesftc.cosim.fmi.running.port_values import PortValues, StopError
 from bayesftc.cosim.fmi.running.states import SavedState, States
 from bayesftc.cosim.fmi.running.steps import StepFunctions
 from bayesftc.cosim.types import Floats
@@ -78,10 +76,10 @@ class Instance(StepFunctions):
         self._messages = Messages(name)
         self._component, self._healthy, self._fatal = 0, True, False
         self.has_ended = False
-        major, addresses, find = library.description.fmi_major, library.step_addresses(), library.function_address
+        major, addresses = library.description.fmi_major, library.step_addresses()
         inputs = list(beginning.inputs)
-        into = groups(inputs, major, "Set", find, events=addresses.enter_event_mode != 0)
-        into, out = self._arranged((into, groups(outputs, major, "Get", find)))
+        self._ports = PortValues(library, inputs, outputs, events=addresses.enter_event_mode != 0)
+        into, out = self._arranged(self._ports.groups)
         try:
             self._start(beginning)
             self.own_inputs = own_inputs(library, self._component, beginning.inputs)
@@ -90,8 +88,7 @@ class Instance(StepFunctions):
             self.close()
             raise
         super().__init__(major, addresses, self._component, into, out, step, timing, self._cut())
-        self._elements = element_names(inputs), element_names(outputs)
-        self.rounding = Rounding(out, self._elements[1])
+        self.rounding = self._ports.rounding
         if addresses.enter_event_mode:
             self._first_events()
         self._check_written()
@@ -104,8 +101,8 @@ class Instance(StepFunctions):
         self._states = States(library, component, name)
         try:
             library.initialize(component, beginning, meanwhile=self._initializing)
-        except CallError as error:
-            self._fatal = error.status == FATAL
+        except (CallError, StopError) as error:
+            self._fatal = isinstance(error, CallError) and error.status == FATAL
             raise FMUError(
                 f"The FMU {model!r} could not be initialized as {name!r}: {error}. Check its "
                 f"parameters and start values. {self._messages.quoted()}"
@@ -141,7 +138,8 @@ class Instance(StepFunctions):
         update, leave = _UPDATE(a.update_discrete), _MODE(a.enter_step_mode)
         places = [scratch.ctypes.data + 8 * i for i in range(UPDATE, UPDATE + 6)]
         for _ in range(TRIES):
-            status = self._tick(now) or failed(EVENTS, update(self._component, *places))
+            self._tick(now)
+            status = failed(EVENTS, update(self._component, *places))
             if status:
                 return status
             if scratch[UPDATE_TERMINATE]:
@@ -150,43 +148,31 @@ class Instance(StepFunctions):
                 return failed(EVENTS, leave(self._component))
         return ENDLESS
 
-    def _tick(self, now: float) -> int:
-        """Let the clocks tick that are due; return a status."""
-        return 0
+    def _tick(self, now: float) -> None:
+        """Let the clocks tick that are due."""
 
     def _still_ticks(self, now: float) -> bool:
         """Return whether more clocks are due."""
         return False
 
-    def _read(self, outputs: Floats) -> int:
-        """Read the outputs by way of guarded memory; return a status."""
-        return next(filter(None, (self._take(group, outputs) for group in self._groups[1])), 0)
-
-    def _take(self, group: Group, outputs: Floats) -> int:
-        status, unfit = group.take(self._component, outputs)
-        return self._noted(group, failed(GET, status), unfit, UNFIT_OUTPUT)
-
-    def _put(self, group: Group, inputs: Floats) -> int:
-        status, unfit = group.put(self._component, inputs)
-        return self._noted(group, failed(SET, status), unfit, UNFIT_INPUT)
-
-    def _noted(self, group: Group, status: int, unfit: int, misfit: int) -> int:
-        """Return the status of a group that was set or read, and remember which value or group it is about."""
-        if unfit >= 0 or status:
-            self._scratch[UNFIT] = unfit if unfit >= 0 else group.begin
-        return misfit if unfit >= 0 else status
+    def _read(self, outputs: Floats) -> None:
+        """Read the outputs by way of guarded memory."""
+        for group in self._groups[1]:
+            self._ports.take(self._component, group, outputs)
 
     def _check_written(self) -> None:
         """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values; or too much.
 
         Compiled runs have it write among the values of other blocks, so that an array of more elements must be seen here.
         """
-        names = [name for name, _ in self._elements[1]]
+        names = self._ports.names[1]
         values = np.full(len(names), _UNWRITTEN, dtype=np.int64)
-        if not names or self._read(values.view(np.float64)):
+        try:
+            self._read(values.view(np.float64))
+        except (CallError, StopError):
             return  # the run will say so
         outputs = self._groups[1]
-        too_far = beyond(outputs, self._component, self._elements[1])
+        too_far = self._ports.beyond(self._component)
         if too_far:
             self._refuse(
                 f"writes beyond the memory that it is given for {too_far} of {self._name!r}, where it would damage what "
@@ -278,9 +264,7 @@ class Instance(StepFunctions):
         if status == ENDLESS:
             return f"The FMU did not come to the end of the step, or of an event, in {TRIES} calls. {said}"
         if status in {UNFIT_INPUT, UNFIT_OUTPUT}:
-            is_input = status == UNFIT_INPUT
-            elements = self._elements[0 if is_input else 1]
-            return misfit(elements, int(self._scratch[UNFIT]), self._major, is_input=is_input)
+            return f"{self._ports.misfit(int(self._scratch[UNFIT]), is_input=status == UNFIT_INPUT)}."
         names = {
             GET: self._called(1),
             SET: self._called(0),
@@ -303,10 +287,9 @@ class Instance(StepFunctions):
 
     def _called(self, side: int) -> str:
         """Return which function has failed to read or set values, and whose."""
-        groups = self._groups[side]
         if self._plain:
-            return groups[0].name if groups else "An FMI function"
-        return function_of(groups, self._elements[side], int(self._scratch[UNFIT]))
+            return self._groups[side][0].name if self._groups[side] else "An FMI function"
+        return self._ports.function_of(int(self._scratch[UNFIT]), is_input=side == 0)
 
     def close(self) -> None:
         """Free the instance; the binary stays loaded."""

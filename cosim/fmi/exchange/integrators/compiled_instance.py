@@ -11,10 +11,10 @@ import numpy as np
 from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.integrators.instance import ExchangeInstance, Timing
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
-from bayesftc.cosim.fmi.exchange.port_values import StopError
 from bayesftc.cosim.fmi.exchange.reasons import reason
 from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS, RESTARTED
 from bayesftc.cosim.fmi.running.by_address import ENTRY
+from bayesftc.cosim.fmi.running.port_values import StopError
 
 
 @cache

@@ -19,9 +19,9 @@ from bayesftc.cosim.fmi.binaries.library import Beginning, CallError
 from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary
 from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel, SavedModel
-from bayesftc.cosim.fmi.exchange.port_values import StopError
 from bayesftc.cosim.fmi.reading.description import FMUVariable
 from bayesftc.cosim.fmi.running.by_address import ByAddress
+from bayesftc.cosim.fmi.running.port_values import StopError
 from bayesftc.cosim.types import Floats
 
 Timing = Literal["plant", "direct", "sampled"]

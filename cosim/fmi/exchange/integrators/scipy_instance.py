@@ -12,8 +12,8 @@ from bayesftc.cosim.fmi.binaries.library import CallError
 from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.integrators.instance import ExchangeInstance, Timing
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
-from bayesftc.cosim.fmi.exchange.port_values import EndError, StopError
 from bayesftc.cosim.fmi.exchange.reasons import endless_events, too_many_events
+from bayesftc.cosim.fmi.running.port_values import EndError, StopError
 from bayesftc.cosim.stepping.callbacks import Callback
 from bayesftc.cosim.types import Floats
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
-from bayesftc.cosim.fmi.exchange.port_values import EndError, StopError
 from bayesftc.cosim.fmi.exchange.reasons import REMEDY, nan_derivative
 from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim.fmi.exchange.words import PRECISION
 from bayesftc.cosim.fmi.reading.messages import ENDS
+from bayesftc.cosim.fmi.running.port_values import EndError, StopError
 from bayesftc.cosim.types import Floats
 
 
