@@ -167,11 +167,6 @@ class ExchangeModel:
         return self.library.state_names(self.component, self.nx)
 
     @property
-    def sizes(self) -> tuple[int, int]:
-        """How many elements its inputs and outputs have."""
-        return len(self.ports.names[0]), len(self.ports.names[1])
-
-    @property
     def _declared(self) -> int:
         return self.info.count
 

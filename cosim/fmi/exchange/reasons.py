@@ -52,8 +52,9 @@ def reason(model: ExchangeModel, solver: str, said: str) -> str:
         words.ENDLESS: f"Its event iteration does not end: after {words.ITERATIONS} turns at t = {now:g} s it still wants "
         f"another {model.library.names['update_discrete']}",
         words.NO_TIME: "The FMU says that its next event is at t = NaN",
-        words.CHATTERS: endless_events(model),
-        words.TOO_MANY_EVENTS: too_many_events(model),
+        words.CHATTERS: _endless_events(model),
+        words.TOO_MANY_EVENTS: f"More than {words.MOST_EVENTS:,} events came within one step, which has come to t = {now:.9g} s: "
+        "give the switch a wider hysteresis, or the run a shorter step",
         words.TOO_MANY: f"{solver} gives up at t = {reached:g} s: {_CVODE[-1]}; {REMEDY}",
         words.TOO_SMALL: f"{solver} gives up at t = {reached:g} s: its step became as small as can be; {REMEDY}",
         words.GIVES_UP: f"{solver} gives up at t = {reached:g} s: {_CVODE.get(flag) or f'it returned {flag} ({said})'}; {REMEDY}",
@@ -78,7 +79,7 @@ def _call(model: ExchangeModel, role: int, status: int, when: float) -> str:
     return f"{called} returned {status_word(status)} at t = {when:g} s"
 
 
-def endless_events(model: ExchangeModel) -> str:
+def _endless_events(model: ExchangeModel) -> str:
     """Return the sentence for events one after the other without time going on."""
     if model.next_event <= model.time:
         return (
@@ -86,14 +87,6 @@ def endless_events(model: ExchangeModel) -> str:
             f"later, again and again: t = {model.next_event:.9g} s. Its model of time events is wrong; export it again"
         )
     return f"Its events do not end at t = {model.time:.9g} s: {CHATTERS}"
-
-
-def too_many_events(model: ExchangeModel) -> str:
-    """Return the sentence for a communication step with more events than anybody waits for."""
-    return (
-        f"More than {words.MOST_EVENTS:,} events came within one step, which has come to t = {model.time:.9g} s: give the switch "
-        "a wider hysteresis, or the run a shorter step"
-    )
 
 
 def nan_derivative(model: ExchangeModel) -> str:

@@ -50,22 +50,25 @@ STEP_WORD = 1
 SAME = 1e-9
 """Part of a step that its end may be off a communication point and is that point all the same."""
 
-NONE, CVODE, RUNGE_KUTTA = range(3)
-"""Integrators."""
+NONE, CVODE, RUNGE_KUTTA, PYTHON = range(4)
+"""Integrators; the last is called back, at the address of the word `INTEGRATE`."""
 
 NAN_DERIVATIVE, NAN_INDICATOR, SET_VALUES, GET_VALUES, NAN_STATE = 101, 102, 103, 104, 105
 """Roles of what did not fail but came out NaN or infinite, and of the functions that set inputs and read outputs."""
 
 (
     CALL, ENDS, ENDS_AFTER_STEP, ENDLESS, NO_TIME, CHATTERS, GIVES_UP, TOO_MANY, TOO_SMALL, UNFIT_INPUT, UNFIT_OUTPUT,
-    TOO_MANY_EVENTS,
-) = range(1, 13)  # fmt: skip
+    TOO_MANY_EVENTS, RAISED,
+) = range(1, 14)  # fmt: skip
 """Reasons: a call failed; the FMU ends the simulation, at an event or after a step; its event iteration does not end; its next
 event is at NaN; its events do not end; the integrator gives up, needs too many steps, or steps that are too small; the type of
-a port does not hold a value; there are too many events in a step."""
+a port does not hold a value; there are too many events in a step; an integrator in Python has raised what it keeps."""
 
 STOPPED = 501
 """The status of a step that stopped for one of these reasons."""
+
+INTERRUPTED = 902  # as in bayesftc.cosim.isolation.protocol
+"""The status where Python has raised what is no failure of the FMU: Ctrl-C, say."""
 
 ITERATIONS = 1000
 """Turns of the event iteration at one instant, after which it is taken to be endless."""

@@ -7,10 +7,10 @@ gives the bits of one that was not.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Literal
+from functools import cache
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,16 +19,27 @@ from bayesftc.cosim.fmi.binaries.library import Beginning, CallError
 from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary
 from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel, SavedModel
+from bayesftc.cosim.fmi.exchange.reasons import reason
+from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS, RESTARTED
 from bayesftc.cosim.fmi.reading.description import FMUVariable
-from bayesftc.cosim.fmi.running.by_address import ByAddress
+from bayesftc.cosim.fmi.running.by_address import ENTRY, ByAddress
 from bayesftc.cosim.fmi.running.port_values import StopError
 from bayesftc.cosim.types import Floats
 
 Timing = Literal["plant", "direct", "sampled"]
 
 
-class ExchangeInstance(ByAddress, ABC):
-    """What all of them have in common; see `bayesftc.cosim.block.External`.
+@cache
+def _compiled(role: str) -> Any:
+    from bayesftc.cosim.fmi.exchange.integrators.kernels import FUNCTIONS
+    from bayesftc.cosim.stepping.compiler import compile_raw
+
+    function: Any = FUNCTIONS[role]
+    return compile_raw(function)
+
+
+class ExchangeInstance(ByAddress):
+    """A running instance with its integrator; see `bayesftc.cosim.block.External`.
 
     Parameters
     ----------
@@ -38,29 +49,84 @@ class ExchangeInstance(ByAddress, ABC):
         Seconds of a communication step.
     timing : {"plant", "direct", "sampled"}
         When outputs are read; see `bayesftc.cosim.FMU`.
+    solver : str
+        The integrator.
+    rtol : float
+        Relative tolerance.
+    atol : float or None
+        Absolute tolerance; None for rtol times nominal values.
     """
 
     #: The word of the table that holds the step size, which may be any.
     step_word = words.STEP_WORD
     can_resize = True
 
-    def __init__(self, model: ExchangeModel, step: Fraction, timing: Timing):
+    def __init__(
+        self, model: ExchangeModel, step: Fraction, timing: Timing, solver: str, rtol: float, atol: float | None
+    ):
         self._model, self._step, self._timing = model, step, timing
         self.rounding = model.ports.rounding
         self.table = np.array([model.table.ctypes.data, 0], dtype=np.int64)
         self.resize(float(step))
+        table, reals = model.table, model.reals
+        table[words.NUMERATOR], table[words.DENOMINATOR] = step.numerator, step.denominator
+        table[words.LIMIT] = INTERNAL_STEPS
+        self._name = {"cvode": "CVODE"}.get(solver, "Runge-Kutta")
+        self._cvode, self._scipy = None, None
+        self._tolerances, self._work = np.ones(len(model.places)), np.zeros(0)
+        table[words.TOLERANCES] = self._tolerances.ctypes.data
+        part = RESTARTED if solver == "cvode" else 1.0
+        reals[words.RTOL] = max(part * rtol, words.PRECISION)
+        reals[words.ATOL] = -1.0 if atol is None else part * atol
+        if model.nx == model.nz == 0:
+            table[words.INTEGRATOR] = words.NONE
+        elif solver == "cvode":
+            from bayesftc.cosim.fmi.exchange.integrators.cvode import CVode
+
+            self._cvode = CVode(model, self._tolerances)
+            self._work = np.zeros(model.nx)  # the states of the last step that was good
+            table[words.WORK] = self._work.ctypes.data
+        elif solver.startswith("scipy:"):
+            from bayesftc.cosim.fmi.exchange.integrators.scipy_methods import ScipySolver
+
+            self._scipy = ScipySolver(model, solver.removeprefix("scipy:"), self._tolerances)
+        else:
+            from bayesftc.cosim.fmi.exchange.integrators.runge_kutta import VECTORS
+
+            self._work = np.zeros(VECTORS * max(model.nx, 1) + 2 * model.nz)
+            table[words.INTEGRATOR], table[words.WORK] = words.RUNGE_KUTTA, self._work.ctypes.data
+        try:
+            self._set_tolerances()
+        except StopError:
+            self.close()
+            raise
+
+    @property
+    def output_address(self) -> int:
+        """Address of the compiled output function."""
+        return int(_compiled(self._timing).address)
+
+    @property
+    def update_address(self) -> int:
+        """Address of the compiled update function; 0 where all is done in the output function."""
+        return 0 if self._timing == "sampled" else int(_compiled("update").address)
 
     def explain(self, status: int) -> str:
         """Return why it stopped, with the last messages of the instance."""
         return f"{self._why()}. {self._model.messages.quoted()}"
 
-    @abstractmethod
-    def _why(self) -> str: ...
+    def _why(self) -> str:
+        error = self._scipy.error if self._scipy else None
+        if error is None or self._model.table[words.REASON] != words.RAISED:
+            return reason(self._model, self._name, self._cvode.said if self._cvode else "")
+        if isinstance(error, StopError | CallError):
+            return str(error)
+        raise error
 
     @property
-    @abstractmethod
     def has_ended(self) -> bool:
         """See `bayesftc.cosim.block.External.has_ended`."""
+        return int(self._model.table[words.REASON]) in {words.ENDS, words.ENDS_AFTER_STEP}
 
     @property
     def can_save(self) -> bool:
@@ -85,16 +151,18 @@ class ExchangeInstance(ByAddress, ABC):
         self._model.restore(saved)
         self._retune("could not be restored")
 
-    @abstractmethod
-    def _set_tolerances(self) -> None: ...
+    def _set_tolerances(self) -> None:
+        if self._model.nx or self._model.nz:
+            nothing = np.zeros(0)
+            if self._entered(ENTRY(_compiled("tolerances").address), nothing, nothing, 0.0):
+                raise StopError(self._why())
 
     def _retune(self, what: str) -> None:
         """Set the tolerances as the nominal values are now; raise FMUError where it does not give them."""
         try:
             self._set_tolerances()
         except (CallError, StopError) as error:
-            why = str(error)
-            raise FMUError(f"{self._model.name!r} {what}: {why}. {self._model.messages.quoted()}") from None
+            raise FMUError(f"{self._model.name!r} {what}: {error}. {self._model.messages.quoted()}") from None
 
     def forget(self, saved: object) -> None:
         """See `bayesftc.cosim.block.External.forget`."""
@@ -125,12 +193,13 @@ class ExchangeInstance(ByAddress, ABC):
             model.write_states()
             model.event()
         except (CallError, StopError) as error:
-            what = str(error)
-            raise FMUError(f"{model.name!r} refuses these states: {what}. {model.messages.quoted()}") from None
+            raise FMUError(f"{model.name!r} refuses these states: {error}. {model.messages.quoted()}") from None
         self._retune("refuses these states")
 
     def close(self) -> None:
-        """Free the instance; the binary stays loaded."""
+        """Free the instance and its integrator; the binary stays loaded."""
+        if self._cvode is not None:
+            self._cvode.close()
         self._model.close()
 
 
@@ -166,16 +235,9 @@ def exchange_instance(
     FMUError
         If the FMU refuses to be instantiated or initialized, or the integrator cannot be had.
     """
-    model, rtol = ExchangeModel(library, name, beginning, outputs), beginning.tolerance
+    model = ExchangeModel(library, name, beginning, outputs)
     try:
-        if solver.startswith("scipy:") and (model.nx or model.nz):
-            from bayesftc.cosim.fmi.exchange.integrators.scipy_instance import ScipyInstance
-            from bayesftc.cosim.fmi.exchange.integrators.scipy_methods import ScipySolver
-
-            return ScipyInstance(model, step, timing, ScipySolver(model, solver.removeprefix("scipy:"), rtol, atol))
-        from bayesftc.cosim.fmi.exchange.integrators.compiled_instance import CompiledInstance
-
-        return CompiledInstance(model, step, timing, "rk45" if solver.startswith("scipy:") else solver, rtol, atol)
+        return ExchangeInstance(model, step, timing, solver, beginning.tolerance, atol)
     except BaseException as error:
         model.healthy = False
         model.close()

@@ -34,7 +34,9 @@ from bayesftc.cosim.fmi.exchange.words import (
     IN_SIZE,
     INFO,
     INPUTS,
+    INTEGRATE,
     INTEGRATOR,
+    INTERRUPTED,
     ITERATIONS,
     MAJOR,
     MEMORY,
@@ -54,6 +56,7 @@ from bayesftc.cosim.fmi.exchange.words import (
     REASON,
     ROLE,
     RTOL,
+    RUNGE_KUTTA,
     SAME,
     SET_TIME,
     SET_TOLERANCES,
@@ -73,6 +76,7 @@ from bayesftc.cosim.fmi.exchange.words import (
 )
 from bayesftc.cosim.fmi.running.kernels import mode3, number, put_number, put_word, update3, word
 from bayesftc.cosim.fmi.running.typed_kernels import GROUP_WORDS, put, take
+from bayesftc.cosim.stepping.by_address import call_block
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 
 _INFINITY = float("inf")
@@ -212,14 +216,19 @@ def _refused(table, role, code):
 
 @callee
 def _stretch(table, target):
-    """Go to a time, or to an event before it; return 1 for an event, 0 for none, -1 if the reason is in the table."""
+    """Go to a time, or to an event before it; return 1 for an event, 0 for none, else less: the reason is in the table."""
     t, which = number(table, TIME), word(table, INTEGRATOR)
     if which == NONE:
         put_number(table, TIME, target)
         status = at_time(word(table, SET_TIME), word(table, COMPONENT), target)
         return 0 if _called(table, SET_TIME, status) == 0 else -1
     put_word(table, ROLE, 0)
-    answer = cvode(table, t, target) if which == CVODE else runge_kutta(table, t, target)
+    if which == CVODE:
+        answer = cvode(table, t, target)
+    elif which == RUNGE_KUTTA:
+        answer = runge_kutta(table, t, target)
+    else:
+        answer = call_block(word(table, INTEGRATE), 0, 0, 0, 0, target, 0)
     if answer >= 0:
         put_number(table, TIME, number(table, REACHED))
     return answer
@@ -251,7 +260,7 @@ def _advance(parameters, inputs, t, k):
         else:
             event = _stretch(table, target)
             if event < 0:
-                return STOPPED
+                return STOPPED if event == -1 else INTERRUPTED
         if event == 0 and not timed:
             return 0
         if _mode(table, ENTER_EVENT) != 0 or _settle(table) != 0:
@@ -286,8 +295,9 @@ def advance(state, parameters, inputs, outputs, t, k):
 
 def sampled(state, parameters, inputs, outputs, t, k):
     """Set the inputs, go to the next communication point, and read the outputs there."""
-    if _advance(parameters, inputs, t, k) != 0:
-        return STOPPED
+    status = _advance(parameters, inputs, t, k)
+    if status != 0:
+        return status
     return _read(word(parameters, 0), outputs)
 
 

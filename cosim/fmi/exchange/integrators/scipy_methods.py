@@ -1,4 +1,4 @@
-"""Integrators of scipy for one model exchange FMU: restarted at each stretch, roots found by bisection."""
+"""Integrators of scipy for one model exchange FMU: restarted at each stretch, roots found by bisection; called back."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.fmi.binaries.library import CallError
+from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
 from bayesftc.cosim.fmi.exchange.reasons import REMEDY, nan_derivative
 from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim.fmi.exchange.words import PRECISION
 from bayesftc.cosim.fmi.reading.messages import ENDS
+from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.fmi.running.port_values import EndError, StopError
 from bayesftc.cosim.types import Floats
 
@@ -25,25 +28,37 @@ class ScipySolver:
         The instance; `integrate` begins at its states ``model.x``.
     method : str
         Name of the method.
-    rtol : float
-        Relative tolerance.
-    atol : float or None
-        Absolute tolerance; None for rtol times nominal values.
+    tolerances : ndarray
+        Where the absolute tolerances are.
+
+    Attributes
+    ----------
+    error : BaseException or None
+        What was raised in it last.
     """
 
-    def __init__(self, model: ExchangeModel, method: str, rtol: float, atol: float | None):
+    def __init__(self, model: ExchangeModel, method: str, tolerances: Floats):
         from scipy import integrate
 
         self._method: Any = getattr(integrate, method)
-        self._model, self._rtol, self._atol = model, max(rtol, PRECISION), atol
+        self._model, self._absolute = model, tolerances if model.nx else np.ones(1)
         self._slope, self._roots = np.zeros(model.nx), np.zeros(model.nz)
         self._enter, self._terminate = ctypes.c_int(0), ctypes.c_int(0)
-        self.set_tolerances()
+        self.error: BaseException | None = None
+        self._entry = ENTRY(lambda state, parameters, inputs, outputs, end, k: self._called(end))
+        model.table[words.INTEGRATOR] = words.PYTHON
+        model.table[words.INTEGRATE] = ctypes.cast(self._entry, ctypes.c_void_p).value or 0
 
-    def set_tolerances(self) -> None:
-        """Set the tolerances anew, as the nominal values are now."""
-        atol = self._rtol * self._model.nominals() if self._atol is None else np.full(self._model.nx, self._atol)
-        self._absolute = atol if self._model.nx else np.ones(1)
+    def _called(self, end: float) -> int:
+        model = self._model
+        try:
+            event = self.integrate(model.time, end)
+        except BaseException as error:  # noqa: BLE001 - C code has no way for it; who explains the status raises it
+            self.error = error
+            model.table[words.REASON] = words.ENDS_AFTER_STEP if isinstance(error, EndError) else words.RAISED
+            return -1 if isinstance(error, StopError | CallError) else -2
+        model.reals[words.REACHED] = model.time
+        return int(event)
 
     def integrate(self, t: float, end: float) -> bool:
         """Integrate from time `t` to `end`, or to an event before it, and bring the FMU there; return whether there is one.
@@ -58,7 +73,9 @@ class ScipySolver:
         model = self._model
         start = model.x.copy() if model.nx else np.ones(1)
         signs = self._signs(t, start)
-        solver = self._method(self._derivatives, t, start, end, rtol=self._rtol, atol=self._absolute)
+        solver = self._method(
+            self._derivatives, t, start, end, rtol=float(model.reals[words.RTOL]), atol=self._absolute
+        )
         for _ in range(INTERNAL_STEPS):
             said = solver.step()
             if solver.status == "failed":

@@ -324,12 +324,12 @@ def test_a_status_that_fmi_does_not_know_is_called_so(solver, fmi, built):
 
 def test_a_solver_that_gives_up_says_so(built, monkeypatch):
     from bayesftc.cosim.fmi.exchange.integrators import (
-        compiled_instance,
         cvode as _model_exchange_cvode,
+        instance as _model_exchange_instance,
         scipy_methods as _model_exchange_scipy,
     )
 
-    for module in (_model_exchange_cvode, compiled_instance, _model_exchange_scipy):
+    for module in (_model_exchange_cvode, _model_exchange_instance, _model_exchange_scipy):
         monkeypatch.setattr(module, "INTERNAL_STEPS", 3)
     for solver, called in (("cvode", "CVODE"), ("rk45", "Runge-Kutta"), ("scipy:RK23", "RK23 of scipy")):
         with pytest.raises(

@@ -8,7 +8,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.cosim import Port
 from bayesftc.cosim.fmi.binaries.codes import EVENTS, GET, SET, STEP
-from bayesftc.cosim.fmi.exchange.integrators.scipy_instance import INTERRUPTED
+from bayesftc.cosim.fmi.exchange.words import INTERRUPTED
 from bayesftc.cosim.isolation import protocol
 from bayesftc.cosim.isolation.instance import Isolated
 from bayesftc.cosim.ops import isnan, select
