@@ -6,6 +6,7 @@ import ctypes
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,12 @@ from bayesftc.cosim.fmi.binaries.library import Beginning, CallError
 from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary
 from bayesftc.cosim.fmi.exchange import words
 from bayesftc.cosim.fmi.exchange.words import ITERATIONS
-from bayesftc.cosim.fmi.exchange.written import UNWRITTEN, check_written
 from bayesftc.cosim.fmi.reading.description import FMUVariable
 from bayesftc.cosim.fmi.reading.messages import ENDS, Messages
 from bayesftc.cosim.fmi.running.own_inputs import own_inputs
 from bayesftc.cosim.fmi.running.port_values import EndError, PortValues, StopError
 from bayesftc.cosim.fmi.running.states import SavedState, States
+from bayesftc.cosim.fmi.running.written import UNWRITTEN, check_written
 from bayesftc.cosim.types import Floats
 
 _DISCARD, _FATAL = 2, 4
@@ -100,7 +101,12 @@ class ExchangeModel:
             values = [self.own_inputs[v.name] if value is None else value for v, value in inputs.items()]
             self.inputs = np.concatenate([np.zeros(0), *(np.ravel(np.asarray(v, dtype=np.float64)) for v in values)])
             self._fill_table()
-            check_written(self)
+            more = (
+                ("the continuous states", self.nx, partial(self.read, "get_states")),
+                ("the derivatives of the states", self.nx, partial(self.read, "get_derivatives")),
+                ("the event indicators", self.nz, partial(self.read, "get_indicators")),
+            )
+            check_written(library.description.name, name, self.component, self.ports, self.read_outputs, more)
         except BaseException:
             self.healthy = False
             self.close()

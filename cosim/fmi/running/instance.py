@@ -44,13 +44,11 @@ from bayesftc.cosim.fmi.running.own_inputs import own_inputs
 from bayesftc.cosim.fmi.running.port_values import PortValues, StopError
 from bayesftc.cosim.fmi.running.states import SavedState, States
 from bayesftc.cosim.fmi.running.steps import StepFunctions
+from bayesftc.cosim.fmi.running.written import check_written
 from bayesftc.cosim.types import Floats
 
 _MODE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 _UPDATE = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 7)
-
-_UNWRITTEN = 0x7FF8_5AFE_C0DE_0001
-"""The bits of a NaN that no computation makes."""
 
 
 class Instance(StepFunctions):
@@ -91,7 +89,11 @@ class Instance(StepFunctions):
         self.rounding = self._ports.rounding
         if addresses.enter_event_mode:
             self._first_events()
-        self._check_written()
+        try:
+            check_written(library.description.name, name, self._component, self._ports, self._read)
+        except FMUError:
+            self.close()
+            raise
 
     def _start(self, beginning: Beginning) -> None:
         library, name = self._library, self._name
@@ -159,40 +161,6 @@ class Instance(StepFunctions):
         """Read the outputs by way of guarded memory."""
         for group in self._groups[1]:
             self._ports.take(self._component, group, outputs)
-
-    def _check_written(self) -> None:
-        """Refuse an FMU that says OK and gives nothing, as an array of fewer elements: zeros would look like values; or too much.
-
-        Compiled runs have it write among the values of other blocks, so that an array of more elements must be seen here.
-        """
-        names = self._ports.names[1]
-        values = np.full(len(names), _UNWRITTEN, dtype=np.int64)
-        try:
-            self._read(values.view(np.float64))
-        except (CallError, StopError):
-            return  # the run will say so
-        outputs = self._groups[1]
-        too_far = self._ports.beyond(self._component)
-        if too_far:
-            self._refuse(
-                f"writes beyond the memory that it is given for {too_far} of {self._name!r}, where it would damage what "
-                "belongs to others"
-            )
-        missing = [name for name, bits in zip(names, values, strict=True) if bits == _UNWRITTEN]
-        unwritten = [group.unwritten(self._component) for group in outputs if group.kind.code]
-        missing += [names[place] for place in unwritten if place >= 0]
-        if missing:
-            self._refuse(
-                f"says that it has given its outputs, but has not written {', '.join(map(repr, missing[:3]))}"
-                f"{' and more' if missing[3:] else ''} of {self._name!r}"
-            )
-
-    def _refuse(self, what: str) -> None:
-        self.close()
-        raise FMUError(
-            f"The FMU {self._library.description.name!r} {what}: its binary and its model description do not agree. Export "
-            "it again."
-        )
 
     @property
     def can_save(self) -> bool:
