@@ -181,34 +181,33 @@ def update3(typingctx, function, component, place):
 
 
 @inlined
-def _get2(parameters, outputs):
-    count = word(parameters, OUTPUT_COUNT)
+def _get(major, parameters, outputs):
+    function, component, count = word(parameters, GET_REAL), word(parameters, COMPONENT), word(parameters, OUTPUT_COUNT)
     if count == 0:
         return 0
-    references = word(parameters, OUTPUTS)
-    return failed(GET, values2(word(parameters, GET_REAL), word(parameters, COMPONENT), references, count, outputs))
+    if major == 2:
+        return failed(GET, values2(function, component, word(parameters, OUTPUTS), count, outputs))
+    size = word(parameters, OUTPUT_SIZE)
+    return failed(GET, values3(function, component, word(parameters, OUTPUTS), count, outputs, size))
 
 
 @inlined
-def _get3(parameters, outputs):
-    count = word(parameters, OUTPUT_COUNT)
+def _set(major, parameters, inputs):
+    function, component, count = word(parameters, SET_REAL), word(parameters, COMPONENT), word(parameters, INPUT_COUNT)
     if count == 0:
         return 0
-    references, size = word(parameters, OUTPUTS), word(parameters, OUTPUT_SIZE)
-    return failed(
-        GET, values3(word(parameters, GET_REAL), word(parameters, COMPONENT), references, count, outputs, size)
-    )
+    if major == 2:
+        return failed(SET, values2(function, component, word(parameters, INPUTS), count, inputs))
+    size = word(parameters, INPUT_SIZE)
+    return failed(SET, values3(function, component, word(parameters, INPUTS), count, inputs, size))
 
 
 @inlined
-def _step2(parameters, inputs, t):
-    component = word(parameters, COMPONENT)
-    count = word(parameters, INPUT_COUNT)
-    if count > 0:
-        status = failed(SET, values2(word(parameters, SET_REAL), component, word(parameters, INPUTS), count, inputs))
-        if status != 0:
-            return status
-    return do_step2(parameters, t)
+def _advance(major, parameters, inputs, t):
+    status = _set(major, parameters, inputs)
+    if status != 0:
+        return status
+    return do_step2(parameters, t) if major == 2 else do_step3(parameters, t)
 
 
 @inlined
@@ -257,19 +256,6 @@ def _in_parts2(parameters, t, h):
             part = left
         status = step2(word(parameters, DO_STEP), component, now, part, no_return)
     return ENDLESS
-
-
-@inlined
-def _step3(parameters, inputs, t):
-    count = word(parameters, INPUT_COUNT)
-    if count > 0:
-        component, size = word(parameters, COMPONENT), word(parameters, INPUT_SIZE)
-        status = failed(
-            SET, values3(word(parameters, SET_REAL), component, word(parameters, INPUTS), count, inputs, size)
-        )
-        if status != 0:
-            return status
-    return do_step3(parameters, t)
 
 
 @inlined
@@ -386,47 +372,33 @@ def settle3(parameters, now):
     return ENDLESS
 
 
-def get2(state, parameters, inputs, outputs, t, k):
-    """Read the outputs of an FMI 2 instance."""
-    return _get2(parameters, outputs)
+def entries(get, advance):
+    """Return the functions that the engine calls, by version of FMI and role.
+
+    Parameters
+    ----------
+    get : callable
+        Reads the outputs: ``get(major, parameters, outputs)`` returns a status.
+    advance : callable
+        Sets the inputs and makes a step: ``advance(major, parameters, inputs, t)``.
+    """
+
+    def of(major):
+        def read(state, parameters, inputs, outputs, t, k):
+            return get(major, parameters, outputs)
+
+        def update(state, parameters, inputs, outputs, t, k):
+            return advance(major, parameters, inputs, t)
+
+        def sampled(state, parameters, inputs, outputs, t, k):
+            status = advance(major, parameters, inputs, t)
+            if status != 0:
+                return status
+            return get(major, parameters, outputs)
+
+        return {(major, "get"): read, (major, "advance"): update, (major, "sampled"): sampled}
+
+    return {**of(2), **of(3)}
 
 
-def advance2(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 2 instance and make its step."""
-    return _step2(parameters, inputs, t)
-
-
-def get3(state, parameters, inputs, outputs, t, k):
-    """Read the outputs of an FMI 3 instance."""
-    return _get3(parameters, outputs)
-
-
-def advance3(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 3 instance and make its step."""
-    return _step3(parameters, inputs, t)
-
-
-def sampled2(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 2 instance, make its step, read its outputs."""
-    status = _step2(parameters, inputs, t)
-    if status != 0:
-        return status
-    return _get2(parameters, outputs)
-
-
-def sampled3(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 3 instance, make its step, read its outputs."""
-    status = _step3(parameters, inputs, t)
-    if status != 0:
-        return status
-    return _get3(parameters, outputs)
-
-
-FUNCTIONS = {
-    (2, "get"): get2,
-    (2, "advance"): advance2,
-    (2, "sampled"): sampled2,
-    (3, "get"): get3,
-    (3, "advance"): advance3,
-    (3, "sampled"): sampled3,
-}
+FUNCTIONS = entries(_get, _advance)

@@ -35,6 +35,7 @@ from bayesftc.cosim.fmi.running.kernels import (
     do_event_step3,
     do_step2,
     do_step3,
+    entries,
     failed,
     mode3,
     number,
@@ -243,63 +244,15 @@ def _get_all(major, parameters, outputs):
 
 
 @callee
-def _step3(parameters, t):
+def _advance(major, parameters, inputs, t):
+    status = _set_all(major, parameters, inputs, t)
+    if status != 0:
+        return status
+    if major == 2:
+        return do_step2(parameters, t)
     if word(parameters, ENTER_EVENT_MODE) != 0:
         return do_event_step3(parameters, t)
     return do_step3(parameters, t)
 
 
-def typed_get2(state, parameters, inputs, outputs, t, k):
-    """Read the outputs of an FMI 2 instance."""
-    return _get_all(2, parameters, outputs)
-
-
-def typed_get3(state, parameters, inputs, outputs, t, k):
-    """Read the outputs of an FMI 3 instance."""
-    return _get_all(3, parameters, outputs)
-
-
-def typed_advance2(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 2 instance and make its step."""
-    status = _set_all(2, parameters, inputs, t)
-    if status != 0:
-        return status
-    return do_step2(parameters, t)
-
-
-def typed_advance3(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 3 instance and make its step."""
-    status = _set_all(3, parameters, inputs, t)
-    if status != 0:
-        return status
-    return _step3(parameters, t)
-
-
-def typed_sampled2(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 2 instance, make its step, read its outputs."""
-    status = _set_all(2, parameters, inputs, t)
-    if status == 0:
-        status = do_step2(parameters, t)
-    if status != 0:
-        return status
-    return _get_all(2, parameters, outputs)
-
-
-def typed_sampled3(state, parameters, inputs, outputs, t, k):
-    """Set the inputs of an FMI 3 instance, make its step, read its outputs."""
-    status = _set_all(3, parameters, inputs, t)
-    if status == 0:
-        status = _step3(parameters, t)
-    if status != 0:
-        return status
-    return _get_all(3, parameters, outputs)
-
-
-FUNCTIONS = {
-    (2, "get"): typed_get2,
-    (2, "advance"): typed_advance2,
-    (2, "sampled"): typed_sampled2,
-    (3, "get"): typed_get3,
-    (3, "advance"): typed_advance3,
-    (3, "sampled"): typed_sampled3,
-}
+FUNCTIONS = entries(_get_all, _advance)
