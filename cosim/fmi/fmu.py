@@ -182,7 +182,7 @@ class FMU(ExternalBlock):
         for side, ports in chosen.items():
             set_(self, f"{side}s", tuple(self._port(v, side, reaching, description.units, resized) for v in ports))
         if asked is None and self.timing == "plant" and not exchange:
-            late = late_outputs(archive, description, self._ports[: self._count], self._ports[self._count :])
+            late = late_outputs(archive, description, *self._sides)
             if late:
                 warnings.warn(late, stacklevel=3)  # at the line that makes the block
 
@@ -195,7 +195,7 @@ class FMU(ExternalBlock):
         ]
         if self.parameters:
             settings.append(f"parameters={dict(self.parameters)!r}")
-        into, out = (listed(ports) for ports in (self._ports[: self._count], self._ports[self._count :]))
+        into, out = map(listed, self._sides)
         return f"<FMU {', '.join(settings)}: {into} -> {out}>"
 
     @property
@@ -251,7 +251,7 @@ class FMU(ExternalBlock):
     def watching(self, names: Iterable[str], *, only_recorded: bool = False) -> FMU:
         """See `Block.watching`: an FMU has local variables and parameters."""
         variables = {v.name: v for v in self.description.variables}
-        there = {port.name for port in self._ports}
+        there = {port.name for side in self._sides for port in side}
         # In FMI 2 ``body.r[1]`` is the name of a variable; in FMI 3 it may be an element of ``body.r``.
         whole = [name if name in variables else re.sub(r"\[[\d,]+\]$", "", name) for name in names]
         further = [
@@ -259,12 +259,12 @@ class FMU(ExternalBlock):
         ]
         if not further:
             return self
-        outputs = [port.name for port in self._ports[self._count :]]
+        outputs = [port.name for port in self._sides[1]]
         watching = replace(self, outputs=[*outputs, *dict.fromkeys(further)])
         # What is looked at changes nothing: inputs feed through to whom they fed through before.
         object.__setattr__(watching, "inputs", self.inputs)
         if only_recorded:
-            more = sum(port.size for port in watching._ports) - sum(port.size for port in self._ports)
+            more = sum(port.size for port in watching._sides[1]) - sum(port.size for port in self._sides[1])
             object.__setattr__(watching, "_only_recorded", self.only_recorded + more)
         return watching
 
@@ -305,17 +305,17 @@ class FMU(ExternalBlock):
         """Return what an instance begins with, and the outputs."""
         given = self._given
         variables = resolved(*self._read(), given)
-        missing = [n for n in (*(p.name for p in self._ports), *given) if n not in variables]
+        missing = [n for n in (*(p.name for side in self._sides for p in side), *given) if n not in variables]
         if missing:
             raise FMUError(
                 f"The FMU {self.path} was changed since it was read and has no {missing[0]!r} any more; read it again."
             )
-        into = [variables[p.name] for p in self._ports[: self._count]]
+        into = [variables[p.name] for p in self._sides[0]]
         described = {v.name: v.start for v in self.description.variables}
         own = {v for v in into if v.start is None and v.name not in given and described[v.name] is not None}
         inputs = {variable: None if variable in own else value_of(variable, given) for variable in into}
         start = {variables[n]: value for n, value in given.items()}
-        return Beginning(start, inputs, self.rtol or 0.0), [variables[p.name] for p in self._ports[self._count :]]
+        return Beginning(start, inputs, self.rtol or 0.0), [variables[p.name] for p in self._sides[1]]
 
     def _without_tunable(self, side: str) -> Sequence[str | Port] | None:
         # A block that is made anew from its fields has its tunable parameters among the inputs.
@@ -330,12 +330,9 @@ class FMU(ExternalBlock):
         return cast("Mapping[str, Value]", self.parameters or {})
 
     @property
-    def _ports(self) -> tuple[Port, ...]:
-        return tuple(p for p in (*(self.inputs or ()), *(self.outputs or ())) if isinstance(p, Port))
-
-    @property
-    def _count(self) -> int:
-        return len(self.inputs or ())
+    def _sides(self) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+        """The ports, which `inputs` and `outputs` hold once the block is made, whatever they were given as."""
+        return cast("tuple[Port, ...]", self.inputs), cast("tuple[Port, ...]", self.outputs)
 
     def _read(self) -> tuple[Archive, FMUDescription]:
         archive = open_archive(Path(self.path))
