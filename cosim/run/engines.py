@@ -150,7 +150,7 @@ class CompiledEngine:
         self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
         self._streams, self._drawn, self._buffer = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
         self._failed = np.array([-1, 0], dtype=np.int64)
-        self._entry = compiled_loop()
+        self._entry = compiled_loop("run")
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
@@ -204,7 +204,7 @@ class CompiledEngine:
         """
         run, step = self._run, self._run.schedule.step
         failed = np.array([-1, 0], dtype=np.int64)
-        done = compiled_many()(
+        done = compiled_loop("run_many")(
             self._calls, len(run.schedule.evaluate), self._gathers, seeds, self._streams, self._drawn, self._buffer, run.memory,
             initial, states, int(fresh), run.recorded, recordings, run.decimation, end, step.numerator, step.denominator,
             reached, failed,
@@ -226,7 +226,7 @@ class CompiledEngine:
     def _phase(self, begin: int, end: int, k: int) -> Failure | None:
         run, step = self._run, self._run.schedule.step
         t = k * step.numerator / step.denominator
-        if compiled_phase()(self._calls, begin, end, self._gathers, run.memory, t, k, self._failed):
+        if compiled_loop("phase")(self._calls, begin, end, self._gathers, run.memory, t, k, self._failed):
             return None
         return self._failure(self._failed, k)
 
@@ -237,30 +237,12 @@ class CompiledEngine:
 
 
 @cache
-def compiled_loop() -> Any:
-    """Return the compiled loop, from the disk if any process has compiled it before."""
-    from bayesftc.cosim.run import loop as _loop
+def compiled_loop(name: str) -> Any:
+    """Return a function of `bayesftc.cosim.run.loop`, compiled, from the disk if any process has compiled it before."""
+    from bayesftc.cosim.run import loop
     from bayesftc.cosim.stepping.compiler import compile_function
 
-    return compile_function(_loop.run, _loop.SIGNATURE)
-
-
-@cache
-def compiled_many() -> Any:
-    """Return the compiled loop over many runs."""
-    from bayesftc.cosim.run import loop as _loop
-    from bayesftc.cosim.stepping.compiler import compile_function
-
-    return compile_function(_loop.run_many, _loop.MANY_SIGNATURE)
-
-
-@cache
-def compiled_phase() -> Any:
-    """Return one phase of a step as a compiled function."""
-    from bayesftc.cosim.run import loop as _loop
-    from bayesftc.cosim.stepping.compiler import compile_function
-
-    return compile_function(_loop.phase, _loop.PHASE_SIGNATURE)
+    return compile_function(getattr(loop, name), loop.SIGNATURES[name])
 
 
 class InterpretedEngine:

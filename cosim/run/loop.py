@@ -11,15 +11,14 @@ from bayesftc.cosim.stepping.numba_called import callee, inlined
 FUNCTION, EVERY, STATE, PARAMETERS, INPUTS, OUTPUTS, GATHER_FROM, GATHER_TO, CHECK_FROM, CHECK_TO = range(10)
 COLUMNS = 10
 
-SIGNATURE = (
-    "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], int64[::1], "
-    "float64[:, ::1], int64, int64, int64, int64, int64, int64, int64, int64[::1])"
-)
-MANY_SIGNATURE = (
-    "int64(int64[:, ::1], int64, int64[:, ::1], uint64[::1], uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
-    "float64[::1], int64[:, ::1], int64, int64[::1], float64[:, :, ::1], int64, int64, int64, int64, int64[::1], int64[::1])"
-)
-PHASE_SIGNATURE = "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])"
+SIGNATURES = {
+    "run": "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
+    "int64[::1], float64[:, ::1], int64, int64, int64, int64, int64, int64, int64, int64[::1])",
+    "run_many": "int64(int64[:, ::1], int64, int64[:, ::1], uint64[::1], uint64[:, ::1], int64[::1], float64[:, ::1], "
+    "float64[::1], float64[::1], int64[:, ::1], int64, int64[::1], float64[:, :, ::1], int64, int64, int64, int64, int64[::1], "
+    "int64[::1])",
+    "phase": "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])",
+}
 
 
 # Inlined: as a call of its own, numba passes 32 words of array descriptions, twice a step, which took longer than the FMU.
