@@ -19,7 +19,7 @@ EVIDENCE = 10.0
 """Log-likelihood ratio over the model as it is that an explanation needs from the sensors of every set, beyond its BIC.
 
 This and the following were chosen on the seeds 1000 to 1023 of
-``src/bayesftc/reproduce/experiments/models/wrong.py``. What stretches are
+``tests/controllers/diagnosis/wrong_models.py``. What stretches are
 left out, and which explanations count as nearly as good, was changed after a look at the seeds 0 to 24: only those from 25 on are
 unseen."""
 

@@ -27,7 +27,7 @@ MEAN_LIMIT, PRODUCT_LIMIT = 25.0, 18.5
 """Squared mean, and product with the one before (squared, where positive), in units of their variances with the right model, at
 which the model is suspect.
 
-Tuned on the seeds 1000 to 1023 of ``src/bayesftc/reproduce/experiments/models/wrong.py``, judged on the seeds 0 to 99."""
+Tuned on the seeds 1000 to 1023 of ``tests/controllers/diagnosis/wrong_models.py``, judged on the seeds 0 to 99."""
 
 STRICTER = MEAN_LIMIT / PRODUCT_LIMIT
 """By how much the product is weighed more, so that both have the limit of the mean."""

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
+from wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.diagnosis.explanations import delayed, faster
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
-from bayesftc.reproduce.experiments.models.wrong import LEARNERS, Case, cases, loop, parts, run
 
 WORDS = {
     "sign": "sign of B",
