@@ -20,7 +20,8 @@ from bayesftc.reproduce.registry import EXPERIMENTS
 from bayesftc.reproduce.shared.ensemble import Progress, check_jobs
 
 if TYPE_CHECKING:
-    from bayesftc.reproduce.registry import Experiment, Report
+    from bayesftc.reproduce.registry import Experiment
+    from bayesftc.reproduce.shared.runner import Report
 
 ALL = "all"
 BREATH = 0.1
@@ -59,7 +60,7 @@ def reproduce_experiments(
         raise UnknownNameError(f"There is no experiment {name!r}; {did_you_mean(name, [*EXPERIMENTS, ALL])}")
     paper_only = name == ALL and not options["beyond"]
     chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL} and not (paper_only and e.beyond)]
-    given = {what: wanted for what, wanted in filters.items() if wanted not in (None, [])}
+    given: dict[str, Any] = {what: wanted for what, wanted in filters.items() if wanted not in (None, [])}
     if given and not all(e.filtered for e in chosen):
         able = ", ".join(e.name for e in EXPERIMENTS.values() if e.filtered)
         raise ModelError(f"{name} has no choice of {' and '.join(given)}; leave it out, or take one that has: {able}.")

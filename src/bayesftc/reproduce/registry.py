@@ -3,13 +3,13 @@
 To add one you must:
 
 1. put its settings, each with its reason, into ``settings.py``, and what the paper prints into ``paper.py``;
-2. write ``run(*, seed, jobs, runs, beyond, progress)``, which returns a dictionary of plain data with the keys ``settings``
-   (with the ``seed``, which is printed above the tables) and ``paper`` among others: what the JSON file holds. ``runs`` makes
-   the experiment smaller, for a quick look (None: the settings' size); ``beyond=False`` leaves out what is not in the paper.
-   The same seed must give the same bits for any number of jobs: `_ensemble` has what that takes;
-3. write ``show(report)``, which yields what is printed (strings and tables), and for each figure a function that returns it
-   as a matplotlib figure, or None where the report has nothing to draw; all know the report alone. The figures' names are
-   those of their files: a run removes those that an earlier one has left in its folder, and no other file;
+2. write ``run(ensemble, settings, ...)``, decorated by `experiment` of ``shared/runner.py``, which says what it is called with
+   and what it returns: a dictionary of plain data, in the end what the JSON file holds. The same seed must give the same bits
+   for any number of jobs: `Ensemble` has what that takes;
+3. write ``show(report)``, which yields what is printed (strings, and tables by `listed` and `crossed` of ``shared/tables.py``),
+   and for each figure a function that returns it as a matplotlib figure, or None where the report has nothing to draw; all know
+   the report alone. The figures' names are those of their files: a run removes those that an earlier one has left in its folder,
+   and no other file;
 4. name it in `EXPERIMENTS`, and in the package's ``__init__.py`` twice: in ``__all__``, and for type checkers among the imports
    below ``TYPE_CHECKING``.
 """
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayesftc.reproduce.experiments.arm import figures as _arm_figures, run as _arm, tables as _arm_tables
 from bayesftc.reproduce.experiments.beliefs import run as _beliefs, tables as _beliefs_tables
@@ -40,12 +40,11 @@ from bayesftc.reproduce.experiments.tracking import (
     run as _tracking,
     tables as _tracking_tables,
 )
+from bayesftc.reproduce.shared.runner import Report, Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import RenderableType
-
-Report = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class Experiment:
     """An experiment, the paper's or beyond it: what it computes, prints and draws."""
 
     name: str
-    run: Callable[..., Report]
+    run: Run
     show: Callable[[Report], Iterable[RenderableType]]
     figures: Mapping[str, Callable[[Report], Figure | None]]
     beyond: bool = False

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+Form = str | Callable[[Any], str]
+"""How a cell is written: a format of the entries of a mapping, as ``"{auc:.3f}"``, or a function of what stands there."""
 
 LONGEST = 12
 """Letters of a class name that a column's head takes on one line."""
@@ -28,6 +31,55 @@ def table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]],
     for name, cells in rows.items():
         made.add_row(Text(name), *(Text(cell) for cell in cells))
     return Group(Text(title, style="bold"), made)
+
+
+def listed(
+    title: str, rows: Mapping[Any, Any], columns: Sequence[tuple[str, Form]], *, corner: str = ""
+) -> RenderableType:
+    """Return a table with a row for each thing: the columns by their heads, and what each says of a thing."""
+    cells = {str(name): [written(of, form) for _, form in columns] for name, of in rows.items()}
+    return table(title, [head for head, _ in columns], cells, corner=corner)
+
+
+def crossed(
+    title: str,
+    cells: Mapping[Any, Mapping[Any, Any]],
+    form: Form,
+    names: Sequence[Any] | None = None,
+    *,
+    head: Form = str,
+    corner: str = "",
+    most: int = 1_000,
+) -> Iterator[RenderableType]:
+    """Yield the table of what stands at rows and columns, in parts of at most `most` columns.
+
+    Parameters
+    ----------
+    title, corner : str
+        Of each part.
+    cells : mapping
+        By row and column.
+    form : str or function
+        How each is written.
+    names : sequence, optional
+        The columns, by default all.
+    head : str or function
+        How a column's name is written.
+    most : int
+        Columns beside each other: class names are long.
+    """
+    names = list(next(iter(cells.values()))) if names is None else names
+    for first in range(0, len(names), most):
+        few = names[first : first + most]
+        rows = {str(row): [written(of[name], form) for name in few] for row, of in cells.items()}
+        yield table(title, [written(name, head) for name in few], rows, corner=corner)
+
+
+def written(of: Any, form: Form) -> str:
+    """Return a thing as a form has it."""
+    if callable(form):
+        return form(of)
+    return form.format(**of) if isinstance(of, Mapping) else form.format(of)
 
 
 def broken(name: str) -> str:

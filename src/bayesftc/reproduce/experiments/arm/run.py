@@ -18,7 +18,8 @@ from bayesftc.cosim.types import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce.experiments.arm.loop import FAULTY, HEALTHY, Case, closed_loop, explicit, learning, switching
 from bayesftc.reproduce.settings import Arm
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.runner import Report, experiment
 
 CHUNK = 5
 """Runs that one task makes: about a fifth of a second."""
@@ -29,39 +30,12 @@ SIGNALS = {"explicit": "detected", SWITCHING: "fault_probability"}
 """What a technique that detects says of each sensor: a probability, or 0 or 1."""
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    settings: Arm | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``arm.json`` holds.
+@experiment(Arm)
+def run(ensemble: Ensemble, settings: Arm, *, beyond: bool) -> Report:
+    """Run active inference on the arm, with thresholds that are learned on seeds of their own.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of all noise; the thresholds are learned on seeds of their own.
-    jobs : int
-        Number of threads; the result is the same to the last bit for any.
-    runs : int, optional
-        Runs of each controller, instead of the settings'.
-    beyond : bool
-        Whether what is not in the paper is run as well: `SwitchingPrecision`, and other values of the unpublished settings
-        (``grid``).
-    settings : Arm, optional
-        Other settings than those of `bayesftc.reproduce.settings`.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs or a number of runs cannot be one.
+    Beyond the paper are `SwitchingPrecision`, and other values of the unpublished settings (``grid``).
     """
-    settings, ensemble = Arm.of(settings, runs), Ensemble(seed, jobs, progress)
     thresholds = learn_thresholds(settings, ensemble)
     cases = {
         "none": Case(controllers.FixedPrecision()),
@@ -78,11 +52,7 @@ def run(
         name: detections(settings, cases[name], SIGNALS[name], chosen, ensemble) for name in SIGNALS if name in cases
     }
     return {
-        "settings": {
-            "seed": seed,
-            **settings.to_dict(),
-            "techniques": {n: repr(c.precision) for n, c in cases.items()},
-        },
+        "settings": {"techniques": {n: repr(c.precision) for n, c in cases.items()}},
         "mse": {name: _summary(values) for name, values in errors.items()},
         "paper": paper.ARM,
         "detection": detection,

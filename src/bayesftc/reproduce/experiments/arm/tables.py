@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.reproduce.shared.tables import table
+from bayesftc.reproduce.shared.tables import crossed, listed, table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -67,31 +67,19 @@ def _grid(report: dict[str, Any]) -> Iterator[RenderableType]:
         down, across = (name for name in report["grid"][kind][0] if name in forms)
         cells = {(c[down], c[across]): c for c in report["grid"][kind]}
         rows, columns = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
-        yield table(
-            f"{title}; error of the joint with the frozen encoder / the other, 1e-6 rad^2",
-            [forms[across].format(column) for column in columns],
-            {
-                forms[down].format(row): [
-                    f"{_millionths(cells[row, column]['faulty'])} / {_millionths(cells[row, column]['healthy'])}"
-                    for column in columns
-                ]
-                for row in rows
-            },
-            corner=down.replace("_", " "),
+        table_of = {forms[down].format(r): {c: cells[r, c] for c in columns} for r in rows}
+        what = f"{title}; error of the joint with the frozen encoder / the other, 1e-6 rad^2"
+        yield from crossed(what, table_of, _millionths, head=forms[across], corner=down.replace("_", " "))
+    if further := report["grid"]["switching"]:
+        yield listed(
+            "SwitchingPrecision with further modes, which are told by the error of the belief: joint with the frozen encoder / "
+            "the other, rad^2",
+            {", ".join(cell["fault_modes"]): cell for cell in further},
+            [("error", "{faulty:.2g} / {healthy:.2g}")],
+            corner="modes",
         )
-    if report["grid"]["switching"]:
-        yield _further_modes(report["grid"]["switching"])
 
 
-def _further_modes(cells: list[dict[str, Any]]) -> RenderableType:
-    return table(
-        "SwitchingPrecision with further modes, which are told by the error of the belief: joint with the frozen encoder / the "
-        "other, rad^2",
-        ["error"],
-        {", ".join(c["fault_modes"]): [f"{c['faulty']:.2g} / {c['healthy']:.2g}"] for c in cells},
-        corner="modes",
-    )
-
-
-def _millionths(value: float) -> str:
-    return f"{1e6 * value:.{0 if value > 1e-5 else 1}f}"
+def _millionths(cell: dict[str, float]) -> str:
+    errors = [cell[joint] for joint in JOINTS]
+    return " / ".join(f"{1e6 * error:.{0 if error > 1e-5 else 1}f}" for error in errors)

@@ -28,8 +28,9 @@ from bayesftc.reproduce.experiments.beliefs.streams import (
 )
 from bayesftc.reproduce.experiments.tracking.bench import ORACLE, Bench, Errors, Scenario
 from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.ensemble import Ensemble
 from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING, switching
+from bayesftc.reproduce.shared.runner import Report, experiment
 from bayesftc.reproduce.shared.streams import Streams
 
 FORMS = {SWITCHING: True, PER_SENSOR: False}
@@ -50,44 +51,10 @@ Table = dict[str, dict[str, Any]]
 """By row and cell."""
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    settings: Beliefs | None = None,
-    tracking: Tracking | None = None,
-    detection: Detection | None = None,
-    car: Car | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``beliefs.json`` holds.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all noise and faults.
-    jobs : int
-        Number of threads; the results are the same to the last bit for any.
-    runs : int, optional
-        Runs of each cell of tracking errors, instead of the settings'.
-    beyond : bool
-        Without effect, for nothing here is in the paper.
-    settings, tracking, detection, car : Beliefs, Tracking, Detection, Car, optional
-        Other settings than those of `bayesftc.reproduce.settings`; `tracking` has those of the runs, `detection` those of the
-        streams.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs or a number of runs cannot be one.
-    """
-    settings, detection, car = Beliefs.of(settings, runs), detection or Detection(), car or Car()
-    tracking = (tracking or Tracking()).of_size(settings.runs)
-    ensemble = Ensemble(seed, jobs, progress)
+@experiment(Beliefs, tracking=Tracking, detection=Detection, car=Car)
+def run(ensemble: Ensemble, settings: Beliefs, tracking: Tracking, detection: Detection, car: Car) -> Report:
+    """Run rows of wrong settings, with runs as of `tracking` and streams as of `detection`."""
+    tracking = tracking.of_size(settings.runs)
     fine = Bench(tracking, car, ensemble)
     coarse = replace(fine, car=replace(car, resolution=settings.resolution))
     errors, oracle = _tracked(fine, settings.reference, settings.faults, {f: learners(settings, f) for f in FORMS})
@@ -96,20 +63,13 @@ def run(
     )
     scores, learned = _detected(Streams(detection, car), ensemble, settings)
     return {
-        "settings": {
-            "seed": seed,
-            **settings.to_dict(),
-            "tracking": tracking.to_dict(),
-            "detection": detection.to_dict(),
-            "car": car.to_dict(),
-        },
+        "settings": {"tracking": tracking.to_dict()},
         "oracle": oracle,
         "errors": errors,
         "coarse": {"oracle": oracle_at_coarse, "errors": at_coarse},
         "worst": {form: _worst([errors[form], at_coarse[form]]) for form in FORMS},
         "detection": scores,
         "learned": learned,
-        "paper": {},
     }
 
 

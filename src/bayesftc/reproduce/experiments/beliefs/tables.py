@@ -7,7 +7,7 @@ from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce.experiments.beliefs.run import SETTINGS
-from bayesftc.reproduce.shared.tables import interval_widths, sentence_list, table
+from bayesftc.reproduce.shared.tables import crossed, interval_widths, sentence_list, table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -27,9 +27,9 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     )
     title = f"error over that of the oracle, which ignores the faulty sensor ({settings['runs']} runs a cell)"
     for form, rows in report["errors"].items():
-        yield _errors(f"{form}: {title}", rows)
+        yield from _errors(f"{form}: {title}", rows)
         coarse = report["coarse"]["errors"][form]
-        yield _errors(f"{form}, sensors with a resolution of {settings['resolution']:g} m/s: {title}", coarse)
+        yield from _errors(f"{form}, sensors with a resolution of {settings['resolution']:g} m/s: {title}", coarse)
         yield interval_widths(
             [(row, c, of) for cells in (rows, coarse) for row in cells for c, of in cells[row].items()]
         )
@@ -46,10 +46,8 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         yield _fits(form, learned["fits"])
 
 
-def _errors(title: str, rows: Mapping[str, Any]) -> RenderableType:
-    heads = ["\n".join(_short(cell).split()) for cell in next(iter(rows.values()))]
-    shown = {row: [f"{of['ratio']:.3f}" for of in cells.values()] for row, cells in rows.items()}
-    return table(title, heads, shown, corner="settings")
+def _errors(title: str, rows: Mapping[str, Any]) -> Iterator[RenderableType]:
+    return crossed(title, rows, "{ratio:.3f}", head=lambda cell: "\n".join(_short(cell).split()), corner="settings")
 
 
 def _worst(form: str, worst: Mapping[str, Any]) -> str:

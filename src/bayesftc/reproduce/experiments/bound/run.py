@@ -19,8 +19,9 @@ from bayesftc.reproduce.experiments.bound.filter import PosteriorFilter
 from bayesftc.reproduce.experiments.detection.run import GROUP, Bench
 from bayesftc.reproduce.settings import Bound, Car, Detection
 from bayesftc.reproduce.shared import residuals as _residuals
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.ensemble import Ensemble
 from bayesftc.reproduce.shared.residuals import Residual
+from bayesftc.reproduce.shared.runner import Report, experiment
 from bayesftc.reproduce.shared.streams import Faults
 
 BOUND = "bound"
@@ -36,42 +37,14 @@ class Record(NamedTuple):
     faulty: Flags
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    settings: Bound | None = None,
-    detection: Detection | None = None,
-    car: Car | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``bound.json`` holds.
+@experiment(Bound, detection=Detection, car=Car)
+def run(ensemble: Ensemble, settings: Bound, detection: Detection, car: Car, *, beyond: bool) -> Report:
+    """Compare residuals with the exact posterior, on streams with the settings of `detection`.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the streams that are judged.
-    jobs : int
-        Number of threads; the results are the same to the last bit for any.
-    runs : int, optional
-        Number of streams for each size of the faults, instead of the settings'.
-    beyond : bool
-        Whether learners that are not in the paper stand beside the bound.
-    settings, detection, car : Bound, Detection, Car, optional
-        Other settings than those of `bayesftc.reproduce.settings`; `detection` has those of the streams and residuals.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs or a number of streams cannot be one, there are more than three sensors, or the AUC still
-        moves with the largest number of particles.
+    Beyond the paper are its learners of fault modes. There are at most three sensors, and the AUC must not move any more with the
+    largest number of particles.
     """
-    settings, detection, car = Bound.of(settings, runs), detection or Detection(), car or Car()
-    bench = Bench(detection, car, Ensemble(seed, jobs, progress))
+    bench = Bench(detection, car, ensemble)
     cells = [Faults(injection, drift, settings.reference) for injection, drift in settings.cells]
     records, betas, areas = [], [], []
     for i, faults in enumerate(cells):
@@ -83,7 +56,6 @@ def run(
         betas.append({name: getattr(beta, name) for name in ("forgetting", "prior_shape")})
     found = _converged(bench, settings, cells, records)
     return {
-        "settings": {"seed": seed, **settings.to_dict(), "detection": detection.to_dict(), "car": car.to_dict()},
         "particles": found[-1].particles,
         "moved": _moved(*found[-2:]),
         "doublings": [{"particles": f.particles, "auc": f.areas.mean(axis=1).tolist()} for f in found],
@@ -96,7 +68,6 @@ def run(
             }
             for i, faults in enumerate(cells)
         ],
-        "paper": {},
     }
 
 

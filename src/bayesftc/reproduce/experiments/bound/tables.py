@@ -6,10 +6,18 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce.experiments.detection.tables import KNOWS
-from bayesftc.reproduce.shared.tables import sentence_list, table
+from bayesftc.reproduce.shared.tables import Form, listed, sentence_list, written
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+
+MEAN, INTERVAL = "{mean:.4f}", "{ci[0]:.3f}-{ci[1]:.3f}"
+COLUMNS: list[tuple[str, Form]] = [
+    ("AUC", lambda row: written(row["of"], MEAN)),
+    ("95 %", lambda row: written(row["of"], INTERVAL)),
+    ("of bound", lambda row: written(row["ratio"], MEAN) if row["ratio"] else ""),
+    ("95 %", lambda row: written(row["ratio"], INTERVAL) if row["ratio"] else ""),
+]
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
@@ -23,17 +31,11 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         + ")."
     )
     for cell in report["cells"]:
-        yield table(
-            f"Injection {cell['injection']:g} m/s, drift {cell['drift']:g} m/s per second: mean over {streams} streams",
-            ["AUC", "95 %", "of bound", "95 %"],
-            {name: _row(cell, name) for name in cell["auc"]},
-            corner="residual",
+        title = (
+            f"Injection {cell['injection']:g} m/s, drift {cell['drift']:g} m/s per second: mean over {streams} streams"
         )
+        rows = {name: {"of": of, "ratio": cell["ratio"].get(name)} for name, of in cell["auc"].items()}
+        yield listed(title, rows, COLUMNS, corner="residual")
     yield KNOWS
     errors = [cell["calibration"]["ece"]["mean"] for cell in report["cells"]]
     yield f"The bound is calibrated: its expected calibration error is {min(errors):.4f} to {max(errors):.4f}."
-
-
-def _row(cell: dict[str, Any], name: str) -> list[str]:
-    shown = [cell["auc"][name], *([cell["ratio"][name]] if name in cell["ratio"] else [])]
-    return [text for of in shown for text in (f"{of['mean']:.4f}", "{:.3f}-{:.3f}".format(*of["ci"]))]

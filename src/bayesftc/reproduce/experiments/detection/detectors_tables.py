@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce.experiments.detection.detectors import rule_of
-from bayesftc.reproduce.shared.tables import table
+from bayesftc.reproduce.shared.tables import crossed, listed
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -21,10 +21,15 @@ def show_alarms(report: dict[str, Any]) -> Iterator[RenderableType]:
     rate = report["settings"]["false_alarm_rates"][0]
     rule, headline = rule_of(rate), alarms["cells"][0]
     names = [name for name in alarms["fault_free"] if name != SAME_AS_BETA]
-    yield table(
+    yield listed(
         f"False alarms, thresholds set for {rate:g} per hour of a sensor on fault-free runs",
-        ["per hour", "95 %", "s between", "in alarm"],
-        {name: _false(alarms["fault_free"][name][rule], headline["residuals"][name][rule]["all"]) for name in names},
+        {n: {**alarms["fault_free"][n][rule], "faulty": headline["residuals"][n][rule]["all"]} for n in names},
+        [
+            ("per hour", "{false_alarms_per_hour:.2f}"),
+            ("95 %", "{false_alarms_per_hour_ci[0]:.2f}-{false_alarms_per_hour_ci[1]:.2f}"),
+            ("s between", lambda of: _whole(of["seconds_between_false_alarms"])),
+            ("in alarm", lambda of: f"{100 * of['faulty']['false_share']:.2g} %"),
+        ],
         corner="residual",
     )
     yield (
@@ -33,64 +38,41 @@ def show_alarms(report: dict[str, Any]) -> Iterator[RenderableType]:
     )
     sizes = sorted(alarms["cells"], key=lambda cell: cell["injection"])
     for kind, unit in (("injection", "m/s"), ("drift", "m/s per second")):
-        columns = {f"{cell[kind]:.3g}": {name: cell["residuals"][name][rule][kind] for name in names} for cell in sizes}
-        yield table(
-            f"{kind.capitalize()} of ... {unit}: median delay in samples of {step:g} s / missed faults in %",
-            list(columns),
-            {name: [_seen(cell[name]) for cell in columns.values()] for name in names},
-            corner="residual",
-        )
-    yield table(
+        title = f"{kind.capitalize()} of ... {unit}: median delay in samples of {step:g} s / missed faults in %"
+        rows = {n: {f"{cell[kind]:.3g}": cell["residuals"][n][rule][kind] for cell in sizes} for n in names}
+        yield from crossed(title, rows, _seen, corner="residual")
+    yield listed(
         "Freeze: the same",
-        ["delay/missed", "95 %", "95 %"],
-        {name: _seen_with_intervals(headline["residuals"][name][rule]["freeze"]) for name in names},
+        {name: headline["residuals"][name][rule]["freeze"] for name in names},
+        [
+            ("delay/missed", _seen),
+            ("95 %", lambda of: "-".join(map(_whole, of["delay_samples"]["ci"]))),
+            ("95 %", lambda of: "-".join(f"{100 * share:.0f}" for share in of["missed_ci"])),
+        ],
         corner="residual",
     )
     yield "Delays count a missed fault as infinite: '-' says that more than half were missed, most of them over before an alarm."
 
 
-def _false(healthy: Mapping[str, Any], faulty: Mapping[str, Any]) -> list[str]:
-    between = healthy["seconds_between_false_alarms"]
-    return [
-        f"{healthy['false_alarms_per_hour']:.2f}",
-        "{:.2f}-{:.2f}".format(*healthy["false_alarms_per_hour_ci"]),
-        "-" if between is None else f"{between:.0f}",
-        f"{100 * faulty['false_share']:.2g} %",
-    ]
-
-
 def _seen(of: Mapping[str, Any]) -> str:
-    return f"{_samples(of['delay_samples']['median'])}/{100 * of['missed_share']:.0f}"
+    return f"{_whole(of['delay_samples']['median'])}/{100 * of['missed_share']:.0f}"
 
 
-def _seen_with_intervals(of: Mapping[str, Any]) -> list[str]:
-    low, high = of["delay_samples"]["ci"]
-    return [
-        _seen(of),
-        f"{_samples(low)}-{_samples(high)}",
-        "{:.0f}-{:.0f}".format(*(100 * share for share in of["missed_ci"])),
-    ]
-
-
-def _samples(delay: float | None) -> str:
-    return "-" if delay is None else f"{delay:.0f}"
+def _whole(number: float | None) -> str:
+    return "-" if number is None else f"{number:.0f}"
 
 
 def show_calibration(report: dict[str, Any]) -> Iterator[RenderableType]:
     """Yield how well the fault probabilities agree with the truth."""
-    yield table(
+    yield listed(
         "Calibration of the fault probability: expected calibration error (ECE) and Brier score",
-        ["ECE", "95 % interval", "widths", "Brier"],
-        {
-            name: [
-                f"{of['ece']['mean']:.4f}",
-                "{:.4f} to {:.4f}".format(*of["ece"]["ci"]),
-                f"{of['ece_equal_widths']['mean']:.4f}",
-                f"{of['brier']['mean']:.4f}",
-            ]
-            for name, of in report["calibration"].items()
-            if name != SAME_AS_BETA
-        },
+        {name: of for name, of in report["calibration"].items() if name != SAME_AS_BETA},
+        [
+            ("ECE", "{ece[mean]:.4f}"),
+            ("95 % interval", "{ece[ci][0]:.4f} to {ece[ci][1]:.4f}"),
+            ("widths", "{ece_equal_widths[mean]:.4f}"),
+            ("Brier", "{brier[mean]:.4f}"),
+        ],
         corner="residual",
     )
     constant = next(iter(report["calibration"].values()))["brier_of_constant"]["mean"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from bayesftc.controllers import SERFDI, ser_reference
 from bayesftc.reproduce.shared import residuals as _residuals
 from bayesftc.reproduce.shared.car import model
 from bayesftc.reproduce.shared.streams import Faults
-from bayesftc.reproduce.shared.tables import table
+from bayesftc.reproduce.shared.tables import listed
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -105,29 +105,23 @@ def detect(bench: DetectionBench, faults: Faults, seeds: Sequence[int]) -> list[
     return found
 
 
-def show_tracking(report: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Yield the tracking errors by filterpy beside ours."""
-    yield table(
+def show_tracking(report: Mapping[str, Any]) -> RenderableType:
+    """Return the table of the tracking errors by filterpy beside ours."""
+    return listed(
         f"SER FT by filterpy's Kalman filter in the loop, on the same noise: root-mean-square tracking error (m/s), mean over "
         f"the first {report['runs']} runs, and the largest relative difference of a run",
-        [SER_FT, "filterpy", "difference"],
-        {
-            kind: [f"{cell['ours']:.3f}", f"{cell['filterpy']:.3f}", f"{cell['largest_difference']:.0e}"]
-            for kind, cell in report["scenarios"].items()
-        },
+        report["scenarios"],
+        [(SER_FT, "{ours:.3f}"), ("filterpy", "{filterpy:.3f}"), ("difference", "{largest_difference:.0e}")],
         corner="fault/reference",
     )
 
 
-def show_detection(streams: Sequence[Mapping[str, Any]]) -> Iterator[RenderableType]:
-    """Yield the AUC by filterpy beside ours."""
-    yield table(
+def show_detection(streams: Sequence[Mapping[str, Any]]) -> RenderableType:
+    """Return the table of the AUC by filterpy beside ours."""
+    return listed(
         "SER by filterpy's Kalman filter over the same samples: AUC on the test part, and the largest difference of an "
         "innovation in standard deviations of a sensor",
-        ["SER", "filterpy", "difference"],
-        {
-            f"{i}": [f"{stream['ours']:.4f}", f"{stream['filterpy']:.4f}", f"{stream['largest_difference']:.0e}"]
-            for i, stream in enumerate(streams)
-        },
+        dict(enumerate(streams)),
+        [("SER", "{ours:.4f}"), ("filterpy", "{filterpy:.4f}"), ("difference", "{largest_difference:.0e}")],
         corner="stream",
     )

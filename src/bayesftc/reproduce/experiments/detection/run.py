@@ -22,8 +22,9 @@ from bayesftc.reproduce.experiments.detection.detectors import Detectors
 from bayesftc.reproduce.settings import Car, Detection
 from bayesftc.reproduce.shared import residuals as _residuals
 from bayesftc.reproduce.shared.calibration import Calibration, calibration
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.ensemble import Ensemble
 from bayesftc.reproduce.shared.residuals import Residual
+from bayesftc.reproduce.shared.runner import Report, experiment
 from bayesftc.reproduce.shared.streams import Faults, Stream, Streams
 
 Bools = np.ndarray[Any, np.dtype[np.bool_]]
@@ -32,41 +33,13 @@ GROUP = 5
 """Streams that one task simulates: a tenth of a second or two, after which it can be stopped."""
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    settings: Detection | None = None,
-    car: Car | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``detection.json`` holds.
+@experiment(Detection, car=Car)
+def run(ensemble: Ensemble, settings: Detection, car: Car, *, beyond: bool) -> Report:
+    """Judge residuals on streams of random faults, whose size is such that the baseline has the paper's AUC.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the streams that are judged.
-    jobs : int
-        Number of threads; the results are the same to the last bit for any.
-    runs : int, optional
-        Number of streams, instead of the settings'.
-    beyond : bool
-        Whether what is not in the paper is run as well: further residuals, faults of other sizes, other references.
-    settings, car : Detection, Car, optional
-        Other settings than those of `bayesftc.reproduce.settings`.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs or a number of streams cannot be one, or no factor in the given range lets the baseline
-        reach its AUC.
+    Beyond the paper are further residuals, faults of other sizes, and other references.
     """
-    settings, car = Detection.of(settings, runs), car or Car()
-    bench = Bench(settings, car, Ensemble(seed, jobs, progress))
+    bench = Bench(settings, car, ensemble)
     factor, baseline = bench.factor()
     faults = Faults(settings.injection * factor, settings.drift * factor)
     own = bench.ensemble.seeds("detection/streams", settings.streams)
@@ -77,16 +50,13 @@ def run(
     detectors = Detectors(bench.source, bench.ensemble, residuals)
     difference = auc["beta"] - auc["SER"]
     return {
-        "settings": {
-            "seed": seed,
+        "chosen": {
             "f": factor,
             "f_auc": baseline,
             "faults": asdict(faults),
             "beta": {name: getattr(beta, name) for name in ("forgetting", "prior_shape")},
-            **settings.to_dict(),
-            "car": car.to_dict(),
-            "residuals": {name: r.text for name, r in residuals.items()},
         },
+        "settings": {"residuals": {name: r.text for name, r in residuals.items()}},
         "auc": {name: float(values.mean()) for name, values in auc.items()},
         "auc_ci": {name: interval(values) for name, values in auc.items()},
         "difference": {"mean": float(difference.mean()), "ci": interval(difference)},

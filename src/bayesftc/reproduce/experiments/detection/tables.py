@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce.experiments.detection import filterpy as _filterpy
 from bayesftc.reproduce.experiments.detection.detectors_tables import show_alarms, show_calibration
-from bayesftc.reproduce.shared.tables import table
+from bayesftc.reproduce.shared.tables import Form, crossed, listed
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -30,17 +30,14 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         f"second. Beta's forgetting {beta['forgetting']:g} and prior shape {beta['prior_shape']:g} have the highest AUC on the "
         "training parts."
     )
-    yield table(
+    yield listed(
         f"AUC on the test parts, mean over {len(report['streams'])} streams",
-        ["AUC", "95 % interval", "paper"],
-        {
-            name: [
-                f"{auc[name]:.4f}",
-                "{:.4f} to {:.4f}".format(*report["auc_ci"][name]),
-                f"{papers[name]:.3f}" if name in papers else "",
-            ]
-            for name in auc
-        },
+        {name: name for name in auc},
+        [
+            ("AUC", lambda name: f"{auc[name]:.4f}"),
+            ("95 % interval", lambda name: "{:.4f} to {:.4f}".format(*report["auc_ci"][name])),
+            ("paper", lambda name: f"{papers[name]:.3f}" if name in papers else ""),
+        ],
         corner="residual",
     )
     if "SwitchingPrecision" in auc:
@@ -52,16 +49,9 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         f"Beta minus SER, stream by stream: {report['difference']['mean']:.4f}, 95 % interval {low:.4f} to {high:.4f}; "
         f"{'zero is not in it' if low > 0 or high < 0 else 'zero is in it'}."
     )
-    yield table(
-        "Stream by stream",
-        ["faults", "SER", "beta"],
-        {
-            f"{i}": [f"{s['faults']}", f"{s['auc']['SER']:.4f}", f"{s['auc']['beta']:.4f}"]
-            for i, s in enumerate(report["streams"])
-        },
-        corner="stream",
-    )
-    yield from _filterpy.show_detection(report["filterpy"])
+    columns: list[tuple[str, Form]] = [("faults", "{faults}"), ("SER", "{auc[SER]:.4f}"), ("beta", "{auc[beta]:.4f}")]
+    yield listed("Stream by stream", dict(enumerate(report["streams"])), columns, corner="stream")
+    yield _filterpy.show_detection(report["filterpy"])
     yield from show_calibration(report)
     if report["alarms"] is not None:
         yield from show_alarms(report)
@@ -74,17 +64,9 @@ def _grid(cells: list[dict[str, Any]]) -> Iterator[RenderableType]:
     references = dict.fromkeys(c["reference"] for c in cells)
     injections, drifts = (sorted({c[name] for c in cells}) for name in ("injection", "drift"))
     for reference in references:
-        yield table(
-            f"AUC of beta/SER on the {reference} reference; injection in m/s, drift in m/s per second",
-            [f"drift {d:g}" for d in drifts],
-            {
-                f"{i:g}": [
-                    f"{_short(cell['beta'])}/{_short(cell['SER'])}" for d in drifts for cell in [known[reference, i, d]]
-                ]
-                for i in injections
-            },
-            corner="injection",
-        )
+        title = f"AUC of beta/SER on the {reference} reference; injection in m/s, drift in m/s per second"
+        rows = {f"{i:g}": {d: known[reference, i, d] for d in drifts} for i in injections}
+        yield from crossed(title, rows, _pair, head="drift {:g}", corner="injection")
     for reference in references:
         mine = [c for c in cells if c["reference"] == reference]
         wins = sum(c["auc"]["beta"] > c["auc"]["SER"] + EDGE for c in mine)
@@ -102,6 +84,6 @@ def _grid(cells: list[dict[str, Any]]) -> Iterator[RenderableType]:
         )
 
 
-def _short(area: float) -> str:
-    """Return a share with three digits and without its leading zero: five pairs stand beside each other."""
-    return f"{area:.3f}".removeprefix("0")
+def _pair(auc: dict[str, float]) -> str:
+    """Return both areas with three digits and without their leading zeros: five pairs stand beside each other."""
+    return "/".join(f"{auc[name]:.3f}".removeprefix("0") for name in ("beta", "SER"))

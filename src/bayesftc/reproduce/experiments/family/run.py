@@ -21,7 +21,6 @@ from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError,
 from bayesftc.cosim.judging.alarms import Alarms, judge_alarms
 from bayesftc.cosim.judging.metrics import NAN, rmse, without_nan
 from bayesftc.cosim.judging.signals import ALARM
-from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.run.repeat import repeat
 from bayesftc.cosim.statistics import rms_ratio
 from bayesftc.cosim.types import Floats
@@ -31,8 +30,9 @@ from bayesftc.reproduce.experiments.family.loop import family_loop, faulty_sampl
 from bayesftc.reproduce.experiments.family.unseen import unseen_cases
 from bayesftc.reproduce.experiments.tracking.bench import CHUNK, ORACLE
 from bayesftc.reproduce.settings import Family, check_size
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.ensemble import Ensemble
 from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
+from bayesftc.reproduce.shared.runner import Report, experiment
 
 LOST = 1e9
 """Times the oracle's error: a run with more has lost its plant, as one that could not go on."""
@@ -56,51 +56,29 @@ class Runs(NamedTuple):
     alarms: Alarms | None
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    cases: Iterable[str | Case] | str | None = None,
-    learners: Learners | Iterable[str] | str | None = None,
-    unseen: int | None = None,
-    settings: Family | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``family.json`` holds.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the first run; each further run has the next one. The settings say on which learners are tuned and judged.
-    jobs : int
-        Number of threads; the results are the same to the last bit for any.
-    runs : int, optional
-        Runs of each learner in each case, instead of the settings'.
-    beyond : bool
-        Without effect, for nothing here is in the paper.
+@experiment(
+    Family,
+    options="""
     cases : iterable of str or Case, optional
         Which cases: names or patterns as ``"freeze*"``, or cases of your own; by default all.
     learners : mapping of str to PrecisionLearner, or iterable of str, optional
         Learners by name, or names or patterns of those of the package; by default all.
     unseen : int, optional
-        So many cases that are drawn at random instead, on which nothing has been tuned; see `unseen_cases`.
-    settings : Family, optional
-        Other settings than those of `bayesftc.reproduce.settings`.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
+        So many cases that are drawn at random instead, on which nothing has been tuned; see `unseen_cases`.""",
+)
+def run(
+    ensemble: Ensemble,
+    settings: Family,
+    *,
+    cases: Iterable[str | Case] | str | None = None,
+    learners: Learners | Iterable[str] | str | None = None,
+    unseen: int | None = None,
+) -> Report:
+    """Run learners in cases, the first run with the seed and each further one with the next.
 
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs, runs or unseen cases cannot be one, there are both unseen and other cases, or the oracle
-        itself loses the plant in a case.
-    UnknownNameError
-        If a pattern fits no case or no learner.
+    The settings say on which seeds learners are tuned and judged. It is an error if there are both unseen and other cases, the
+    oracle itself loses the plant in a case, or a pattern fits no case or no learner (`UnknownNameError`).
     """
-    settings = Family.of(settings, runs)
-    first = check_seed(seed)
     known = chosen_learners(learners)
     chosen = chosen_cases(cases) if unseen is None else []
     if unseen is not None:
@@ -109,7 +87,7 @@ def run(
             raise ModelError("family got both unseen and cases; give one of them.")
     elif not chosen or not known:
         raise ModelError("family has no case or no learner to run; name one at least, or leave cases and learners out.")
-    bench = _Bench(settings, Ensemble(seed, jobs, progress), list(range(first, first + settings.runs)))
+    bench = _Bench(settings, ensemble, list(range(ensemble.seed, ensemble.seed + settings.runs)))
     if unseen is not None:
         chosen = bench.draw(unseen)
     oracle = bench.oracle(chosen)
@@ -127,8 +105,6 @@ def run(
     report: dict[str, Any] = without_nan(
         {
             "settings": {
-                "seed": seed,
-                **settings.to_dict(),
                 "learners": {name: repr(learner) for name, learner in known.items()},
                 "cases": {case.name: repr(case) for case in chosen},
             },
@@ -136,7 +112,6 @@ def run(
             "oracle": {case.name: _rms(oracle[case.name].rmse) for case in chosen},
             "table": table,
             "summary": {name: _summary(name, table, settings) for name in known},
-            "paper": {},
         }
     )
     return report

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce.experiments.family.groups import Figures, by_group
-from bayesftc.reproduce.shared.tables import interval_widths, table
+from bayesftc.reproduce.shared.tables import Form, crossed, interval_widths, table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -20,25 +20,24 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     settings, cells = report["settings"], report["table"]
     learners = list(settings["learners"])
     title = f"root-mean-square error over that of the oracle, {settings['runs']} runs a case ({MARK}: above {settings['bar']:g})"
-    rows = {case: [_ratio(of[name], settings["bar"]) for name in learners] for case, of in cells.items()}
-    yield table(title, learners, rows, corner="case")
+    yield from crossed(title, cells, lambda cell: _ratio(cell, settings["bar"]), learners, corner="case")
     kept = [(case, name, cell) for case, of in cells.items() for name, cell in of.items() if not cell["lost"]]
     if kept:
         yield interval_widths(kept)
     tell = [n for n in learners if any(of[n]["false_share"] is not None for of in cells.values())]
     if tell:
-        rows = {case: [_percent(of[name]["false_share"]) for name in tell] for case, of in cells.items()}
-        yield table("share of healthy sensors' time with an alarm, in percent", tell, rows, corner="case")
-        rows = {case: [_delay(of[name]) for name in tell] for case, of in cells.items()}
-        yield table("median time to an alarm in seconds, and share of faults without", tell, rows, corner="case")
+        title = "share of healthy sensors' time with an alarm, in percent"
+        yield from crossed(title, cells, lambda cell: _percent(cell["false_share"]), tell, corner="case")
+        title = "median time to an alarm in seconds, and share of faults without"
+        yield from crossed(title, cells, _delay, tell, corner="case")
     groups = by_group(report)
-    kinds = [("geometric mean", _mean), ("worst", _worst)]
-    if tell:
-        kinds.append(("share of healthy sensors' time with an alarm in percent, mean", _false))
-    for what, cell in kinds:
-        shown = [name for name in learners if cell is not _false or name in tell]
-        rows = {group: [cell(of[name]) for name in shown] for group, of in groups.items()}
-        yield table(f"{what} of the cases of a group", shown, rows, corner="group")
+    kinds: list[tuple[str, Form, list[str]]] = [
+        ("geometric mean", _mean, learners),
+        ("worst", _worst, learners),
+        ("share of healthy sensors' time with an alarm in percent, mean", lambda of: _percent(of.false_share), tell),
+    ]
+    for what, form, names in kinds:
+        yield from crossed(f"{what} of the cases of a group", groups, form, names, corner="group")
     rows = {}
     for name in learners:
         summary = report["summary"][name]
@@ -67,10 +66,6 @@ def _worst(figures: Figures) -> str:
 def shown_ratio(ratio: float) -> str:
     """Return a ratio with as many digits as are worth reading."""
     return f"{ratio:{'.2f' if ratio < 100.0 else '.0f'}}"
-
-
-def _false(figures: Figures) -> str:
-    return _percent(figures.false_share)
 
 
 def _percent(share: float | None) -> str:

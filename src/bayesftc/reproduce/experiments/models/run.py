@@ -25,8 +25,9 @@ from bayesftc.cosim.types import Floats
 from bayesftc.reproduce.experiments.models.car import RIGHT, Condition, believed, conditions, disturbed, loop
 from bayesftc.reproduce.experiments.tracking.bench import CHUNK, HEALTHY, ORACLE, PAPERS, RECORD, techniques
 from bayesftc.reproduce.settings import Car, Models, Tracking
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress, chunks
+from bayesftc.reproduce.shared.ensemble import Ensemble, chunks
 from bayesftc.reproduce.shared.residuals import SWITCHING
+from bayesftc.reproduce.shared.runner import Report, experiment
 
 FIXED = "No FT"
 """Fixed precision, with which all techniques are compared where the sensors are healthy."""
@@ -94,41 +95,11 @@ class Cell:
         return replace(self, technique=technique)
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    settings: Models | None = None,
-    car: Car | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``models.json`` holds.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all noise.
-    jobs : int
-        Number of threads; all is the same to the last bit for any.
-    runs : int, optional
-        Runs of each cell with a failed sensor, instead of the settings'.
-    beyond : bool
-        Whether techniques that are not in the paper are run as well.
-    settings, car : Models, Car, optional
-        Other settings than those of `bayesftc.reproduce.settings`.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs or a number of runs cannot be one.
-    """
-    settings, car = Models.of(settings, runs), car or Car()
+@experiment(Models, car=Car)
+def run(ensemble: Ensemble, settings: Models, car: Car, *, beyond: bool) -> Report:
+    """Run every technique in every condition; beyond the paper are further techniques, and other disturbances (``grid``)."""
     known = learners(beyond)
-    bench = _Bench(settings, car, Ensemble(seed, jobs, progress), conditions(settings, car), believed(settings, car))
+    bench = _Bench(settings, car, ensemble, conditions(settings, car), believed(settings, car))
     detectors = bench.detectors(known)
     found = bench.measure("Wrong models", bench.cells(bench.models, (HEALTHY, *bench.faults), known), known, detectors)
     table: dict[str, Any] = {m: {c: {} for c in bench.conditions} for m in bench.models}
@@ -141,9 +112,6 @@ def run(
             table[cell.model][cell.condition].setdefault(cell.technique, {})[cell.case] = entry
     return {
         "settings": {
-            "seed": seed,
-            **settings.to_dict(),
-            "car": car.to_dict(),
             "techniques": {name: repr(learner) for name, learner in known.items()},
             "conditions": {name: condition.text for name, condition in bench.conditions.items()},
             "labels": {name: condition.label for name, condition in bench.conditions.items()},
@@ -159,7 +127,6 @@ def run(
         "detectors": {m: {n: d._asdict() for n in known if (d := detectors[m, n])} for m in bench.models},
         "above_the_bar": _above(table, settings.bar),
         "grid": _grid(bench, known) if beyond else None,
-        "paper": {},
     }
 
 

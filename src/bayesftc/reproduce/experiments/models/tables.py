@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce.experiments.models.car import RIGHT, UNKNOWN_LIMIT
 from bayesftc.reproduce.experiments.models.run import FIXED
 from bayesftc.reproduce.experiments.tracking.bench import HEALTHY
 from bayesftc.reproduce.shared.drawing import MOST
-from bayesftc.reproduce.shared.tables import interval_widths, sentence_list, table
+from bayesftc.reproduce.shared.tables import crossed, interval_widths, sentence_list, table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 COLUMNS = 4
 """Techniques beside each other: class names are long."""
 
-Cells = Mapping[str, Mapping[str, Any]]
-"""By condition and technique."""
+ALARMS = (
+    ("false alarms per hour of one sensor (in {:.2g} h)", "alarms", "{healthy[alarms][false_alarms_per_hour]:.0f}"),
+    ("share of time in false alarm", "alarms", "{healthy[alarms][false_share]:.1%}"),
+    ("share of time in which the actuator is blamed", "actuator_alarms", "{healthy[actuator_alarms][false_share]:.1%}"),
+)
+"""What is said of alarms with healthy sensors: a title, what has it, and a number of that."""
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
@@ -29,42 +33,22 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     for model, cells in errors.items():
         names = [name for name in next(iter(cells.values())) if name != FIXED]
         title = f"Controller's model {model}, healthy sensors"
-        yield from _tables(
-            f"{title}: tracking error over fixed precision's",
-            cells,
-            names,
-            lambda cell: _digits(cell[HEALTHY]["ratio"]),
-        )
+        ratios = f"{title}: tracking error over fixed precision's"
+        yield from crossed(ratios, cells, _ratio, names, corner="condition", most=COLUMNS)
         yield interval_widths([(n, c, cells[c][n][HEALTHY]) for c in cells for n in names])
         yield _above(report["above_the_bar"][model], settings["bar"])
-        judged = [n for n in names if cells[RIGHT][n][HEALTHY]["alarms"]]
-        hours = cells[RIGHT][judged[0]][HEALTHY]["alarms"]["fault_free_hours"]
-        yield from _tables(
-            f"{title}: false alarms per hour of one sensor (in {hours:.2g} h)",
-            cells,
-            judged,
-            lambda cell: f"{cell[HEALTHY]['alarms']['false_alarms_per_hour']:.0f}",
-        )
-        yield from _tables(
-            f"{title}: share of time in false alarm",
-            cells,
-            judged,
-            lambda cell: f"{cell[HEALTHY]['alarms']['false_share']:.1%}",
-        )
-        yield from _tables(
-            f"{title}: share of time in which the actuator is blamed",
-            cells,
-            [n for n in names if cells[RIGHT][n][HEALTHY]["actuator_alarms"]],
-            lambda cell: f"{cell[HEALTHY]['actuator_alarms']['false_share']:.1%}",
-        )
+        for what, kind, form in ALARMS:
+            judged = [n for n in names if cells[RIGHT][n][HEALTHY][kind]]
+            hours = cells[RIGHT][judged[0]][HEALTHY][kind]["fault_free_hours"] if judged else 0.0
+            each = f"{title}: {what.format(hours)}"
+            yield from crossed(each, cells, form, judged, corner="condition", most=COLUMNS)
         cases = list(next(iter(report["oracle"][model].values())))
-        yield from _tables(
-            f"Controller's model {model}, one sensor failed: tracking error over the oracle's, the worst of "
-            f"{sentence_list([f'{case} ({case[0]})' for case in cases])}",
-            cells,
-            [FIXED, *names],
-            lambda cell, cases=cases: _worst(cell, cases),  # type: ignore[misc]
+        words = sentence_list([f"{case} ({case[0]})" for case in cases])
+        failed = (
+            f"Controller's model {model}, one sensor failed: tracking error over the oracle's, the worst of {words}"
         )
+        worst = {c: {n: {case: of[n][case]["ratio"] for case in cases} for n in of} for c, of in cells.items()}
+        yield from crossed(failed, worst, _worst, [FIXED, *names], corner="condition", most=COLUMNS)
         yield interval_widths([(n, f"{case}, {c}", cells[c][n][case]) for c in cells for n in names for case in cases])
 
     if report["grid"]:
@@ -79,56 +63,41 @@ def _of_the_grid(report: dict[str, Any]) -> Iterator[RenderableType]:
         for time, cells in report["grid"].items()
     }
     force, step = settings["unmodelled_force"], settings["car"]["step"]
+    title = (
+        "Healthy sensors, the random walk of the disturbance in N a step: largest error over fixed precision's in all "
+        f"conditions but {UNKNOWN_LIMIT}"
+    )
+    names = [name for name in report["errors"]["with disturbance"][RIGHT] if name != FIXED]
     worst = {
         f"{force * (step / time) ** 0.5:.0f} N": {
-            name: {
-                HEALTHY: max((cells[c][name][HEALTHY] for c in cells if c != UNKNOWN_LIMIT), key=lambda e: e["ratio"])
-            }
-            for name in cells[RIGHT]
+            n: max(cells[c][n][HEALTHY]["ratio"] for c in cells if c != UNKNOWN_LIMIT) for n in names
         }
         for time, cells in sorted(models.items())
     }
-    yield from _tables(
-        "Healthy sensors, the random walk of the disturbance in N a step: largest error over fixed precision's in all "
-        f"conditions but {UNKNOWN_LIMIT}",
-        worst,
-        [name for name in next(iter(worst.values())) if name != FIXED],
-        lambda cell: _digits(cell[HEALTHY]["ratio"]),
-        corner="walk",
-    )
+    yield from crossed(title, worst, _digits, names, corner="walk", most=COLUMNS)
 
 
 def _absolute(report: dict[str, Any]) -> RenderableType:
     errors, oracle = report["errors"], report["oracle"]
-    rows = {
-        c: [
-            *(f"{errors[m][c][FIXED][HEALTHY]['rmse_mean']:.2f}" for m in errors),
-            *(f"{max(oracle[m][c].values()):.2f}" for m in errors),
-        ]
-        for c in report["settings"]["conditions"]
-    }
+    rows = {}
+    for c in report["settings"]["conditions"]:
+        numbers = [errors[m][c][FIXED][HEALTHY]["rmse_mean"] for m in errors]
+        rows[c] = [f"{x:.2f}" for x in (*numbers, *(max(oracle[m][c].values()) for m in errors))]
     heads = [f"{who}\n{model.replace(' ', chr(10), 1)}" for who in ("fixed precision", "oracle") for model in errors]
-    return table(
+    title = (
         "Root-mean-square tracking error (m/s), by the controller's model: of fixed precision with healthy sensors, and of the "
-        "oracle, which ignores the failed sensor (the largest of the faults)",
-        heads,
-        rows,
-        corner="condition",
+        "oracle, which ignores the failed sensor (the largest of the faults)"
     )
+    return table(title, heads, rows, corner="condition")
 
 
-def _tables(
-    title: str, cells: Cells, names: list[str], text: Callable[[Any], str], corner: str = "condition"
-) -> Iterator[RenderableType]:
-    for first in range(0, len(names), COLUMNS):
-        few = names[first : first + COLUMNS]
-        rows = {condition: [text(of[name]) for name in few] for condition, of in cells.items()}
-        yield table(title, few, rows, corner=corner)
+def _ratio(cell: Mapping[str, Any]) -> str:
+    return _digits(cell[HEALTHY]["ratio"])
 
 
-def _worst(cell: Mapping[str, Any], cases: list[str]) -> str:
-    case = max(cases, key=lambda case: cell[case]["ratio"])
-    return f"{_digits(cell[case]['ratio'])} {case[0]}"
+def _worst(ratios: Mapping[str, float]) -> str:
+    case = max(ratios, key=ratios.__getitem__)
+    return f"{_digits(ratios[case])} {case[0]}"
 
 
 def _digits(x: float) -> str:

@@ -25,8 +25,9 @@ from bayesftc.reproduce.experiments.probabilities.random_faults import RandomFau
 from bayesftc.reproduce.experiments.tracking.bench import CHUNK
 from bayesftc.reproduce.settings import Car, Probabilities, Tracking
 from bayesftc.reproduce.shared.car import closed_loop, model
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress, chunks
+from bayesftc.reproduce.shared.ensemble import Ensemble, chunks
 from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
+from bayesftc.reproduce.shared.runner import Report, experiment
 
 TOLD, GAMMA = f"{SWITCHING}, told the times", "GammaPrecision, calibrated"
 PROBABILITY = "controller.fault_probability"
@@ -43,44 +44,16 @@ class Run(NamedTuple):
     faulty: np.ndarray[Any, np.dtype[np.bool_]]
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    settings: Probabilities | None = None,
-    car: Car | None = None,
-    learners: Learners | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``probabilities.json`` holds.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all noise and faults.
-    jobs : int
-        Number of threads; the results are the same to the last bit for any.
-    runs : int, optional
-        Runs of each learner, instead of the settings'; also the largest number of sequences of each mode and size.
-    beyond : bool
-        Without effect, for nothing here is in the paper.
-    settings, car : Probabilities, Car, optional
-        Other settings than those of `bayesftc.reproduce.settings`.
+@experiment(
+    Probabilities,
+    car=Car,
+    options="""
     learners : mapping of str to PrecisionLearner, optional
-        Whose probabilities are judged, by default those of `judged_learners`.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs or a number of runs cannot be one.
-    """
-    settings, car = Probabilities.of(settings, runs), car or Car()
+        Whose probabilities are judged, by default those of `judged_learners`.""",
+)
+def run(ensemble: Ensemble, settings: Probabilities, car: Car, *, learners: Learners | None = None) -> Report:
+    """Judge fault probabilities over random faults and beside exact ones; `runs` also bounds the sequences of each mode."""
     settings = replace(settings, sequences=min(settings.sequences, settings.runs))
-    ensemble = Ensemble(seed, jobs, progress)
     reliability, names = {}, {}
     for lengths in settings.lengths:
         known = learners or judged_learners(settings, lengths, car)
@@ -89,10 +62,9 @@ def run(
         names[title] = {name: repr(learner) for name, learner in known.items()}
     report: dict[str, Any] = without_nan(
         {
-            "settings": {"seed": seed, **settings.to_dict(), "car": car.to_dict(), "learners": names},
+            "settings": {**settings.to_dict(), "learners": names},
             "reliability": reliability,
             "exact": _exact_cases.distances(settings, model(car), Tracking.constant, ensemble),
-            "paper": {},
         }
     )
     return report

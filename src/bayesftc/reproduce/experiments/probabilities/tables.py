@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.reproduce.experiments.probabilities.exact_cases import APART, JOINT
-from bayesftc.reproduce.shared.tables import sentence_list, table
+from bayesftc.reproduce.shared.tables import Form, crossed, listed, sentence_list, table, written
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -15,21 +15,41 @@ MOST_KINDS = 3
 """Kinds that are named for a bin."""
 
 
+def _difference(form: str) -> Form:
+    return lambda of: written(of[form], "{largest:.3f} ({rms:.4f})") if form in of else ""
+
+
+def _of_largest(form: str) -> Form:
+    return lambda of: "" if of["largest"]["bin"] is None else written(of, form)
+
+
+SUMMARY: list[tuple[str, Form]] = [
+    ("largest\ndistance", _of_largest("{largest[distance]:.3f}")),
+    ("95 %", _of_largest("{largest[ci][0]:.2f} to {largest[ci][1]:.2f}")),
+    ("in bin", "{place}"),
+    ("calibration\nerror", "{ece:.4f}"),
+    ("Brier\nscore", "{brier:.4f}"),
+]
+EXACT: list[tuple[str, Form]] = [
+    *((f"{form}:\nlargest (RMS)", _difference(form)) for form in (JOINT, APART)),
+    ("exact\n.05 to .95", "{between:.0%}"),
+]
+
+
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     """Yield for each range of lengths the reliability of all learners and what causes its gaps; then the exact probabilities."""
     settings = report["settings"]
     for title, learners in report["reliability"].items():
         faults = f"{settings['runs']} runs with random faults of {title}"
-        heads = ["largest\ndistance", "95 %", "in bin", "calibration\nerror", "Brier\nscore"]
-        rows = {name: _summary(settings, of) for name, of in learners.items()}
         bins = f"largest distance from the diagonal of a bin with {settings['enough']} samples"
-        yield table(f"{faults}: {bins}", heads, rows, corner="learner")
+        summary = {name: {**of, "place": _bin(settings, of["largest"]["bin"])} for name, of in learners.items()}
+        yield listed(f"{faults}: {bins}", summary, SUMMARY, corner="learner")
         rows = {
-            _bin(settings, b): [_observed(settings, of["bins"][b]) for of in learners.values()]
+            _bin(settings, b): {name: {**settings, **of["bins"][b]} for name, of in learners.items()}
             for b in range(settings["bins"])
         }
         few = f"in brackets: of fewer than {settings['enough']}"
-        yield table(f"{faults}: share of faulty samples ({few})", list(learners), rows, corner="said to be")
+        yield from crossed(f"{faults}: share of faulty samples ({few})", rows, _observed, corner="said to be")
         for name, of in learners.items():
             yield _causes(settings, name, of)
     for pace in next(iter(report["exact"].values())):
@@ -37,45 +57,27 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         shape = (
             f"{settings['samples']} samples of two sensors, one mode, {settings['sequences']} sequences of each size"
         )
-        heads = [f"{form}:\nlargest (RMS)" for form in (JOINT, APART)] + ["exact\n.05 to .95"]
-        rows = {
-            name: [*(_difference(of.get(form)) for form in (JOINT, APART)), f"{of['between']:.0%}"]
-            for name, of in cells.items()
+        yield listed(f"{pace}: difference from the exact fault probability ({shape})", cells, EXACT, corner="mode")
+        each = {
+            n: [f"{size}: {at['largest']:.2f}" for size, at in of[JOINT]["by_size"].items()] for n, of in cells.items()
         }
-        yield table(f"{pace}: difference from the exact fault probability ({shape})", heads, rows, corner="mode")
-        each = {name: of[JOINT]["by_size"] for name, of in cells.items()}
         widest = max(map(len, each.values()))
-        rows = {
-            name: [*(f"{size}: {of['largest']:.2f}" for size, of in sizes.items()), *[""] * (widest - len(sizes))]
-            for name, sizes in each.items()
-        }
+        filled = {name: [*sizes, *[""] * (widest - len(sizes))] for name, sizes in each.items()}
         title = f"{pace}, {JOINT}: largest difference by the fault's size (0: no fault)"
-        yield table(title, [""] * widest, rows, corner="mode")
+        yield table(title, [""] * widest, filled, corner="mode")
 
 
-def _summary(settings: Mapping[str, Any], of: Mapping[str, Any]) -> list[str]:
-    worst = of["largest"]
-    if worst["bin"] is None:
-        return ["", "", "", f"{of['ece']:.4f}", f"{of['brier']:.4f}"]
-    low, high = worst["ci"]
-    return [
-        f"{worst['distance']:.3f}",
-        f"{low:.2f} to {high:.2f}",
-        _bin(settings, worst["bin"]),
-        f"{of['ece']:.4f}",
-        f"{of['brier']:.4f}",
-    ]
-
-
-def _bin(settings: Mapping[str, Any], number: int) -> str:
+def _bin(settings: Mapping[str, Any], number: int | None) -> str:
+    if number is None:
+        return ""
     width = 1 / settings["bins"]
     return f"{number * width:.1f}-{(number + 1) * width:.1f}"
 
 
-def _observed(settings: Mapping[str, Any], of: Mapping[str, Any]) -> str:
+def _observed(of: Mapping[str, Any]) -> str:
     if of["observed"] is None:
         return ""
-    return f"{of['observed']:.2f}" if of["samples"] >= settings["enough"] else f"({of['observed']:.2f})"
+    return f"{of['observed']:.2f}" if of["samples"] >= of["enough"] else f"({of['observed']:.2f})"
 
 
 def _causes(settings: Mapping[str, Any], name: str, of: Mapping[str, Any]) -> str:
@@ -94,7 +96,3 @@ def _causes(settings: Mapping[str, Any], name: str, of: Mapping[str, Any]) -> st
             f"{_bin(settings, b)} by {each['gap']:+.2f} (" + ", ".join(f"{k} {part:+.2f}" for k, part in kinds) + ")"
         )
     return f"{name}: beyond {settings['bar']:g} in {sentence_list(words)}; in brackets the parts of the kinds that bring most."
-
-
-def _difference(of: Mapping[str, Any] | None) -> str:
-    return "" if of is None else f"{of['largest']:.3f} ({of['rms']:.4f})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.reproduce.shared.tables import sentence_list, table
+from bayesftc.reproduce.shared.tables import crossed, sentence_list, table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -22,15 +22,12 @@ def show(cells: Mapping[str, Any]) -> Iterator[RenderableType]:
     most = max(cell["n"] for cell in every.values())
     forms = [name for name, cell in every.items() if cell["n"] == most]
     others = [name for name in every if name not in forms]
-    for first in range(0, len(others), COLUMNS):
-        few = others[first : first + COLUMNS]
-        yield table(
-            "Error over that of the oracle, which ignores the faulty sensor (root mean squares over all runs): the largest of "
-            "all references; injections in m/s, drifts in m/s per second",
-            few,
-            {f: [_digits(max(ratios[f, r][name]["ratio"] for r in references)) for name in few] for f in faults},
-            corner="fault",
-        )
+    title = (
+        "Error over that of the oracle, which ignores the faulty sensor (root mean squares over all runs): the largest of all "
+        "references; injections in m/s, drifts in m/s per second"
+    )
+    worst = {f: {n: max(ratios[f, r][n]["ratio"] for r in references) for n in others} for f in faults}
+    yield from crossed(title, worst, _digits, others, corner="fault", most=COLUMNS)
     for name in forms:
         bars = {f: cells[f"{f}/{references[0]}"]["bar"] for f in faults}
         yield table(

@@ -24,8 +24,9 @@ from bayesftc.reproduce.experiments.tracking.bench import (
 )
 from bayesftc.reproduce.experiments.tracking.oracle import over_oracle
 from bayesftc.reproduce.settings import Car, Tracking
-from bayesftc.reproduce.shared.ensemble import Ensemble, Progress
+from bayesftc.reproduce.shared.ensemble import Ensemble
 from bayesftc.reproduce.shared.residuals import SWITCHING
+from bayesftc.reproduce.shared.runner import Report, experiment
 
 CURVES = "injection/sine"
 """The scenario of which the paper shows the mean absolute error over time."""
@@ -33,47 +34,19 @@ USER_STEPS = 5_000
 """Steps for which the loop with fmpy and filterpy is timed."""
 
 
-def run(
-    *,
-    seed: int = 0,
-    jobs: int = 1,
-    runs: int | None = None,
-    beyond: bool = True,
-    settings: Tracking | None = None,
-    car: Car | None = None,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Run the experiment and return what ``tracking.json`` holds.
+@experiment(Tracking, car=Car)
+def run(ensemble: Ensemble, settings: Tracking, car: Car, *, beyond: bool) -> Report:
+    """Run every technique in every scenario; all but ``speed`` is the same for any number of jobs.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of all noise.
-    jobs : int
-        Number of threads; all but ``speed`` is the same to the last bit for any.
-    runs : int, optional
-        Runs of each technique in each scenario, instead of the settings'.
-    beyond : bool
-        Whether what is not in the paper is run as well: further techniques, faults of other sizes, and how close each comes to
-        the oracle.
-    settings, car : Tracking, Car, optional
-        Other settings than those of `bayesftc.reproduce.settings`.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
-    Raises
-    ------
-    ModelError
-        If a seed, a number of jobs or a number of runs cannot be one.
+    Beyond the paper are further techniques, faults of other sizes, and how close each technique comes to the oracle.
     """
-    settings, car = Tracking.of(settings, runs), car or Car()
-    bench = Bench(settings, car, Ensemble(seed, jobs, progress))
+    bench = Bench(settings, car, ensemble)
     known = techniques(settings)
     papers = {name: known[name] for name in PAPERS}
     known = known if beyond else papers
     headline = [Scenario(fault, r, size) for (fault, size), r in product(_headline(settings).items(), REFERENCES)]
     table = bench.measure("The paper's table", headline, papers)
-    speed = _speed(table, jobs)
+    speed = _speed(table, ensemble.jobs)
     others = bench.measure("Further techniques", headline, {n: known[n] for n in known if n not in papers})
     told = bench.measure("The oracle", headline, {ORACLE: controllers.FixedPrecision()}, told=True)
     cells, further, oracle = table.errors(), others.errors(), told.errors()
@@ -84,12 +57,7 @@ def run(
     )
     curves = [part.runs[s] for part in (table, others, told) for s in headline if s.kind == CURVES]
     return {
-        "settings": {
-            "seed": seed,
-            **settings.to_dict(),
-            "car": car.to_dict(),
-            "techniques": {name: repr(learner) for name, learner in known.items()},
-        },
+        "settings": {"techniques": {name: repr(learner) for name, learner in known.items()}},
         "scenarios": {s.kind: {name: summary(e) for name, e in everything[s].items()} for s in headline},
         "merit": of_papers,
         "total_merit": total_merit(of_papers),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bayesftc.reproduce.experiments.detection import filterpy as _filterpy
 from bayesftc.reproduce.experiments.tracking import oracle_tables as _oracle_tables
 from bayesftc.reproduce.shared.residuals import SWITCHING
-from bayesftc.reproduce.shared.tables import sentence_list, table
+from bayesftc.reproduce.shared.tables import crossed, sentence_list, table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -28,10 +28,12 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     papers, extra = [n for n in names if n in report["merit"]], [n for n in names if n not in report["merit"]]
     cells = {kind: {**scenarios[kind], "oracle": oracle[kind]} for kind in scenarios}
     title = f"Root-mean-square tracking error (m/s), mean over {settings['runs']} runs"
-    yield _errors(f"{title}; the oracle knows which sensor is faulty", cells, [*papers, "oracle"])
-    yield from _filterpy.show_tracking(report["filterpy"])
-    for first in range(0, len(extra), COLUMNS):
-        yield _errors(f"{title}: techniques that are not in the paper's table", cells, extra[first : first + COLUMNS])
+    form, corner = "{rmse_mean:.3f}", "fault/reference"
+    known = f"{title}; the oracle knows which sensor is faulty"
+    yield from crossed(known, cells, form, [*papers, "oracle"], corner=corner)
+    yield _filterpy.show_tracking(report["filterpy"])
+    others = f"{title}: techniques that are not in the paper's table"
+    yield from crossed(others, cells, form, extra, corner=corner, most=COLUMNS)
     if extra:
         merit = report["total_merit_of_all"]
         ahead = [name for name in merit if merit[name] > merit["PL"]]
@@ -83,11 +85,6 @@ def _against_the_papers(report: dict[str, Any]) -> Iterator[str]:
         yield f"{name}: merit {won} of {tests} against {sentence_list(rivals)}."
 
 
-def _errors(title: str, cells: dict[str, Any], names: list[str]) -> RenderableType:
-    rows = {kind: [f"{techniques[n]['rmse_mean']:.3f}" for n in names] for kind, techniques in cells.items()}
-    return table(title, names, rows, corner="fault/reference")
-
-
 def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
     papers, every = list(report["merit"]), len(report["scenarios"])
     lost = {kind: [n for n in names if n in papers] for kind, names in report["lost"].items()}
@@ -111,16 +108,12 @@ def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
     def leaders(merit: dict[str, int]) -> list[str]:
         return [name for name in merit if merit[name] > merit["PL"]]
 
-    def cell(pair: tuple[float, float]) -> str:
-        merit = totals[pair]
+    def cell(merit: dict[str, int]) -> str:
         return f"{merit['PL']} : {merit['SER FT']} {'*' if leaders(merit) else ' '}"
 
-    yield table(
-        "Faults of other sizes: total merit of PL : SER FT; injection in m/s, drift in m/s per second",
-        [f"drift {d:g}  " for d in drifts],
-        {f"{i:g}": [cell((i, d)) for d in drifts] for i in injections},
-        corner="injection",
-    )
+    title = "Faults of other sizes: total merit of PL : SER FT; injection in m/s, drift in m/s per second"
+    rows = {f"{i:g}": {d: totals[i, d] for d in drifts} for i in injections}
+    yield from crossed(title, rows, cell, head="drift {:g}  ", corner="injection")
     if ahead := dict.fromkeys(name for merit in totals.values() for name in leaders(merit)):
         yield f"* {sentence_list(list(ahead))} ahead of PL."
     every = report["grid"]["tables"]
