@@ -55,3 +55,14 @@ def run_python(arguments: Sequence[str], environment: Mapping[str, str] | None =
     except ValueError:
         said = None
     return Finished(seconds, said)
+
+
+def repeated(code: str, times: int = 1) -> tuple[list[Any], str | None]:
+    """Run code some times; return what each run said last, and a sentence if one failed, after which there are no more."""
+    said: list[Any] = []
+    try:
+        for _ in range(times):
+            said.append(run_code(code).said)
+    except ChildError as error:
+        return said, str(error)
+    return said, None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.bench._child import ChildError, run_code
+from bayesftc.bench._child import repeated
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 from bayesftc.bench._slave import unpacked_car
 from bayesftc.bench._user_loop import user_loop
@@ -58,10 +58,12 @@ def measure(quick: bool = False) -> Section:
         measured["user"] = partial(_user_rate, pool, few, on_cores["all"])
         _rate(speed_campaign(2), 1)
         rates = in_turns(measured, rounds)
-    seconds, memory, reason = _large(1_000 if quick else MANY, 1 if quick else 3)
+    large = 1_000 if quick else MANY  # of fewer runs the time is scaled
+    said, reason = repeated(CHILD.format(runs=large), 1 if quick else 3)
+    seconds, memory = [took * MANY / large for took, _ in said], [peak / 1e6 for _, peak in said]
     rate = "steps/s"
-    scaling = ratios(rates["all"], rates["one"])
-    n = on_cores["all"]
+    n, overhead = on_cores["all"], ratios(rates["bare"], rates["one"])
+    scaling, over_user = ratios(rates["all"], rates["one"]), ratios(rates["all"], rates["user"])
     return Section(
         "campaign",
         f"Campaigns: runs of {EXPERIMENT} steps of the car with gamma learning, metrics only",
@@ -70,18 +72,12 @@ def measure(quick: bool = False) -> Section:
             Figure("one_thread", "one thread", rate, rates["one"]),
             Figure("scaling", f"{n} cores / one", "", scaling, at_least=1.8),
             Figure("bare", "bare engine, one long run that records the same", rate, rates["bare"]),
-            Figure(
-                "overhead",
-                "bare engine / campaign on one thread",
-                "",
-                ratios(rates["bare"], rates["one"]),
-                at_most=1.1,
-            ),
+            Figure("overhead", "bare engine / campaign on one thread", "", overhead, at_most=1.1),
             Figure("user", f"fmpy, NumPy and filterpy in a pool of {n} processes", rate, rates["user"]),
-            Figure("over_user", "campaign / user's pool", "", ratios(rates["all"], rates["user"]), at_least=50.0),
+            Figure("over_user", "campaign / user's pool", "", over_user, at_least=50.0),
             Figure("large", f"{MANY} runs", "s", seconds, at_most=30.0, reason=reason),
             Figure(
-                "large_memory", f"{MANY} runs: peak memory of the process", "MB", memory, at_most=1000.0, reason=reason
+                "large_memory", f"{MANY} runs: peak memory of the process", "MB", memory, at_most=1e3, reason=reason
             ),
         ),
     )
@@ -123,17 +119,3 @@ def _user_runs(seeds: Sequence[int]) -> list[float]:
             recording = user_loop(car, EXPERIMENT, noise, SETTING)
             errors.append(float(np.sqrt(np.mean((recording[1:, 0] - recording[:-1, -1]) ** 2))))
     return errors
-
-
-def _large(runs: int, repetitions: int) -> tuple[list[float], list[float], str | None]:
-    """Return seconds and peak memory of a large campaign, in a process of its own; of fewer runs scaled to `MANY`."""
-    seconds: list[float] = []
-    memory: list[float] = []
-    try:
-        for _ in range(repetitions):
-            took, peak = run_code(CHILD.format(runs=runs)).said
-            seconds.append(took * MANY / runs)
-            memory.append(peak / 1e6)
-    except ChildError as error:
-        return seconds, memory, str(error)
-    return seconds, memory, None

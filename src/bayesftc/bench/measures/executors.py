@@ -39,25 +39,17 @@ def measure(quick: bool = False) -> Section:
             starts[name].append(start)
             rates[name].append(rate)
     unit = "steps/s"
+    two, first, over = "isolated FMU, Dask with two workers", "first runs of", ratios(rates["dask"], rates["process"])
     missing = None if there else "The package distributed is not installed."
     return Section(
         "executors",
         f"Campaigns in other processes, runs of {EXPERIMENT} steps",
         (
             Figure("process", "isolated FMU, one process", unit, rates["process"]),
-            Figure("dask", "isolated FMU, Dask with two workers here", unit, rates["dask"], reason=missing),
-            Figure(
-                "dask_over_process",
-                "isolated FMU, Dask with two workers / one process",
-                "",
-                ratios(rates["dask"], rates["process"]),
-                at_least=1.5,
-                reason=missing,
-            ),
-            Figure(
-                "dask_start", "first runs of a Dask cluster here are done after", "s", starts["dask"], reason=missing
-            ),
-            Figure("process_start", "first runs of one process are done after", "s", starts["process"]),
+            Figure("dask", f"{two} here", unit, rates["dask"], reason=missing),
+            Figure("dask_over_process", f"{two} / one process", "", over, at_least=1.5, reason=missing),
+            Figure("dask_start", f"{first} a Dask cluster here are done after", "s", starts["dask"], reason=missing),
+            Figure("process_start", f"{first} one process are done after", "s", starts["process"]),
             Figure("in_process", "FMU in process, one process", unit, rates["in_process"]),
             Figure("overhead", "one thread / one process", "", ratios(rates["thread"], rates["in_process"])),
         ),

@@ -88,47 +88,24 @@ def measure(quick: bool = False) -> Section:
         errors = [tracking_error(engine_recording(diagram, EXPERIMENT, seed)) for seed in range(runs)]
         users = [tracking_error(user_loop(car, EXPERIMENT, _noise(EXPERIMENT, seed), SETTING)) for seed in range(runs)]
         rates = in_turns({"engine": lambda: _engine_rate(diagram, fast), "user": lambda: _user_rate(car, slow)}, rounds)
-    rate = "steps/s"
+    rate, label, either = "steps/s", f"compiled engine, {COLUMNS} signals recorded", "this or 4 million steps/s"
+    over, apart, alone = (
+        ratios(rates["engine"], rates["user"]),
+        [float(same[:, 0].max())],
+        "differs from 1 by the noise alone",
+    )
+    ratio = [float(np.mean(errors) / np.mean(users))]
     return Section(
         "full_loop",
         "The whole loop with fault and precision learning",
         (
-            Figure(
-                "engine",
-                f"compiled engine, {COLUMNS} signals recorded",
-                rate,
-                rates["engine"],
-                at_least=4e6,
-                either="speed",
-            ),
+            Figure("engine", label, rate, rates["engine"], at_least=4e6, either="speed"),
             Figure("user", "loop with fmpy, NumPy and filterpy", rate, rates["user"]),
-            Figure(
-                "engine_over_user",
-                "engine / user's loop",
-                "",
-                ratios(rates["engine"], rates["user"]),
-                at_least=100.0,
-                either="speed",
-                note="this or 4 million steps/s",
-            ),
-            Figure(
-                "difference",
-                "largest difference of the speeds, same noise",
-                "m/s",
-                [float(same[:, 0].max())],
-                at_most=1e-9,
-            ),
+            Figure("engine_over_user", "engine / user's loop", "", over, 100.0, either="speed", note=either),
+            Figure("difference", "largest difference of the speeds, same noise", "m/s", apart, at_most=1e-9),
             Figure("engine_rmse", f"tracking error, engine, {runs} runs of 20 s", "m/s", errors),
             Figure("user_rmse", f"tracking error, user's loop, {runs} runs of 20 s", "m/s", users, note="own noise"),
-            Figure(
-                "rmse_ratio",
-                "ratio of the mean tracking errors",
-                "",
-                [float(np.mean(errors) / np.mean(users))],
-                at_least=0.9,
-                at_most=1.1,
-                note="differs from 1 by the noise alone",
-            ),
+            Figure("rmse_ratio", "ratio of the mean tracking errors", "", ratio, 0.9, 1.1, note=alone),
         ),
     )
 

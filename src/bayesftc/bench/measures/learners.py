@@ -31,12 +31,8 @@ def measure(quick: bool = False) -> Section:
         "per_sensor": controllers.SwitchingPrecision(joint=False),
         "joint": controllers.SwitchingPrecision(),
     }
-    wanted = [("gamma", FEW), ("per_sensor", FEW)]
-    if not quick:
-        wanted += [(name, m) for m in (SOME, MANY) for name in ("gamma", "per_sensor")] + [
-            ("joint", FEW),
-            ("joint", SOME),
-        ]
+    wanted = [(name, m) for m in ((FEW,) if quick else (FEW, SOME, MANY)) for name in ("gamma", "per_sensor")]
+    wanted += [] if quick else [("joint", FEW), ("joint", SOME)]
     loops = {(name, m): full_diagram(precision=known[name], sensors=m) for name, m in wanted}
     taken = in_turns(
         {f"{name} {m}": partial(_time_of_a_step, loop, steps) for (name, m), loop in loops.items()}, rounds
@@ -53,24 +49,22 @@ def measure(quick: bool = False) -> Section:
         return list((beyond[1] - beyond[0]) / (more - fewer))
 
     reason = QUICK if quick else None
+    growth = ratios(of_a_sensor(SOME, MANY), of_a_sensor(FEW, SOME))
+    one, many = over_gamma("per_sensor", FEW), over_gamma("per_sensor", MANY)
+    beside = "SwitchingPrecision per sensor / GammaPrecision, two sensors"
+    further = f"time of a further sensor: from {SOME} to {MANY} / from {FEW} to {SOME}"
     return Section(
         "learners",
         "The whole loop with fault modes, beside precision learning",
         (
             Figure("gamma", "GammaPrecision, two sensors", "ns/step", taken[f"gamma {FEW}"]),
-            Figure(
-                "per_sensor", "SwitchingPrecision per sensor / GammaPrecision, two sensors", "",
-                over_gamma("per_sensor", FEW), at_most=2.0,
-            ),
-            Figure("per_sensor_many", f"the same with {MANY} sensors", "", over_gamma("per_sensor", MANY), reason=reason),
-            Figure(
-                "growth", f"time of a further sensor: from {SOME} to {MANY} / from {FEW} to {SOME}", "",
-                ratios(of_a_sensor(SOME, MANY), of_a_sensor(FEW, SOME)), at_most=1.25, reason=reason, note="1 is linear",
-            ),
+            Figure("per_sensor", beside, "", one, at_most=2.0),
+            Figure("per_sensor_many", f"the same with {MANY} sensors", "", many, reason=reason),
+            Figure("growth", further, "", growth, at_most=1.25, reason=reason, note="1 is linear"),
             Figure("joint", "joint form / GammaPrecision, two sensors", "", over_gamma("joint", FEW), reason=reason),
             Figure("joint_many", f"the same with {SOME} sensors", "", over_gamma("joint", SOME), reason=reason),
         ),
-    )  # fmt: skip
+    )
 
 
 def _time_of_a_step(loop: Diagram, steps: int) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesftc.bench._child import ChildError, run_code
+from bayesftc.bench._child import repeated
 from bayesftc.bench._figures import Figure, Section
 from bayesftc.bench._user_loop import COLUMNS
 
@@ -24,16 +24,8 @@ print(json.dumps([peak() - before, recorded]))
 def measure(quick: bool = False) -> Section:
     """Measure how much the process grows at its peak, over the size of what it records."""
     steps = 1_000_000 if quick else 10_000_000
-    samples: list[float] = []
-    growth: list[float] = []
-    reason = None
-    try:
-        for _ in range(1 if quick else 3):
-            grown, recorded = run_code(CHILD.format(steps=steps, columns=COLUMNS)).said
-            samples.append(grown / recorded)
-            growth.append(grown / 1e6)
-    except ChildError as error:
-        reason = str(error)
+    said, reason = repeated(CHILD.format(steps=steps, columns=COLUMNS), 1 if quick else 3)
+    growth, samples = [grown / 1e6 for grown, _ in said], [grown / recorded for grown, recorded in said]
     label = f"peak growth / recorded arrays, {COLUMNS} signals, {steps / 1e6:g} million steps"
     return Section(
         "memory",

@@ -109,11 +109,20 @@ def theirs(path: Path, folder: Path, *, driven: bool) -> Run:
             signals = np.array(list(zip(times, values, strict=True)), dtype=[("time", "f8"), ("torque", "f8")])
         instance.reset()
         started = time.perf_counter()
-        result: Any = fmpy.simulate_fmu(
-            unpacked, model_description=description, fmu_instance=instance, fmi_type="ModelExchange", solver="CVode",
-            stop_time=steps * STEP, output_interval=STEP, relative_tolerance=RTOL, output=["q"], input=signals,
-            record_events=False,
-        )  # fmt: skip
+        grid: dict[str, Any] = {
+            "stop_time": steps * STEP,
+            "output_interval": STEP,
+            "output": ["q"],
+            "record_events": False,
+        }
+        how: dict[str, Any] = {
+            "fmi_type": "ModelExchange",
+            "solver": "CVode",
+            "relative_tolerance": RTOL,
+            "input": signals,
+        }
+        held: dict[str, Any] = {"model_description": description, "fmu_instance": instance}
+        result: Any = fmpy.simulate_fmu(unpacked, **held, **how, **grid)
         return np.asarray(result["q"]), time.perf_counter() - started
 
     return run
@@ -151,12 +160,10 @@ def measure(quick: bool = False) -> Section:
             path = build_pendulum(folder)
         except CompilerError:
             reason = "No C compiler was found, or it failed; install one to have this figure."
-            missing = [
-                Figure(key, label, "", (), at_least=bar, reason=reason)
-                for key, label, bar in _RATIOS
-                if bar is not None
-            ]
-            return Section("model_exchange", title, tuple(missing))
+            missing = tuple(
+                Figure(key, label, "", (), at_least=bar, reason=reason) for key, label, bar in _RATIOS if bar
+            )
+            return Section("model_exchange", title, missing)
         for driven in (False, True):
             runs = {
                 "cvode": ours(path, "cvode", driven=driven),
@@ -185,15 +192,9 @@ _RATIOS = (
 def _figures(driven: bool, rates: dict[str, list[float]], errors: dict[str, float]) -> list[Figure]:
     case, words = ("driven", "driven") if driven else ("free", "left alone")
     names = {"cvode": "CVODE", "rk45": "Runge-Kutta", "fmpy": "fmpy's CVODE"}
+    notes = {key: f"largest error in 2 s {error:.1g} rad" for key, error in errors.items()}
     done = [
-        Figure(
-            f"{case}_{key}",
-            f"{label}, {words}",
-            "steps/s",
-            rates[key],
-            note=f"largest error in 2 s {errors[key]:.1g} rad",
-        )
-        for key, label in names.items()
+        Figure(f"{case}_{k}", f"{label}, {words}", "steps/s", rates[k], note=notes[k]) for k, label in names.items()
     ]
     for key, label, bar in _RATIOS:
         if key.startswith(case):

@@ -128,7 +128,9 @@ def measure(quick: bool = False) -> Section:
         steps = {name: slow if name == "fmpy" else fast for name in loops}
         candidates = {n: lambda loop=loop, k=steps[n]: k / loop(k)[1] for n, loop in loops.items()}
         rates = in_turns(candidates, rounds)
-    rate = "steps/s"
+    rate, bits = "steps/s", "bit for bit" if difference == 0.0 else "not bit for bit"
+    over_c = ratios(rates["engine"], rates["c"]) if "c" in rates else ()
+    label = f"largest difference of the speeds over {slow} steps"
     return Section(
         "plain_loop",
         "Car FMU under proportional control",
@@ -136,22 +138,8 @@ def measure(quick: bool = False) -> Section:
             Figure("engine", "compiled engine", rate, rates["engine"]),
             Figure("c", "loop in C", rate, rates.get("c", ()), reason=reason),
             Figure("fmpy", "plain fmpy loop", rate, rates["fmpy"]),
-            Figure(
-                "engine_over_c",
-                "engine / C",
-                "",
-                ratios(rates["engine"], rates["c"]) if "c" in rates else (),
-                at_least=0.5,
-                reason=reason,
-            ),
+            Figure("engine_over_c", "engine / C", "", over_c, at_least=0.5, reason=reason),
             Figure("engine_over_fmpy", "engine / fmpy", "", ratios(rates["engine"], rates["fmpy"]), at_least=50.0),
-            Figure(
-                "difference",
-                f"largest difference of the speeds over {slow} steps",
-                "m/s",
-                [difference],
-                at_most=1e-12,
-                note="bit for bit" if difference == 0.0 else "not bit for bit",
-            ),
+            Figure("difference", label, "m/s", [difference], at_most=1e-12, note=bits),
         ),
     )

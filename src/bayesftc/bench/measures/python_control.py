@@ -58,14 +58,12 @@ def measure(quick: bool = False) -> Section:
         for name, run in runs.items():
             np.testing.assert_allclose(run()[0], reference, rtol=1e-12, atol=1e-12, err_msg=name)
         rates = in_turns({name: partial(_rate, run, steps) for name, run in runs.items()}, rounds)
-    titles = {
-        "nlsys": "control.nlsys", "ss": "control.ss", "block": "block", "fmu": "FMU of this package", "foreign": "other FMU",
-    }  # fmt: skip
+    titles = {"nlsys": "control.nlsys", "ss": "control.ss", "block": "block", "fmu": "FMU of this package"}
+    titles |= {"foreign": "other FMU"}
     figures = [Figure(name, title, "steps/s", rates[name]) for name, title in titles.items()]
     for name in ("block", "fmu", "foreign"):
-        figures.append(
-            Figure(f"{name}_over_nlsys", f"{titles[name]} / control.nlsys", "", ratios(rates[name], rates["nlsys"]))
-        )
+        over = ratios(rates[name], rates["nlsys"])
+        figures.append(Figure(f"{name}_over_nlsys", f"{titles[name]} / control.nlsys", "", over))
     return Section("python_control", "python-control: input_output_response of a car", tuple(figures))
 
 

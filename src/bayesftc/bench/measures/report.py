@@ -5,14 +5,14 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from bayesftc.bench._child import ChildError, run_code
+from bayesftc.bench._child import repeated
 from bayesftc.bench._figures import Figure, Section
 
 RUNS = 10_000
 SIGNALS = (
-    "plant.v", "reference.y", "freeze_0.y", "freeze_0.active", "controller.u", "controller.x_hat", "controller.beta",
+    *("plant.v", "reference.y", "freeze_0.y", "freeze_0.active", "controller.u", "controller.x_hat", "controller.beta"),
     "sensors.y",
-)  # fmt: skip
+)
 """Eight signals, some of them of two sensors."""
 WRITE = """
 import json, time
@@ -49,22 +49,14 @@ print(json.dumps([time.perf_counter() - began, peak(), len(page)]))
 def measure(quick: bool = False) -> Section:
     """Write a campaign of 10,000 runs, eight signals and 1,000 steps, and draw its report."""
     runs = 200 if quick else RUNS
-    written: list[float] = []
-    memory: list[float] = []
-    drawn: list[float] = []
-    drawing: list[float] = []
-    reason = None
     with tempfile.TemporaryDirectory() as scratch:
         folder = str(Path(scratch) / "campaign")
-        try:
-            seconds, peak = run_code(WRITE.format(seeds=runs // 10, folder=folder)).said
-            written, memory = [seconds], [peak / 1e6]
-            for _ in range(1 if quick else 3):
-                seconds, peak, _ = run_code(DRAW.format(folder=folder)).said
-                drawn.append(seconds)
-                drawing.append(peak / 1e6)
-        except ChildError as error:
-            reason = str(error)
+        writing, reason = repeated(WRITE.format(seeds=runs // 10, folder=folder))
+        drawing: list[list[float]] = []
+        if reason is None:
+            drawing, reason = repeated(DRAW.format(folder=folder), 1 if quick else 3)
+    written, memory = [seconds for seconds, _ in writing], [peak / 1e6 for _, peak in writing]
+    drawn, meanwhile = [seconds for seconds, *_ in drawing], [peak / 1e6 for _, peak, _ in drawing]
     of = f"{runs} runs of 1000 steps, {len(SIGNALS)} signals"
     return Section(
         "report",
@@ -73,6 +65,6 @@ def measure(quick: bool = False) -> Section:
             Figure("write", f"{of}: run and written", "s", written, reason=reason),
             Figure("write_memory", "peak memory meanwhile", "MB", memory, reason=reason),
             Figure("report", f"{of}: opened and drawn", "s", drawn, at_most=60.0, reason=reason),
-            Figure("report_memory", "peak memory meanwhile", "MB", drawing, at_most=2000.0, reason=reason),
+            Figure("report_memory", "peak memory meanwhile", "MB", meanwhile, at_most=2000.0, reason=reason),
         ),
     )

@@ -52,6 +52,7 @@ def measure(quick: bool = False) -> Section:
     def starts(key: str, label: str, at_most: float | None = None) -> Figure:
         return _seconds(key, label, [r[key] for r in rounds], at_most)
 
+    compiled = "functions compiled by that process"
     firsts, seconds = [c[0] for c in cold], [c[1] for c in cold]
     return Section(
         "startup",
@@ -61,15 +62,9 @@ def measure(quick: bool = False) -> Section:
             starts("import", "import bayesftc", 0.5),
             starts("help", "bayesftc --help", 1.0),
             starts("scenario", "shipped scenario, 1,000 steps, compiled code from the cache", 3.0),
-            _count(
-                "scenario_compiled",
-                "functions compiled by that process",
-                [r["scenario"] for r in rounds],
-                "compiled",
-                0,
-            ),
+            _count("scenario_compiled", compiled, [r["scenario"] for r in rounds], "compiled", 0),
             _seconds("first_run", "the same with an empty cache", firsts),
-            _count("first_compiled", "functions compiled by that process", firsts, "compiled"),
+            _count("first_compiled", compiled, firsts, "compiled"),
             _count("first_engine", "parts of the engine among them", firsts, "engine"),
             _count("second_compiled", "functions compiled by a second, different diagram", seconds, "compiled"),
             _count("second_engine", "parts of the engine among them", seconds, "engine", 0),
