@@ -29,6 +29,11 @@ def check_size(name: str, value: object, least: int, why: str) -> None:
 class Settings:
     """Base of all settings: numbers, or tuples of numbers, as their defaults are."""
 
+    LEAST: ClassVar[dict[str, tuple[int, str]]] = {}
+    """Whole numbers by their least value, and why."""
+    WITHIN: ClassVar[dict[str, dict[str, Any]]] = {}
+    """Numbers by their limits, as of `check_number`."""
+
     def __post_init__(self) -> None:
         for f in fields(self):
             value, title = getattr(self, f.name), f"{type(self).__name__} has {f.name}"
@@ -36,6 +41,10 @@ class Settings:
                 self._check_tuple(title, value, f.default, fixed="..." not in str(f.type))
             elif not isinstance(f.default, str):
                 as_number(title, value, whole=isinstance(f.default, int))
+        for name, (least, why) in self.LEAST.items():
+            check_size(name, getattr(self, name), least, why)
+        for name, limits in self.WITHIN.items():
+            check_number(self, name, **limits)
 
     @staticmethod
     def _check_tuple(title: str, value: object, default: tuple[Any, ...], *, fixed: bool) -> None:
@@ -194,10 +203,12 @@ class Arm(Repeated):
         "fault modes of SwitchingPrecision: with one that is told by the error of the belief",
     )
 
+    LEAST: ClassVar = dict.fromkeys(
+        ("threshold_runs", "every", "grid_runs"), (1, "or there is nothing to compute from")
+    )
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("threshold_runs", "every", "grid_runs"):
-            check_size(name, getattr(self, name), 1, "or there is nothing to compute from")
         known = [mode.__name__ for mode in FAULT_MODES]
         for modes in (self.fault_modes, *self.further_modes):
             if not modes or not set(modes) <= set(known):
@@ -262,11 +273,8 @@ class Tracking(Repeated):
         "whose error hangs on a few runs (8,000 need six minutes)",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_number(self, "significance", above=0, below=1)
-        check_size("oracle_factor", self.oracle_factor, 1, "times the runs")
-        check_size("filterpy_runs", self.filterpy_runs, 2, "of each scenario")
+    LEAST: ClassVar = {"oracle_factor": (1, "times the runs"), "filterpy_runs": (2, "of each scenario")}
+    WITHIN: ClassVar = {"significance": {"above": 0, "below": 1}}
 
 
 @dataclass(frozen=True)
@@ -342,11 +350,8 @@ class Detection(Repeated):
     )
     bins: int = chosen(10, "of the calibration of the fault probability, as is usual")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_size("steps", self.steps, 5_000, "to see enough faults")
-        check_size("filterpy_streams", self.filterpy_streams, 1, "of those that are judged")
-        check_number(self, "training_share", above=0, below=1)
+    LEAST: ClassVar = {"steps": (5_000, "to see enough faults"), "filterpy_streams": (1, "of those that are judged")}
+    WITHIN: ClassVar = {"training_share": {"above": 0, "below": 1}}
 
 
 @dataclass(frozen=True)
@@ -409,24 +414,16 @@ class Models(Repeated):
         1.1, "times fixed precision's error: more is a price too high for insurance with healthy sensors"
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_size("healthy_factor", self.healthy_factor, 1, "times the runs with a failed sensor")
-        check_size("threshold_runs", self.threshold_runs, 1, "or there is no threshold")
-        for name in (
-            "heavier",
-            "lighter",
-            "noisier",
-            "quieter",
-            "force_limit",
-            "unmodelled_force",
-            "unmodelled_time",
-            "lag",
-        ):
-            check_number(self, name, above=0)
-        check_number(self, "delay", least=0)
-        check_number(self, "ageing", above=1)
-        check_number(self, "alarms_per_hour", above=0)
+    LEAST: ClassVar = {
+        "healthy_factor": (1, "times the runs with a failed sensor"),
+        "threshold_runs": (1, "or there is no threshold"),
+    }
+    POSITIVE = ("heavier", "lighter", "noisier", "quieter", "force_limit", "unmodelled_force", "unmodelled_time", "lag")
+    WITHIN: ClassVar = {
+        **{name: {"above": 0} for name in (*POSITIVE, "alarms_per_hour")},
+        "delay": {"least": 0},
+        "ageing": {"above": 1},
+    }
 
 
 @dataclass(frozen=True)
@@ -457,11 +454,8 @@ class Bound(Repeated):
         "past. With .1 and .5 instead the AUC is the same within .0001; without merging 512 particles still lose lock at times",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_size("particles", self.particles, 1, "the hypotheses that are kept")
-        check_number(self, "moves", above=0)
-        check_number(self, "tolerance", least=0)
+    LEAST: ClassVar = {"particles": (1, "the hypotheses that are kept")}
+    WITHIN: ClassVar = {"moves": {"above": 0}, "tolerance": {"least": 0}}
 
 
 @dataclass(frozen=True)
@@ -500,12 +494,8 @@ class Beliefs(Repeated):
         "of the three kinds is known to 4 %; learning takes longer with more",
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_number(self, "factor", above=1)
-        check_number(self, "resolution", above=0)
-        check_size("streams", self.streams, 2, "so that means have an interval")
-        check_size("training_streams", self.training_streams, 1, "to learn from")
+    LEAST: ClassVar = {"streams": (2, "so that means have an interval"), "training_streams": (1, "to learn from")}
+    WITHIN: ClassVar = {"factor": {"above": 1}, "resolution": {"above": 0}}
 
 
 @dataclass(frozen=True)
@@ -532,14 +522,11 @@ class Family(Repeated):
     bar: float = chosen(1.25, "times the oracle's error: more is marked, in the table and in the report")
     behind: float = chosen(0.05, "of the oracle's error: what a learner that is further behind the best one loses")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_size("judging_seed", self.judging_seed, 0, "as of every run")
-        check_size("tuning_seed", self.tuning_seed, 0, "as of every run")
-        check_size("unseen_seed", self.unseen_seed, 0, "as of every draw")
-        check_number(self, "oracle_lost", above=1)
-        check_number(self, "bar", above=1)
-        check_number(self, "behind", least=0)
+    LEAST: ClassVar = {
+        **dict.fromkeys(("judging_seed", "tuning_seed"), (0, "as of every run")),
+        "unseen_seed": (0, "as of every draw"),
+    }
+    WITHIN: ClassVar = {"oracle_lost": {"above": 1}, "bar": {"above": 1}, "behind": {"least": 0}}
 
 
 @dataclass(frozen=True)
@@ -611,14 +598,12 @@ class Probabilities(Repeated):
         0.02, "difference from the exact probability that was aimed at, set before anything was measured"
     )
 
+    LEAST: ClassVar = {"samples": (3, "so that a fault can begin and last"), "sequences": (1, "for each mode and size")}
+    WITHIN: ClassVar = {name: {"above": 0} for name in ("jump", "bar", "close")}
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_size("samples", self.samples, 3, "so that a fault can begin and last")
-        check_size("sequences", self.sequences, 1, "for each mode and size")
         ranges = [("starts", self.starts), ("periods", self.periods), *(("lengths", each) for each in self.lengths)]
         for name, (low, high) in ranges:
             if not 0 < low <= high:
                 raise ModelError(f"{name} is {(low, high)!r}; it must be two positive numbers, the larger one last.")
-        check_number(self, "jump", above=0)
-        check_number(self, "bar", above=0)
-        check_number(self, "close", above=0)

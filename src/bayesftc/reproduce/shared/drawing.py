@@ -44,6 +44,27 @@ def tidy(axis: Axes) -> None:
         axis.spines[side].set_visible(False)
 
 
+def finish(axis: Axes, title: str = "", **settings: Any) -> None:
+    """Give an axis settings, as of ``Axes.set``, a title on the left, and the house's look."""
+    axis.set(**settings)
+    if title:
+        axis.set_title(title, fontsize=10, loc="left")
+    tidy(axis)
+
+
+def diagonal(axis: Axes, label: str | None = None) -> None:
+    """Draw the line on which both axes have the same value, from 0 to 1."""
+    axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label=label)
+
+
+def colour_bar(figure: Figure, image: Any, axes: Any, label: str, **options: Any) -> Any:
+    """Add the scale of a heat map's colours beside its axes, and return it; options are those of ``Figure.colorbar``."""
+    bar = figure.colorbar(image, ax=axes, **{"pad": 0.01, "aspect": 40, **options})
+    bar.set_label(label, fontsize=9)
+    bar.outline.set_visible(False)  # type: ignore[operator]
+    return bar
+
+
 def legend(axis: Axes, lines: Sequence[str], title: str = "", group: Sequence[str] = ()) -> None:
     """Put the legend beside the axis, where it covers nothing.
 

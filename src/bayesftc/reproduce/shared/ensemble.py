@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from bayesftc.cosim.campaign.designs.plan import Piece
 from bayesftc.cosim.campaign.designs.seeds import hashed_seeds
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.diagram.diagram import Diagram
 
 R = TypeVar("R")
+K = TypeVar("K")
 Progress = Callable[[str, int, int], None]
 """Called as ``progress(what, done, of)``."""
 
@@ -77,6 +78,14 @@ def in_parallel(
     return [results[i] for i in range(len(tasks))]
 
 
+class Batch(NamedTuple, Generic[R]):
+    """A loop, the seeds of its runs, and what makes some of them: called as ``function(loop, seeds)``."""
+
+    loop: Diagram
+    seeds: Sequence[int]
+    function: Callable[[Diagram, Sequence[int]], R]
+
+
 @dataclass(frozen=True)
 class Ensemble:
     """What all runs of an experiment have in common.
@@ -119,43 +128,37 @@ class Ensemble:
         """Run all tasks, see `in_parallel`."""
         return in_parallel(tasks, self.jobs, self.progress, what)
 
-    def each(
-        self,
-        what: str,
-        loops: Sequence[Diagram],
-        seeds: Sequence[Sequence[int]],
-        size: int,
-        function: Callable[[Diagram, Sequence[int]], R],
-    ) -> tuple[list[list[R]], float]:
-        """Run each loop with seeds of its own, after all are prepared.
+    def each(self, what: str, batches: Mapping[K, Batch[R]], size: int) -> tuple[dict[K, list[R]], float]:
+        """Run batches, after all their loops are prepared.
 
         Parameters
         ----------
         what : str
             Name of the work, for the progress.
-        loops : sequence of Diagram
-            What to run.
-        seeds : sequence of sequences of int
-            For each loop the seeds of its runs.
+        batches : mapping
+            The batches by what tells them apart.
         size : int
             Number of runs that one task makes.
-        function : callable
-            Called as ``function(loop, seeds)`` for each task.
 
         Returns
         -------
-        results : list of lists
-            For each loop what the function returned, in the order of its seeds.
+        results : dict
+            For each batch what its function returned, in the order of its seeds.
         seconds : float
             How long that took, without the preparation.
         """
-        self.prepare(loops)
-        groups = [chunks(own, size) for own in seeds]
-        tasks = [partial(function, loop, few) for loop, mine in zip(loops, groups, strict=True) for few in mine]
+        self.prepare([batch.loop for batch in batches.values()])
+        groups = {key: chunks(batch.seeds, size) for key, batch in batches.items()}
+        tasks = [partial(batch.function, batch.loop, few) for key, batch in batches.items() for few in groups[key]]
         began = time.perf_counter()
         done = iter(self.run(tasks, what))
         seconds = time.perf_counter() - began
-        return [[next(done) for _ in mine] for mine in groups], seconds
+        return {key: [next(done) for _ in mine] for key, mine in groups.items()}, seconds
+
+    def one(self, what: str, batch: Batch[R], size: int) -> list[R]:
+        """Run one batch, see `each`."""
+        found, _ = self.each(what, {what: batch}, size)
+        return found[what]
 
 
 def chunks(items: Sequence[int], size: int) -> list[Sequence[int]]:

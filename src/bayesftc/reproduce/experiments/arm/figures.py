@@ -13,6 +13,11 @@ from bayesftc.reproduce.shared.drawing import figure, tidy
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LINES: dict[str, dict[str, Any]] = {
+    "goal": {"color": BLACK, "ls": ":", "lw": 1.2},
+    "angle": {"color": BLUE, "lw": 2.6},
+    "belief": {"color": SENSOR_COLOURS[0], "ls": "--", "lw": 1.4},
+}
 SHOWN = ("none", "implicit", "explicit")
 
 
@@ -24,14 +29,10 @@ def trajectories(report: dict[str, Any]) -> Figure:
     for column, name in enumerate(SHOWN):
         drawn = {key: np.asarray(values) for key, values in report["trajectories"][name].items()}
         for joint, axis in enumerate(axes[:, column]):
-            axis.axvspan(
-                settings["fault_start"], settings["duration"], color="#D55E00", alpha=0.12, lw=0, label="fault"
-            )
-            axis.plot(drawn["time"], drawn["goal"][:, joint], color=BLACK, ls=":", lw=1.2, label="goal")
-            axis.plot(drawn["time"], drawn["angle"][:, joint], color=BLUE, lw=2.6, label="angle")
-            axis.plot(
-                drawn["time"], drawn["belief"][:, joint], color=SENSOR_COLOURS[0], ls="--", lw=1.4, label="belief"
-            )
+            fault = settings["fault_start"], settings["duration"]
+            axis.axvspan(*fault, color="#D55E00", alpha=0.12, lw=0, label="fault")
+            for what, look in LINES.items():
+                axis.plot(drawn["time"], drawn[what][:, joint], label=what, **look)
             tidy(axis)
         axes[0, column].set_title(LABELS[name], fontsize=10, loc="left")
         axes[1, column].set_xlabel("time (s)")

@@ -18,7 +18,7 @@ from bayesftc.cosim.types import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce.experiments.arm.loop import FAULTY, HEALTHY, Case, closed_loop, explicit, learning, switching
 from bayesftc.reproduce.settings import Arm
-from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.runner import Report, experiment
 
 CHUNK = 5
@@ -65,8 +65,7 @@ def learn_thresholds(settings: Arm, ensemble: Ensemble) -> tuple[controllers.Fit
     """Return a Chebyshev threshold for each modality, learned from the innovations of healthy runs of other seeds."""
     loop = closed_loop(settings, Case(controllers.FixedPrecision(), fault=False))
     own = ensemble.seeds("arm thresholds", settings.threshold_runs)
-    ((parts,), _) = ensemble.each("Healthy runs", [loop], [own], 1, partial(_innovations, settings))
-    innovations = np.concatenate(parts)
+    innovations = np.concatenate(ensemble.one("Healthy runs", Batch(loop, own, partial(_innovations, settings)), 1))
     rule = controllers.ChebyshevThreshold(settings.alpha)
     return tuple(rule.fit(innovations[:, list(group)]) for group in settings.detection_groups)
 
@@ -79,15 +78,17 @@ def squared_errors(
     what: str,
 ) -> dict[Any, Floats]:
     """Return for each loop the mean squared error of the belief about both joints in each run (runs x 2)."""
-    every, _ = ensemble.each(what, list(loops.values()), [of] * len(loops), CHUNK, partial(_errors, settings))
-    return {name: np.concatenate(parts) for name, parts in zip(loops, every, strict=True)}
+    batches = {name: Batch(loop, of, partial(_errors, settings)) for name, loop in loops.items()}
+    every, _ = ensemble.each(what, batches, CHUNK)
+    return {name: np.concatenate(parts) for name, parts in every.items()}
 
 
 def detections(settings: Arm, case: Case, signal: str, of: Sequence[int], ensemble: Ensemble) -> dict[str, float]:
     """Return how soon a technique finds the fault by one of its signals, and how often it sees one where there is none."""
-    loops = [closed_loop(settings, replace(case, fault=fault)) for fault in (True, False)]
-    every, _ = ensemble.each("Detection", loops, [of, of], CHUNK, partial(_detected, settings, signal))
-    delays, healthy = np.concatenate(every[0])[:, 0], np.concatenate(every[1])[:, 1]
+    loops = {fault: closed_loop(settings, replace(case, fault=fault)) for fault in (True, False)}
+    judge = partial(_detected, settings, signal)
+    every, _ = ensemble.each("Detection", {fault: Batch(loops[fault], of, judge) for fault in loops}, CHUNK)
+    delays, healthy = np.concatenate(every[True])[:, 0], np.concatenate(every[False])[:, 1]
     return {
         "delay_mean": float(np.mean(delays[np.isfinite(delays)])) if np.isfinite(delays).any() else float("nan"),
         "missed": int(np.isnan(delays).sum()),

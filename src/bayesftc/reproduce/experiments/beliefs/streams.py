@@ -16,7 +16,7 @@ from bayesftc.cosim.judging.probabilities import reliability
 from bayesftc.cosim.statistics import interval
 from bayesftc.reproduce.settings import Beliefs
 from bayesftc.reproduce.shared.car import model
-from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.streams import Faults, Streams
 
 PROBABILITY = "controller.fault_probability"
@@ -51,17 +51,15 @@ def score(
         By form and row the learner for each size.
     """
     sizes = sizes_of(settings)
-    cells = [(form, row, size) for form, rows in forms.items() for row, size in product(rows, sizes)]
     own = {size: ensemble.seeds(f"beliefs/{size}", settings.streams) for size in sizes}
-    every, _ = ensemble.each(
-        "Streams",
-        [source.loop(sizes[size], forms[form][row][size]) for form, row, size in cells],
-        [own[size] for *_, size in cells],
-        1,
-        partial(_judged, source),
-    )
+    batches = {
+        (form, row, size): Batch(source.loop(sizes[size], learners[size]), own[size], partial(_judged, source))
+        for form, rows in forms.items()
+        for (row, learners), size in product(rows.items(), sizes)
+    }
+    every, _ = ensemble.each("Streams", batches, 1)
     table: dict[str, Scores] = {form: {row: {} for row in rows} for form, rows in forms.items()}
-    for (form, row, size), streams in zip(cells, every, strict=True):
+    for (form, row, size), streams in every.items():
         columns = np.array([judged for few in streams for judged in few]).T
         table[form][row][size] = {
             name: {"mean": float(v.mean()), "ci": interval(v)} for name, v in zip(MEASURES, columns, strict=True)
@@ -93,20 +91,17 @@ def learn(
         By form the settings from which learning begins; they also run while the streams are recorded.
     """
     sizes = sizes_of(settings)
-    cells = list(product(starts, sizes))
     own = {size: ensemble.seeds(f"beliefs/training/{size}", settings.training_streams) for size in sizes}
-    every, _ = ensemble.each(
-        "Recording",
-        [source.loop(sizes[size], starts[form]) for form, size in cells],
-        [own[size] for _, size in cells],
-        1,
-        partial(_recorded, source),
-    )
+    batches = {
+        (form, size): Batch(source.loop(sizes[size], starts[form]), own[size], partial(_recorded, source))
+        for form, size in product(starts, sizes)
+    }
+    every, _ = ensemble.each("Recording", batches, 1)
     learned: dict[str, dict[str, controllers.LearnedModes]] = {form: {} for form in starts}
     # One after the other: learning steps through the samples in Python, which threads make no faster.
-    for done, ((form, size), runs) in enumerate(zip(cells, every, strict=True)):
+    for done, ((form, size), runs) in enumerate(every.items()):
         if ensemble.progress:
-            ensemble.progress("Learning", done, len(cells))
+            ensemble.progress("Learning", done, len(every))
         recordings = [run for few in runs for run in few]
         learned[form][size] = controllers.learn_modes(recordings, model(source.car), starts[form])
     return learned

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, SENSOR_COLOURS
 from bayesftc.reproduce.experiments.bound.run import BOUND
-from bayesftc.reproduce.shared.drawing import SWITCHING_STYLES, figure, legend, tidy
+from bayesftc.reproduce.shared.drawing import SWITCHING_STYLES, figure, finish, legend
 from bayesftc.reproduce.shared.residuals import LABELS
 
 if TYPE_CHECKING:
@@ -37,10 +37,8 @@ def areas(report: dict[str, Any]) -> Figure:
         aside = 0.0 if name == BOUND else ASIDE * (i - 1 - (len(names) - 1) / 2)
         axis.errorbar(x + aside, mean, [mean - low, high - mean], capsize=3, label=_label(name), **style)
     axis.set_xticks(x, [f"{c['injection']:g} m/s\n{c['drift']:g} m/s per s" for c in cells], fontsize=9)
-    axis.set_xlabel("injection and drift")
-    axis.set_ylabel("AUC of the presence of a fault")
-    axis.set_title(f"Mean over {report['settings']['streams']} streams; bars: 95 % intervals", fontsize=10, loc="left")
-    tidy(axis)
+    title = f"Mean over {report['settings']['streams']} streams; bars: 95 % intervals"
+    finish(axis, title, xlabel="injection and drift", ylabel="AUC of the presence of a fault")
     best_first = sorted(names, key=lambda name: -sum(cell["auc"][name]["mean"] for cell in cells))
     legend(axis, [_label(name) for name in (BOUND, *best_first)])
     return made

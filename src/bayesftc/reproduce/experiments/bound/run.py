@@ -19,7 +19,7 @@ from bayesftc.reproduce.experiments.bound.filter import PosteriorFilter
 from bayesftc.reproduce.experiments.detection.run import GROUP, Bench
 from bayesftc.reproduce.settings import Bound, Car, Detection
 from bayesftc.reproduce.shared import residuals as _residuals
-from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import Residual
 from bayesftc.reproduce.shared.runner import Report, experiment
 from bayesftc.reproduce.shared.streams import Faults
@@ -80,8 +80,7 @@ def _records(bench: Bench, faults: Faults, own: Sequence[int]) -> list[Record]:
         streams = bench.source.run(loop, few, [samples, "controller.u"])
         return [Record(s.result[samples], s.result["controller.u"].ravel(), s.faulty) for s in streams]
 
-    (groups,), _ = bench.ensemble.each("Streams", [loop], [own], GROUP, each)
-    return [record for group in groups for record in group]
+    return [record for group in bench.ensemble.one("Streams", Batch(loop, own, each), GROUP) for record in group]
 
 
 def _areas(bench: Bench, faults: Faults, own: Sequence[int], residuals: Mapping[str, Residual]) -> dict[str, Floats]:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from bayesftc import cosim
 from bayesftc.cosim.judging.alarms import Alarms, alarm_threshold, judge_alarms
 from bayesftc.cosim.types import Floats
-from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import SIGNALS, Residual
 from bayesftc.reproduce.shared.streams import KINDS, Faults, Stream, Streams
 
@@ -126,11 +126,9 @@ class Detectors:
                     for stream in self.streams.run(loop, few, SIGNALS)
                 ]
 
-            (groups,), _ = self.ensemble.each(what, [self.streams.loop(faults, learner[0])], [own], GROUP, each)
-            for name, results in zip(
-                names, zip(*(stream for group in groups for stream in group), strict=True), strict=True
-            ):
-                found[name] = list(results)
+            groups = self.ensemble.one(what, Batch(self.streams.loop(faults, learner[0]), own, each), GROUP)
+            streams = [stream for group in groups for stream in group]
+            found |= {name: [of[i] for of in streams] for i, name in enumerate(names)}
         return [(name, found[name]) for name in self.residuals if name in found]
 
     def _score(self, name: str, stream: Stream) -> Floats:

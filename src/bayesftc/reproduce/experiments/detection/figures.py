@@ -8,7 +8,16 @@ import numpy as np
 
 from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.reproduce.shared.calibration import OWN
-from bayesftc.reproduce.shared.drawing import FURTHER_STYLE, SWITCHING_STYLES, figure, heat_map, legend, tidy
+from bayesftc.reproduce.shared.drawing import (
+    FURTHER_STYLE,
+    SWITCHING_STYLES,
+    colour_bar,
+    diagonal,
+    figure,
+    finish,
+    heat_map,
+    legend,
+)
 from bayesftc.reproduce.shared.residuals import LABELS
 
 if TYPE_CHECKING:
@@ -30,14 +39,12 @@ def roc(report: dict[str, Any]) -> Figure:
         axis.plot(false, report["roc"]["true_positive_rate"][name], **FURTHER_STYLE)
     for name, style in front.items():
         axis.plot(false, report["roc"]["true_positive_rate"][name], label=_label(report, name), **style)
-    axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="guessing: AUC 0.5")
-    axis.set_xlim(0, 1)
-    axis.set_ylim(0, 1.005)
+    diagonal(axis, "guessing: AUC 0.5")
     axis.set_aspect("equal", anchor="W")
-    axis.set_xlabel("false positive rate (share of healthy samples)")
-    axis.set_ylabel("true positive rate (share of faulty samples)")
-    axis.set_title(f"Test parts of {len(report['streams'])} streams, two sensors pooled", fontsize=10, loc="left")
-    tidy(axis)
+    words = {"xlabel": "false positive rate (share of healthy samples)"}
+    words |= {"ylabel": "true positive rate (share of faulty samples)"}
+    title = f"Test parts of {len(report['streams'])} streams, two sensors pooled"
+    finish(axis, title, xlim=(0, 1), ylim=(0, 1.005), **words)
     named = [*(_label(report, name) for name in front), "guessing: AUC 0.5"]
     legend(axis, named, "further residuals, with their AUC:", [f"{auc[name]:.3f}  {name}" for name in further])
     return made
@@ -65,8 +72,7 @@ def grid(report: dict[str, Any]) -> Figure | None:
     largest = max(abs(c["auc"]["beta"] - c["auc"]["SER"]) for c in cells)
     least = min(min(c["auc"][n] for n in ("SER", "beta")) for c in cells)
     marks = [f"{i:g}" for i in injections], [f"{d:g}" for d in drifts]
-    image: Any = None
-    change: Any = None
+    image = change = None
     for row, reference in zip(axes, references, strict=True):
         ours, base = values(reference, "beta"), values(reference, "SER")
         for axis, name, matrix in ((row[0], "SER", base), (row[1], "beta", ours)):
@@ -80,9 +86,7 @@ def grid(report: dict[str, Any]) -> Figure | None:
     for axis in axes[-1]:
         axis.set_xlabel("drift (m/s per second)")
     for shown, column, text in ((image, axes[:, :2], "AUC"), (change, axes[:, 2:], "difference in AUC")):
-        bar = made.colorbar(shown, ax=column.ravel().tolist(), pad=0.01, aspect=40)
-        bar.set_label(text, fontsize=9)
-        bar.outline.set_visible(False)
+        colour_bar(made, shown, column.ravel().tolist(), text)
     return made
 
 
@@ -92,7 +96,7 @@ def calibration(report: dict[str, Any]) -> Figure:
     names = own or list(report["paper"])
     made = figure(6.6, 5.4)
     axis, below = made.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-    axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="calibrated")
+    diagonal(axis, "calibrated")
     styles = [(BLUE, "o", "-"), *((colour, mark, "--") for colour, mark in zip(SENSOR_COLOURS, "svD^P", strict=False))]
     for name, (colour, mark, line) in zip(names, styles, strict=False):
         of = report["calibration"][name]
@@ -103,19 +107,10 @@ def calibration(report: dict[str, Any]) -> Figure:
         look = {"color": colour, "ls": line, **SWITCHING_STYLES.get(name, {}), "lw": 1.6, "marker": mark, "ms": 4.5}
         axis.errorbar(x, y, error, capsize=2.5, label=label, **look)
         below.plot(x, [100 * b["share"] for b in bins], **look)
-    axis.set_ylim(-0.03, 1.03)
-    axis.set_ylabel("share of faulty samples")
-    axis.set_title(
-        f"{len(report['streams'])} streams; bars: 95 % intervals; ECE: expected calibration error",
-        fontsize=10,
-        loc="left",
-    )
+    title = f"{len(report['streams'])} streams; bars: 95 % intervals; ECE: expected calibration error"
+    finish(axis, title, ylim=(-0.03, 1.03), ylabel="share of faulty samples")
     axis.legend(frameon=False, fontsize=9, loc="upper left")
-    below.set_yscale("log")
-    below.set_ylabel("% of samples")
-    below.set_xlabel("fault probability")
-    for each in (axis, below):
-        tidy(each)
+    finish(below, yscale="log", ylabel="% of samples", xlabel="fault probability")
     return made
 
 

@@ -22,7 +22,7 @@ from bayesftc.reproduce.experiments.detection.detectors import Detectors
 from bayesftc.reproduce.settings import Car, Detection
 from bayesftc.reproduce.shared import residuals as _residuals
 from bayesftc.reproduce.shared.calibration import Calibration, calibration
-from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import Residual
 from bayesftc.reproduce.shared.runner import Report, experiment
 from bayesftc.reproduce.shared.streams import Faults, Stream, Streams
@@ -151,13 +151,16 @@ class Bench:
 
     def _areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int], rows: slice) -> Floats:
         """Return the AUC over some rows of each stream."""
-        of = {self.loop(faults, residual.learners[0]): residual for faults, residual in cases}
 
-        def areas(loop: cosim.Diagram, few: Sequence[int]) -> list[float]:
-            return [area(s.faulty[rows], of[loop].features([s])[rows, :, 0]) for s in self._streams(loop, few)]
+        def areas(residual: Residual, loop: cosim.Diagram, few: Sequence[int]) -> list[float]:
+            return [area(s.faulty[rows], residual.features([s])[rows, :, 0]) for s in self._streams(loop, few)]
 
-        every, _ = self.ensemble.each(what, list(of), [own] * len(of), GROUP, areas)
-        return np.array([np.concatenate(parts) for parts in every])
+        batches = {
+            i: Batch(self.loop(faults, residual.learners[0]), own, partial(areas, residual))
+            for i, (faults, residual) in enumerate(cases)
+        }
+        every, _ = self.ensemble.each(what, batches, GROUP)
+        return np.array([np.concatenate(parts) for parts in every.values()])
 
     def _judge_stream(
         self,

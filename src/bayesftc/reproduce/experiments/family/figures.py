@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.reproduce.experiments.family.groups import ratio_of
-from bayesftc.reproduce.shared.drawing import figure, heat_map
+from bayesftc.reproduce.shared.drawing import colour_bar, figure, heat_map
 from bayesftc.reproduce.shared.tables import broken
 
 if TYPE_CHECKING:
@@ -39,9 +39,8 @@ def ratios(report: dict[str, Any]) -> Figure:
         axis.xaxis.tick_top()
         axis.tick_params(axis="x", rotation=90, length=0)
         axis.tick_params(axis="both", labelsize=8)
-    bar = made.colorbar(image, ax=list(axes), location="bottom", shrink=0.3, pad=0.005, aspect=40, extend="both")
-    bar.set_label("root-mean-square error over that of the oracle, which leaves faulty samples out", fontsize=9)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    label = "root-mean-square error over that of the oracle, which leaves faulty samples out"
+    colour_bar(made, image, list(axes), label, location="bottom", shrink=0.3, pad=0.005, extend="both")
     return made
 
 

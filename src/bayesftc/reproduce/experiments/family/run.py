@@ -30,7 +30,7 @@ from bayesftc.reproduce.experiments.family.loop import family_loop, faulty_sampl
 from bayesftc.reproduce.experiments.family.unseen import unseen_cases
 from bayesftc.reproduce.experiments.tracking.bench import CHUNK, ORACLE
 from bayesftc.reproduce.settings import Family, check_size
-from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
 from bayesftc.reproduce.shared.runner import Report, experiment
 
@@ -179,15 +179,11 @@ class _Bench:
         self, name: str, cases: Sequence[Case], learner: controllers.PrecisionLearner, *, told: bool = False
     ) -> dict[str, Runs]:
         """Return all runs of a learner by case; if `told`, the samples of faulty sensors are missing."""
-        loops = [family_loop(case, learner, told=told) for case in cases]
-        self.ensemble.prepare(loops)
-        groups = [self.seeds[i : i + CHUNK] for i in range(0, len(self.seeds), CHUNK)]
-        signal = None if told else alarm_signal(loops[0], learner)
-        tasks = [
-            partial(_run, case, loop, few, signal) for case, loop in zip(cases, loops, strict=True) for few in groups
-        ]
-        done = iter(self.ensemble.run(tasks, name))
-        return {case.name: _pooled([next(done) for _ in groups]) for case in cases}
+        loops = {case.name: family_loop(case, learner, told=told) for case in cases}
+        signal = None if told else alarm_signal(next(iter(loops.values())), learner)
+        batches = {case.name: Batch(loops[case.name], self.seeds, partial(_run, case, signal)) for case in cases}
+        every, _ = self.ensemble.each(name, batches, CHUNK)
+        return {case: _pooled(parts) for case, parts in every.items()}
 
 
 def alarm_signal(loop: cosim.Diagram, learner: controllers.PrecisionLearner) -> str | None:
@@ -202,13 +198,13 @@ def _model(loop: cosim.Diagram) -> controllers.LinearModel:
     return next(node.block for node in loop.nodes if node.name == "controller").model  # type: ignore[attr-defined, no-any-return]
 
 
-def _run(case: Case, loop: cosim.Diagram, seeds: Sequence[int], signal: str | None) -> Runs:
+def _run(case: Case, signal: str | None, loop: cosim.Diagram, seeds: Sequence[int]) -> Runs:
     """Make runs of one cell; one that cannot go on has lost its plant, and the others are made without it."""
     try:
         return _judged(case, loop, seeds, signal)
     except SimulationError:
         if len(seeds) > 1:
-            return _pooled([_run(case, loop, [seed], signal) for seed in seeds])
+            return _pooled([_run(case, signal, loop, [seed]) for seed in seeds])
         return Runs(np.array([np.inf]), None)
 
 

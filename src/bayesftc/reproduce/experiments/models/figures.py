@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.reproduce.experiments.tracking.bench import HEALTHY
-from bayesftc.reproduce.shared.drawing import figure, heat_map
+from bayesftc.reproduce.shared.drawing import colour_bar, figure, heat_map
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,12 +55,10 @@ def _maps(report: dict[str, Any], cases: list[str], title: str, form: str, limit
         axis.set_xticks(
             range(len(labels)), labels.values(), rotation=35, ha="right", rotation_mode="anchor", fontsize=9
         )
-    bar = made.colorbar(image, ax=list(axes.ravel()), pad=0.01, aspect=40, extend="both")
+    bar = colour_bar(made, image, list(axes.ravel()), "ratio of root-mean-square errors", extend="both")
     ticks = [2.0**k for k in range(-10, 11) if 1 / limit <= 2.0**k <= limit]
     bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
     bar.minorticks_off()
-    bar.set_label("ratio of root-mean-square errors", fontsize=9)
-    bar.outline.set_visible(False)  # type: ignore[operator]
     made.suptitle(title, fontsize=11, x=0.01, ha="left")
     return made
 

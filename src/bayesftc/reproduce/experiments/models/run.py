@@ -25,7 +25,7 @@ from bayesftc.cosim.types import Floats
 from bayesftc.reproduce.experiments.models.car import RIGHT, Condition, believed, conditions, disturbed, loop
 from bayesftc.reproduce.experiments.tracking.bench import CHUNK, HEALTHY, ORACLE, PAPERS, RECORD, techniques
 from bayesftc.reproduce.settings import Car, Models, Tracking
-from bayesftc.reproduce.shared.ensemble import Ensemble, chunks
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import SWITCHING
 from bayesftc.reproduce.shared.runner import Report, experiment
 
@@ -63,6 +63,7 @@ ACTUATOR = Detector("actuator_fault_probability")
 
 Detectors = tuple[Detector | None, Detector | None]
 """Of faults of sensors, and of those of the actuator."""
+NOTHING: Detectors = (None, None)
 
 
 class Runs(NamedTuple):
@@ -190,10 +191,8 @@ class _Bench:
         for (m, n), detector in found.items():
             if detector is not None and detector.signal == "precision":
                 loop = self.loop(m, RIGHT, known[n])
-                parts, _ = self.ensemble.each(
-                    "Thresholds", [loop], [own], CHUNK, partial(_scores, s.duration, detector)
-                )
-                scores = [score for part in parts[0] for score in part]
+                batch = Batch(loop, own, partial(_scores, s.duration, detector))
+                scores = [score for part in self.ensemble.one("Thresholds", batch, CHUNK) for score in part]
                 level = alarm_threshold(scores, step=self.car.step, per_hour=s.alarms_per_hour)
                 found[m, n] = detector._replace(threshold=level)
         return found
@@ -213,23 +212,18 @@ class _Bench:
         """Return all runs of cells; each case has its noise, whatever model, condition and technique."""
         s = self.settings
         learners = {**known, ORACLE: controllers.FixedPrecision()}
-        loops = [
-            self.loop(c.model, c.condition, learners[c.technique], c.case, told=c.technique == ORACLE) for c in cells
-        ]
-        self.ensemble.prepare(loops)
         runs = {case: s.runs * (s.healthy_factor if case == HEALTHY else 1) for case in (HEALTHY, *self.faults)}
-        seeds = {case: chunks(self.ensemble.seeds(f"models/{case}", runs[case]), CHUNK) for case in runs}
-        tasks = []
-        for cell, each in zip(cells, loops, strict=True):
-            watched: Detectors = (None, None)
-            if cell.case == HEALTHY:
-                ports = learners[cell.technique].learner(self.models[cell.model]).ports
-                blames = ACTUATOR.signal in {port.name for port in ports}
-                watched = (detectors.get((cell.model, cell.technique)), ACTUATOR if blames else None)
-            tasks += [partial(_run, s.duration, watched, each, few) for few in seeds[cell.case]]
-        done = iter(self.ensemble.run(tasks, what))
-        parts = {cell: [next(done) for _ in seeds[cell.case]] for cell in cells}
-        return {cell: _pooled(mine) for cell, mine in parts.items()}
+        seeds = {case: self.ensemble.seeds(f"models/{case}", runs[case]) for case in runs}
+        batches = {}
+        for c in cells:
+            learner, watched = learners[c.technique], NOTHING
+            if c.case == HEALTHY:
+                blames = ACTUATOR.signal in {port.name for port in learner.learner(self.models[c.model]).ports}
+                watched = (detectors.get((c.model, c.technique)), ACTUATOR if blames else None)
+            loop = self.loop(c.model, c.condition, learner, c.case, told=c.technique == ORACLE)
+            batches[c] = Batch(loop, seeds[c.case], partial(_run, s.duration, watched))
+        every, _ = self.ensemble.each(what, batches, CHUNK)
+        return {cell: _pooled(parts) for cell, parts in every.items()}
 
 
 def _grid(bench: _Bench, known: Mapping[str, controllers.PrecisionLearner]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, SENSOR_COLOURS
-from bayesftc.reproduce.shared.drawing import figure, tidy
+from bayesftc.reproduce.shared.drawing import diagonal, figure, finish
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ def reliability(report: dict[str, Any]) -> Figure:
     bar = settings["bar"]
     for (title, learners), axis, below in zip(ranges.items(), *axes, strict=True):
         axis.fill_between([0, 1], [-bar, 1 - bar], [bar, 1 + bar], color="0.93", lw=0, zorder=0)
-        axis.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2)
+        diagonal(axis)
         styles = zip((BLUE, *SENSOR_COLOURS[2:], BLACK), "osvD^P", ("-", *["--"] * 5), strict=False)
         for (name, of), (colour, mark, line) in zip(learners.items(), styles, strict=False):
             bins = [b for b in of["bins"] if b["samples"] >= settings["enough"]]
@@ -30,13 +30,8 @@ def reliability(report: dict[str, Any]) -> Figure:
             look = {"color": colour, "ls": line, "lw": 1.4, "marker": mark, "ms": 4.5}
             axis.errorbar(x, y, error, capsize=2, elinewidth=0.8, label=name, **look)
             below.plot(x, [b["samples"] for b in bins], **look)
-        axis.set_title(f"faults of {title}", fontsize=10, loc="left")
-        axis.set_xlim(-0.02, 1.02)
-        axis.set_ylim(-0.02, 1.02)
-        below.set_yscale("log")
-        below.set_xlabel("fault probability")
-        for each in (axis, below):
-            tidy(each)
+        finish(axis, f"faults of {title}", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
+        finish(below, yscale="log", xlabel="fault probability")
     axes[0][0].set_ylabel("share of faulty samples")
     axes[1][0].set_ylabel("samples")
     axes[0][0].legend(frameon=False, fontsize=8.5, loc="upper left")

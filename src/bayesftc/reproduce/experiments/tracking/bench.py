@@ -16,7 +16,7 @@ from bayesftc.cosim.types import Floats
 from bayesftc.reproduce import paper
 from bayesftc.reproduce.settings import Car, Tracking
 from bayesftc.reproduce.shared.car import closed_loop
-from bayesftc.reproduce.shared.ensemble import Ensemble
+from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
 
 Errors = dict[str, Floats]
@@ -114,15 +114,20 @@ class Bench:
     ) -> Measured:
         """Return all runs of every technique on every scenario; if `told`, the faulty sensor's samples are missing."""
         s = self.settings
-        cells = list(product(scenarios, learners))
-        loops = [self.loop(scenario, learners[name], told=told) for scenario, name in cells]
-        own = [self.ensemble.seeds(scenario.kind, s.runs) for scenario, _ in cells]
-        every, seconds = self.ensemble.each(what, loops, own, CHUNK, partial(_run, s.duration))
+        batches = {
+            (scenario, name): Batch(
+                self.loop(scenario, learner, told=told),
+                self.ensemble.seeds(scenario.kind, s.runs),
+                partial(_run, s.duration),
+            )
+            for scenario, (name, learner) in product(scenarios, learners.items())
+        }
+        every, seconds = self.ensemble.each(what, batches, CHUNK)
         runs: dict[Scenario, dict[str, Runs]] = {scenario: {} for scenario in scenarios}
-        for (scenario, name), parts in zip(cells, every, strict=True):
+        for (scenario, name), parts in every.items():
             mean = np.divide(sum(absolute for _, absolute in parts), s.runs)
             runs[scenario][name] = Runs(np.concatenate([rmse for rmse, _ in parts]), mean)
-        return Measured(runs, len(cells) * s.runs * round(s.duration / self.car.step), seconds)
+        return Measured(runs, len(every) * s.runs * round(s.duration / self.car.step), seconds)
 
     def loop(self, scenario: Scenario, learner: controllers.PrecisionLearner, *, told: bool) -> cosim.Diagram:
         """Return the car in a scenario under a technique; if `told`, the faulty sensor's samples are missing."""

@@ -11,10 +11,11 @@ from bayesftc.reproduce.shared.drawing import (
     FURTHER_STYLE,
     ORACLE_STYLE,
     SWITCHING_STYLES,
+    colour_bar,
     figure,
+    finish,
     heat_map,
     legend,
-    tidy,
 )
 
 if TYPE_CHECKING:
@@ -49,17 +50,16 @@ def error_over_time(report: dict[str, Any]) -> Figure:
         time = step * (1 + np.arange(len(smooth)) + 0.5 * (width - 1))
         axis.plot(time, smooth, label=name, **styles[name])
     axis.axvspan(settings["fault_start"], settings["fault_stop"], color="#D55E00", alpha=0.12, lw=0, label="fault")
-    axis.set_yscale("log")
-    axis.set_xlim(0, settings["duration"])
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("mean absolute tracking error (m/s)")
-    axis.set_title(
-        f"Injection of {settings['injection']:g} m/s into one of two sensors, sine as reference, {settings['runs']} runs",
-        fontsize=10,
-        loc="left",
+    title = f"Injection of {settings['injection']:g} m/s into one of two sensors, sine as reference, {settings['runs']} runs"
+    finish(
+        axis,
+        title,
+        yscale="log",
+        xlim=(0, settings["duration"]),
+        xlabel="time (s)",
+        ylabel="mean absolute tracking error (m/s)",
     )
     _plain_logarithms(axis.yaxis)
-    tidy(axis)
     legend(
         axis,
         [*(name for name in STYLES if name in curves), "oracle", "fault"],
@@ -97,10 +97,8 @@ def _map(values: Any, rows: list[str], columns: list[str], title: str, size: tup
     made = figure(*size)
     axis = made.subplots()
     image = heat_map(axis, values, rows, columns, norm=LogNorm(values.min(), values.max()))
-    bar = made.colorbar(image, ax=axis, pad=0.01, aspect=30)
-    bar.set_label("root-mean-square error (m/s)", fontsize=9)
+    bar = colour_bar(made, image, axis, "root-mean-square error (m/s)", aspect=30)
     _plain_logarithms(bar.ax.yaxis)
-    bar.outline.set_visible(False)  # type: ignore[operator]
     axis.set_title(title, fontsize=10, loc="left")
     return made
 
