@@ -94,6 +94,3 @@ def _quantiles(values: Floats) -> Any:
         a, b = ordered[low, columns], ordered[high, columns]
         found.append(np.where(count > 0, a + (place - low) * (b - a), np.nan))
     return found
-
-
-__all__ = ["error_bands"]

@@ -146,6 +146,3 @@ def _tests(contents: Contents) -> tuple[pd.DataFrame, list[str], bool] | None:
 
 def _minus(each: Pair) -> str:
     return f"{text_of(each.first)} − {text_of(each.second)}"
-
-
-__all__ = ["in_cells", "overall", "sentences"]

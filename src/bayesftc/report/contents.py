@@ -163,6 +163,3 @@ class Contents:
 
 def _is_number(column: pd.Series[Any]) -> bool:
     return column.dtype.kind in "if"
-
-
-__all__ = ["Contents", "ErrorSignal"]

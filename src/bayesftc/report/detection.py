@@ -217,6 +217,3 @@ def reliability_figure(contents: Contents, detection: dict[Any, Level]) -> tuple
         "line a fault is there as often as the probability says, above it more often. Intervals (95 %) over seeds. The "
         "calibration error is the mean distance from the line, each bin counting by its samples."
     )
-
-
-__all__ = ["Level", "read_detection", "reliability_figure", "roc_figure"]

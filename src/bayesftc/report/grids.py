@@ -171,6 +171,3 @@ def _name(contents: Contents, level: Any) -> str | None:
 
 def _short(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else words(value, 18, 1)
-
-
-__all__ = ["over_grid"]

@@ -110,6 +110,3 @@ def _known(contents: Contents, level: Any) -> pd.DataFrame:
     found = runs[["point", "seed"]].assign(combination=contents.combinations[runs.index], value=values)
     known: pd.DataFrame = found[np.isfinite(values)].drop_duplicates(["combination", "seed"])
     return known
-
-
-__all__ = ["MOST_COMPARED", "Pair", "compared_levels", "estimate", "pair", "ranked"]

@@ -121,6 +121,3 @@ def _findings(contents: Contents) -> list[str]:
 
 def _count(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 's'}"
-
-
-__all__ = ["report"]

@@ -91,6 +91,3 @@ def apart(a: Estimate, b: Estimate) -> Estimate:
     weight = a.error**4 / a.freedom + b.error**4 / b.freedom
     freedom = variance**2 / weight if weight > 0 else a.freedom + b.freedom
     return Estimate(a.value - b.value, variance**0.5, freedom, min(a.runs, b.runs))
-
-
-__all__ = ["Estimate", "apart", "pooled"]

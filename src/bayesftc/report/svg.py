@@ -117,6 +117,3 @@ def hash_of(text: str) -> int:
     import zlib
 
     return zlib.crc32(text.encode())
-
-
-__all__ = ["COLOURS", "GRID", "INK", "Style", "figure", "hash_of", "legend", "styles", "tidy", "to_svg", "words"]

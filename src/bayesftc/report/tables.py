@@ -158,18 +158,3 @@ def mean_text(found: Estimate, runs: int | None = None) -> str:
 def p_text(p: float) -> str:
     """Return a probability as it stands in a table."""
     return "–" if p != p else "< 0.001" if p < 0.001 else f"{p:.3f}"
-
-
-__all__ = [
-    "ROWS",
-    "Table",
-    "command",
-    "design",
-    "failures",
-    "mean_text",
-    "means",
-    "p_text",
-    "settings",
-    "text_of",
-    "worst",
-]

@@ -200,6 +200,3 @@ class Disturbance:
 def _taken(table: dict[str, Any], cls: type[Any]) -> Mapping[str, Any]:
     """Take the entries out of the table that are fields of `cls`."""
     return {f.name: table.pop(f.name) for f in fields(cls) if f.name in table}
-
-
-__all__ = ["Simulation", "Wiring", "controller", "fault_list", "input_faults", "noise", "plant", "reference", "sensors"]

@@ -99,6 +99,3 @@ def _unread(root: Place, scenario: Scenario) -> Iterator[str]:
     if isinstance(model, LinearModel):
         for i in np.flatnonzero(~model.matrix("C").any(axis=1)):
             yield f"{root / 'model.C'} has a row of zeros, so that the controller does not use sensor {i}."
-
-
-__all__ = ["unused", "unused_of_campaign"]

@@ -276,6 +276,3 @@ def _there(part: Any) -> str:
     if isinstance(part, list):
         return f"it has the elements 0 to {len(part) - 1}." if part else "the list is empty."
     return "name what stands there."
-
-
-__all__ = ["ScenarioLoop", "described", "load_campaign"]

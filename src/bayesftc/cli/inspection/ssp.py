@@ -102,6 +102,3 @@ def _print(found: dict[str, Any]) -> None:
         connections.add_row(*map(Text, (row["from"], row["to"], *numbers)))
     if found["connections"]:
         console.print(connections)
-
-
-__all__ = ["inspect_ssp"]

@@ -243,6 +243,3 @@ def _many(count: int, noun: str) -> str:
 
 def _some(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-__all__ = ["Verdict", "verdicts"]
