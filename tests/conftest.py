@@ -236,7 +236,7 @@ from bayesftc.__main__ import main
 def tell(*names, shown):
     yield lambda *progress: print(*progress, flush=True)
 
-import_module(f"bayesftc.cli.{sys.argv[1]}")._progress = tell
+import_module(f"bayesftc.cli.commands.{sys.argv[1]}")._progress = tell
 main()
 """
 

@@ -74,7 +74,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("reproduce.registry", "reproduce"),
     ("report",),
     ("examples",),
-    ("cli", "cli.inspection"),
+    ("cli", "cli.commands", "cli.inspection"),
     ("__main__", "__init__"),
 )
 """Folders, and modules that stand apart from their folder, from the ground up."""

@@ -10,7 +10,7 @@ from sklearn.metrics import roc_auc_score
 
 import bayesftc
 from bayesftc.bench import SECTIONS
-from bayesftc.cli import run as run_module
+from bayesftc.cli.commands import run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bayesftc.cli import app
-from bayesftc.cli.monitor import monitor_files
+from bayesftc.cli.commands.monitor import monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.monitoring import Monitor, Monitored
 
@@ -321,7 +321,7 @@ def test_the_model_is_judged_before_the_monitor_runs(pumped, monkeypatch):
     monkeypatch.setattr(Monitor, "run", lambda *_: pytest.fail("It has begun."))
     (pumped / "model.toml").write_text(DRIVEN.format(dt=0.1, A=0.98, B=-0.2), encoding="utf-8")
     with pytest.warns(ModelMismatchWarning, match="sign of B"), pytest.raises(pytest.fail.Exception, match="begun"):
-        monitor_files([pumped / "tank.csv"], pumped / "model.toml", None, json=False, quiet=True)
+        monitor_command([pumped / "tank.csv"], pumped / "model.toml", quiet=True)
 
 
 def test_a_right_model_is_not_warned_of_even_if_a_sensor_fails(pumped):

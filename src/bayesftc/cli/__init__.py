@@ -1,5 +1,5 @@
-"""The command line: one small module for what each command does, and `commands` for how they are called."""
+"""The command line: ``commands`` has a module for each command, `application` lists them."""
 
-from bayesftc.cli.commands import app
+from bayesftc.cli.application import app
 
 __all__ = ["app"]

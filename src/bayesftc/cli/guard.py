@@ -57,7 +57,7 @@ def guarded(debug: bool = False) -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         raise typer.Exit(BROKEN_PIPE) from None
     except Exception as error:  # the last net
-        if isinstance(error, typer.Exit):
+        if isinstance(error, typer.Exit | typer.BadParameter):
             raise
         traceback.print_exc()
         _say("Error: this is a bug of bayesftc, not of yours; please report it with the lines above and what you ran.")

@@ -6,7 +6,8 @@ import io
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -139,6 +140,50 @@ def _unwritable(folder: Path, error: OSError) -> ResultFileError:
     return ResultFileError(
         f"Nothing can be written to the folder {folder} ({error.strerror or error}); choose another."
     )
+
+
+@contextmanager
+def progress_bar(
+    name: str, *columns: str, shown: bool, breath: float = 0.0, **fields: Any
+) -> Iterator[Callable[..., None] | None]:
+    """Give what moves a progress bar on stderr, called as ``move(done, of, **fields)``, or None if there is none.
+
+    Parameters
+    ----------
+    name : str
+        What stands before it, until a ``description`` is given.
+    *columns : str
+        What stands behind it: ``count``, ``elapsed``, ``remaining``, or a text of rich.
+    shown : bool
+        Whether there is one.
+    breath : float
+        Seconds between two moves.
+    **fields
+        Fields of the texts, and what they are at first.
+    """
+    if not shown:
+        yield None
+        return
+    from rich import progress
+    from rich.console import Console
+
+    kinds: dict[str, type[progress.ProgressColumn]] = {
+        "count": progress.MofNCompleteColumn,
+        "elapsed": progress.TimeElapsedColumn,
+        "remaining": progress.TimeRemainingColumn,
+    }
+    made = [kinds[column]() if column in kinds else progress.TextColumn(column) for column in columns]
+    first = progress.TextColumn("{task.description}"), progress.BarColumn()
+    with progress.Progress(*first, *made, console=Console(stderr=True), transient=True) as bar:
+        task, last = bar.add_task(name, total=None, **fields), 0.0
+
+        def move(done: int, of: int, **now: Any) -> None:
+            nonlocal last
+            if time.monotonic() - last > breath or done >= of:
+                last = time.monotonic()
+                bar.update(task, completed=done, total=of, **now)
+
+        yield move
 
 
 def say_notes(notes: Iterable[str]) -> None:

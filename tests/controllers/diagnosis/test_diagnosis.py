@@ -284,7 +284,7 @@ WRONG_SIGN = ("B = [[2e-4]]", "B = [[-2e-4]]")
 
 
 def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys):
-    from bayesftc.cli.run import run_scenario
+    from bayesftc.cli.commands.run import run as run_command
     from bayesftc.scenario._files import find_scenario
 
     text = find_scenario("cruise_control").read_text(encoding="utf-8")
@@ -292,16 +292,16 @@ def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(text.replace(*WRONG_SIGN), encoding="utf-8")
     with pytest.warns(controllers.ModelMismatchWarning, match="the other way"):
-        run_scenario(str(wrong), None, {}, check_kalman=False, json=False, quiet=False)
+        run_command(str(wrong))
     assert "Is the sign of B right?" in " ".join(capsys.readouterr().out.split())
 
 
 def test_bayesftc_run_says_nothing_of_a_right_model(capsys):
-    from bayesftc.cli.run import run_scenario
+    from bayesftc.cli.commands.run import run as run_command
 
     with warnings.catch_warnings():
         warnings.simplefilter("error", controllers.ModelMismatchWarning)
-        run_scenario("cruise_control", None, {}, check_kalman=False, json=True, quiet=False)
+        run_command("cruise_control", json=True)
     assert '"model": null' in capsys.readouterr().out
 
 

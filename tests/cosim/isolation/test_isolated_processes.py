@@ -287,7 +287,7 @@ def test_starting_loads_nothing_heavy(python):
 def test_a_scenario_file_isolates_and_keeps_what_was_before_the_crash(lying, tmp_path):
     from typer.testing import CliRunner
 
-    from bayesftc.cli.commands import app
+    from bayesftc.cli.application import app
     from bayesftc.cosim.run.result import Result
 
     path, ways = lying("2.0")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, fields
+from typing import Annotated
 
 import typer
 
+from bayesftc import controllers
 from bayesftc.cli import output
-from bayesftc.controllers import BayesianController, Hazards, calibrate
+from bayesftc.cli.options import AScenario, Json
 from bayesftc.controllers.detection.calibration import judge_own_probability
 from bayesftc.controllers.precision.rate import RateLearner
 from bayesftc.cosim.errors import ModelError
@@ -16,36 +17,33 @@ from bayesftc.scenario import load_scenario
 from bayesftc.scenario._place import Place
 
 
-def calibrate_scenario(
-    path: str, hazards: Hazards, magnitudes: Mapping[str, float], *, steps: int, seed: int, json: bool
+def calibrate(
+    scenario: AScenario,
+    time_to_fault: Annotated[float, typer.Option(help="Mean time to a fault in seconds.")] = 2.8,
+    time_to_recovery: Annotated[float, typer.Option(help="Mean time to recovery in seconds.")] = 0.4,
+    injection: Annotated[float | None, typer.Option(help="Offset of an injection; by default 3 sensor sd.")] = None,
+    drift: Annotated[float | None, typer.Option(help="Drift per second; by default 5 sensor sd.")] = None,
+    steps: Annotated[int, typer.Option(help="Length of the simulated run.")] = 80_000,
+    seed: Annotated[int, typer.Option(help="Seed of its noise and faults.")] = 0,
+    json: Json = False,
 ) -> None:
     """Fit the map for a scenario's model, learner, controller and reference, and print it as a line of TOML.
 
-    A learner that gives a probability itself needs none: then it is said how good that probability is.
-
-    Parameters
-    ----------
-    path : str
-        A scenario file or the name of a shipped scenario; its plant and faults are not used, its model is simulated.
-    hazards : Hazards
-        Mean time to fault and to recovery in seconds.
-    magnitudes : mapping
-        ``injection`` and ``drift``; what is left out has the default of `bayesftc.controllers.calibrate`.
-    steps, seed : int
-        Length and seed of the simulated run.
-    json : bool
-        Whether to print JSON instead.
+    The scenario's plant and faults are not used, its model is simulated. A learner that gives a probability itself needs no map:
+    then it is said how good that probability is.
     """
-    scenario = load_scenario(path)
-    controller = scenario.controller
-    if not isinstance(controller, BayesianController):
+    hazards, path = controllers.Hazards(time_to_fault, time_to_recovery), scenario
+    magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
+    loaded = load_scenario(path)
+    controller = loaded.controller
+    if not isinstance(controller, controllers.BayesianController):
         raise ModelError(f"{path}: calibrate simulates a BayesianController, not a {type(controller).__name__}.")
     own = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
     learner = controller.precision
     tells = not isinstance(learner, RateLearner) and learner.why_no_probability is None
     with Place(path).named():
-        report = (judge_own_probability if tells else calibrate)(
-            controller.model, hazards, magnitudes, reference=scenario.reference, steps=steps, seed=seed, **own
+        report = (judge_own_probability if tells else controllers.calibrate)(
+            controller.model, hazards, magnitudes, reference=loaded.reference, steps=steps, seed=seed, **own
         )
     if json:
         typer.echo(output.as_json(asdict(report)))

@@ -6,19 +6,21 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.options import Json, Quiet
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     import pandas as pd
     from rich.table import Table
 
-    from bayesftc.cosim.campaign.executors.base import Executor
+    from bayesftc.cosim.campaign.executors.base import Executor as Runner
     from bayesftc.cosim.campaign.working import Progress
 
 POINTS = 40
@@ -29,47 +31,47 @@ BREATH = 0.2
 """Seconds between two moves of the progress bar."""
 
 
-def run_campaign(
-    path: Path,
-    store: Path | None,
-    *,
-    executor: str | None,
-    jobs: int | None,
-    scheduler: str | None,
-    retry_failed: bool,
-    json: bool,
-    quiet: bool,
-) -> None:
-    """Run a campaign, or what is left of it, and print its figures.
+Executor = StrEnum("Executor", ["threads", "processes", "dask"])
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The campaign file.
-    store : pathlib.Path or None
-        Folder of the results; by default the file's name without its ending, in the present folder.
-    executor, jobs, scheduler : str, int, str or None
-        ``threads``, ``processes`` or ``dask``; the number of workers; the address of a Dask scheduler.
-    retry_failed : bool
-        Whether runs that have failed are made again.
-    json, quiet : bool
-        How the figures are printed: as JSON, or not at all.
-    """
+
+def campaign(
+    file: Annotated[Path, typer.Argument(help="A campaign file (TOML): a scenario, what is varied, how many runs.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="STORE",
+            help="Folder of the results; by default named after the file. What it has stays.",
+        ),
+    ] = None,
+    executor: Annotated[
+        Executor | None, typer.Option(help="What makes the runs; by default threads where they use all cores.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Number of workers; by default one for each core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, as tcp://10.0.0.1:8786.")
+    ] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Make runs that have failed again.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a campaign, or what is left of it, and print its figures."""
     from bayesftc.scenario._unused import unused_of_campaign
     from bayesftc.scenario.campaigns import described, load_campaign
 
-    campaign = load_campaign(path)
+    loaded = load_campaign(file)
     if not json and not quiet:
-        output.say_notes(unused_of_campaign(campaign, str(path)))
+        output.say_notes(unused_of_campaign(loaded, str(file)))
     chosen = _executor(executor, jobs, scheduler)
-    folder = Path(path.stem) if store is None else store
+    folder = Path(file.stem) if out is None else out
     began = time.perf_counter()
-    with _progress(path.stem, shown=sys.stderr.isatty() and not quiet and not json) as progress:
-        result = campaign.run(
-            folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(path, campaign)
+    with _progress(file.stem, shown=sys.stderr.isatty() and not quiet and not json) as progress:
+        result = loaded.run(
+            folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(file, loaded)
         )
     seconds = time.perf_counter() - began
-    numbers = _numbers(result.table, list(campaign.labels[0]), list(campaign.job.columns))
+    numbers = _numbers(result.table, list(loaded.labels[0]), list(loaded.job.columns))
     numbers |= {"store": str(folder), "seconds": seconds, "executor": result.metadata.get("executor")}
     if json:
         typer.echo(output.as_json(numbers))
@@ -77,7 +79,7 @@ def run_campaign(
         _print(numbers)
 
 
-def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Executor | None:
+def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Runner | None:
     from bayesftc import cosim
 
     if scheduler is not None:
@@ -183,43 +185,24 @@ def _interval(cell: Mapping[str, float] | None) -> str:
 @contextmanager
 def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
     """Give a function that moves a progress bar on stderr, or None."""
-    if not shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[failed]}"),
-    )
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=None, rate="", failed="")
-        yield _mover(lambda **fields: bar.update(task, **fields))
+    columns = "count", "{task.fields[rate]}", "remaining", "{task.fields[failed]}"
+    with output.progress_bar(name, *columns, shown=shown, breath=BREATH, rate="", failed="") as move:
+        yield move and _mover(move)
 
 
-def _mover(update: Callable[..., None]) -> Progress:
+def _mover(move: Callable[..., None]) -> Progress:
     """Return a function that tells a bar how far it is, and at which rate since it was first told."""
     first: list[tuple[float, int]] = []
-    last = 0.0
 
-    def move(done: int, of: int, failed: int) -> None:
-        nonlocal last
+    def told(done: int, of: int, failed: int) -> None:
         now = time.monotonic()
         if not first:
             first.append((now, done))
-        if now - last < BREATH and done < of:
-            return
-        last = now
         began, before = first[0]
         rate = _rate((done - before) / (now - began)) if now > began and done > before else ""
-        update(total=of, completed=done, rate=rate, failed=f"{failed} failed" if failed else "")
+        move(done, of, rate=rate, failed=f"{failed} failed" if failed else "")
 
-    return move
+    return told
 
 
 def _rate(runs: float) -> str:

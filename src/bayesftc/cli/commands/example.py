@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 from bayesftc.scenario._files import shipped_scenarios
 
 
-def print_example(name: str | None) -> None:
+def example(
+    name: Annotated[str | None, typer.Argument(help="A shipped scenario; without a name they are listed.")] = None,
+) -> None:
     """Print a shipped scenario's text, or the names of all."""
     shipped = shipped_scenarios()
     if name is None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
+from bayesftc.cli.options import AScenario, Quiet, Timing
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 
@@ -17,58 +21,59 @@ SHOWN = 14
 """Ports of a side that are printed one by one."""
 
 
-def export_scenario(
-    name: str,
-    blocks: Sequence[str],
-    out: Path | None,
-    *,
-    form: str,
-    fmi: str | None,
-    platforms: Sequence[str],
-    timing: str | None,
-    quiet: bool,
-) -> None:
-    """Write blocks of a scenario as an FMU or as C, and print what was written.
+Form = StrEnum("Form", ["fmu", "c"])
 
-    Parameters
-    ----------
-    name : str
-        A scenario file or the name of a shipped scenario.
-    blocks : sequence of str
-        Names of the blocks.
-    out : pathlib.Path or None
-        The FMU, or the folder of the C files; by default named after block or scenario, in the current folder.
-    form : {"fmu", "c"}
-        What to write.
-    fmi, platforms, timing : str or sequence of str, optional
-        As of `bayesftc.cosim.export_fmu`.
-    quiet : bool
-        Print nothing.
-    """
+
+def export(
+    scenario: AScenario,
+    block: Annotated[
+        list[str],
+        typer.Option(
+            "--block", "-b", help="A block of its loop, as controller; several become one.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The FMU; of C the folder. By default named after the block."),
+    ] = None,
+    form: Annotated[Form, typer.Option("--format", help="An FMU, or C without FMI for firmware.")] = Form.fmu,
+    fmi: Annotated[
+        str | None, typer.Option(help="Version of FMI: 2.0 (the default) or 3.0.", show_default=False)
+    ] = None,
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(help="With a binary for this one, as windows-x86_64; several, or all. By default this machine's."),
+    ] = None,
+    timing: Annotated[
+        Timing | None, typer.Option(help="When the outputs hold; by default what fits the block.")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write blocks of a scenario as an FMU or as C, and print what was written."""
     from bayesftc.cosim.export.exporting import export_c, export_fmu
 
-    loop = load_scenario(name).loop()
-    chosen = list(dict.fromkeys(loop[block].name for block in blocks))
-    if form == "c":
-        given = [option for option, value in (("--fmi", fmi), ("--platform", platforms), ("--timing", timing)) if value]
+    loop = load_scenario(scenario).loop()
+    chosen = list(dict.fromkeys(loop[name].name for name in block))
+    if form is Form.c:
+        given = [option for option, value in (("--fmi", fmi), ("--platform", platform), ("--timing", timing)) if value]
         if given:
             raise ModelError(
                 f"{' and '.join(given)} cannot be given with --format c, which is not for FMI; leave it out."
             )
-        source, header = export_c(loop, out or Path(), name=_stem(name, chosen), blocks=chosen)
+        source, header = export_c(loop, out or Path(), name=_stem(scenario, chosen), blocks=chosen)
         if not quiet:
-            _say(
+            typer.echo(
                 f"{source} and {header.name}: {source.stem}_init, {source.stem}_step; {header.name} says how to use them."
             )
-            _say(f"Try:  cc -std=c99 -O2 -c {quote(str(source))}")
+            typer.echo(f"Try:  cc -std=c99 -O2 -c {quote(str(source))}")
         return
-    path = out or Path(f"{_stem(name, chosen)}.fmu")
-    options: dict[str, Any] = {"fmi": fmi or "2.0", "timing": timing, "platforms": list(platforms) or None}
-    about = f"{', '.join(chosen)} of the scenario {Path(name).name}"
+    path = out or Path(f"{_stem(scenario, chosen)}.fmu")
+    options: dict[str, Any] = {"fmi": fmi or "2.0", "timing": timing and timing.value, "platforms": platform or None}
+    about = f"{', '.join(chosen)} of the scenario {Path(scenario).name}"
     path = export_fmu(loop, path, blocks=chosen, description=f"{about[0].upper()}{about[1:]}", **options)
     if not quiet:
         _report(path)
-        _say(f"Try:  bayesftc verify {quote(str(path))} --against {quote(name)}")
+        typer.echo(f"Try:  bayesftc verify {quote(str(path))} --against {quote(scenario)}")
 
 
 def _stem(name: str, blocks: Sequence[str]) -> str:
@@ -81,16 +86,16 @@ def _report(path: Path) -> None:
 
     fmu = FMU(path)
     description = fmu.description
-    _say(
+    typer.echo(
         f"{path}: FMI {description.fmi_version}, {path.stat().st_size / 1000:.0f} kB, for {', '.join(description.platforms)}"
     )
-    _say(f"inputs   {_listed(fmu.inputs)}")
-    _say(f"outputs  {_listed(fmu.outputs)}")
+    typer.echo(f"inputs   {_listed(fmu.inputs)}")
+    typer.echo(f"outputs  {_listed(fmu.outputs)}")
     tunable = [v for v in description.variables if v.causality == "parameter" and v.variability == "tunable"]
     if tunable:
-        _say(f"tunable  {_some([f'{v.name}{_measured(v.unit)}' for v in tunable])}")
-    _say(f"step     {description.default_experiment['stepSize']:g} s, no other")
-    _say(f"timing   {_timing(fmu)}")
+        typer.echo(f"tunable  {_some([f'{v.name}{_measured(v.unit)}' for v in tunable])}")
+    typer.echo(f"step     {description.default_experiment['stepSize']:g} s, no other")
+    typer.echo(f"timing   {_timing(fmu)}")
 
 
 def _timing(fmu: FMU) -> str:
@@ -115,9 +120,3 @@ def _measured(unit: str | None) -> str:
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
-
-
-def _say(line: str) -> None:
-    import typer
-
-    typer.echo(line)

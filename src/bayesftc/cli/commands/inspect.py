@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bayesftc.cli.inspection.verdicts import Verdict, verdicts
+from bayesftc.cli.options import Json
 from bayesftc.cosim.base.paths import exists, expanded
 from bayesftc.cosim.errors import FMUError, did_you_mean
 from bayesftc.cosim.fmi.fmu import describe
@@ -28,26 +29,19 @@ STYLES = {"yes": "green", "no": "red", "partly": "yellow"}
 ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParameter", "local", "independent")
 
 
-def inspect_fmu(name: str, *, validate: bool, json: bool, everything: bool = False) -> None:
-    """Print tables (or JSON) of a description and of what works.
-
-    Parameters
-    ----------
-    name : str
-        A file (FMU or SSP), or a shipped FMU.
-    validate : bool
-        Whether the description must keep the rules of FMI.
-    json : bool
-        Print JSON.
-    everything : bool
-        Print local variables as well.
-    """
-    if Path(name).suffix.lower() in {".ssp", ".ssd"}:
+def inspect(
+    fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
+    validate: Annotated[bool, typer.Option(help="Whether its description must keep the rules of FMI.")] = True,
+    everything: Annotated[bool, typer.Option("--all", help="Show local variables as well.")] = False,
+    json: Json = False,
+) -> None:
+    """Print tables (or JSON) of a description and of what works."""
+    if Path(fmu).suffix.lower() in {".ssp", ".ssd"}:
         from bayesftc.cli.inspection.ssp import inspect_ssp
 
-        inspect_ssp(expanded(name), validate=validate, json=json)
+        inspect_ssp(expanded(fmu), validate=validate, json=json)
         return
-    path = find_fmu(name)
+    path = find_fmu(fmu)
     description = describe(path, validate=validate)
     works = verdicts(path, description, validate=validate)
     if json:

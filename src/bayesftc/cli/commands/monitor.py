@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
+from bayesftc.cli.commands.monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
+from bayesftc.cli.options import Json, Quiet
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.monitoring import ActuatorEvent, FaultEvent, Monitored, load_monitor
@@ -26,46 +26,56 @@ if TYPE_CHECKING:
 PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
 
 
-def monitor_files(
-    recording: Sequence[Path],
-    model: Path | None,
-    out: Path | None,
-    fit: tuple[float | None, float | None, tuple[str, ...]] | None = None,
-    *,
-    json: bool,
-    quiet: bool,
+def monitor(
+    recording: Annotated[list[Path], typer.Argument(help="CSV files with recorded samples, or a folder of them.")],
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            "--model",
+            metavar="TOML",
+            help="Which column is what, and what is known of the sensors; with --fit it is written, by default model.toml.",
+        ),
+    ] = None,
+    fit: Annotated[
+        bool,
+        typer.Option(
+            "--fit", help="Find the model in the recording first, of which all columns are sensors of one quantity."
+        ),
+    ] = False,
+    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Fit from this time on.")] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Fit up to this time.")] = None,
+    sensors: Annotated[
+        list[str] | None, typer.Option("--sensor", help="Fit this column only; give it again for each further one.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write probabilities.csv, faults.json and figure.png there."),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Look for faults in a recording, print what was found and write the files.
 
     First the model, driven by the recorded inputs, is compared with the recording; a `ModelMismatchWarning` says what differs.
-
-    Parameters
-    ----------
-    recording : sequence of pathlib.Path
-        CSV files or folders.
-    model : pathlib.Path or None
-        The model file; with `fit` it is written, by default as ``model.toml`` in `out` or here.
-    out : pathlib.Path or None
-        Folder for ``probabilities.csv``, ``faults.json`` and ``figure.png``: all of them, or none.
-    fit : tuple, optional
-        From when and until when (s, or None) a model is fitted, and to which columns (by default all): as of `Fit`.
-    json, quiet : bool
-        How it is printed: as JSON, or not at all.
     """
+    if model is None and not fit:
+        raise typer.BadParameter("name the model file by --model, or take --fit to find the model in the recording.")
+    if not fit and (sensors or start is not None or stop is not None):
+        raise typer.BadParameter("--from, --to and --sensor say what to fit: they need --fit.")
     model = model or (out or Path()) / MODEL
     fitted = None
-    if fit is not None:
-        fitted, fitted_to = fit_files(recording, Fit(*fit), model)
+    if fit:
+        fitted, fitted_to = fit_files(recording, Fit(start, stop, tuple(sensors or ())), model)
         if not (json or quiet):
             print_fit(fitted, fitted_to, model)
-    monitor = load_monitor(model)
-    samples = monitor.read(recording)
+    loaded = load_monitor(model)
+    samples = loaded.read(recording)
     if out is not None:
         output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE))
-    mismatch = monitor.compare(samples)
+    mismatch = loaded.compare(samples)
     if mismatch is not None:
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
-    found = monitor.run(samples)
+    found = loaded.run(samples)
     numbers = summary(found, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
     if out is not None:
         _write(out, found, numbers)

@@ -6,12 +6,13 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.options import Json, Quiet, RunFolder, Store
 from bayesftc.cosim.campaign.designs.plan import FAILED
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 
@@ -19,21 +20,16 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.result import Result
 
 
-def replay_run(store: Path, run: int, out: Path | None, *, json: bool, quiet: bool) -> None:
+def replay(
+    store: Store,
+    run: Annotated[int, typer.Argument(help="Number of the run, as the table has it.")],
+    out: RunFolder = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
     """Make a run of a campaign again, compare it with what the store has of it, print its figures and write its files.
 
     A run that had stopped there may stop again: that is what was asked for, and no error. It has no limit of time here.
-
-    Parameters
-    ----------
-    store : pathlib.Path
-        Folder of the campaign.
-    run : int
-        Number of the run.
-    out : pathlib.Path or None
-        Folder for ``result.npz``, ``figure.png`` and ``figures.json``.
-    json, quiet : bool
-        How the figures are printed: as JSON, or not at all.
     """
     from bayesftc import __version__
     from bayesftc.cosim.campaign.store.folder import CampaignStore

@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.options import Quiet, Store
 
 
-def write_report(
-    store: Path, out: Path | None, *, metric: str | None, compare: str | None, title: str | None, quiet: bool
+def report(
+    store: Store,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The page; by default report.html in the folder.")
+    ] = None,
+    metric: Annotated[str | None, typer.Option(help="The metric that counts; by default the first.")] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(metavar="FACTOR", help="The factor whose levels are compared, as controller.precision."),
+    ] = None,
+    title: Annotated[str | None, typer.Option(help="The question; by default the folder's name.")] = None,
+    quiet: Quiet = False,
 ) -> None:
-    """Write the report of a campaign, whole or not at all.
-
-    Parameters
-    ----------
-    store : pathlib.Path
-        Folder of the campaign.
-    out : pathlib.Path or None
-        The page; by default ``report.html`` in the folder.
-    metric, compare, title : str or None
-        See `bayesftc.report.page.report`.
-    quiet : bool
-        Say nothing.
-    """
+    """Write the report of a campaign, whole or not at all."""
     from bayesftc.cosim.campaign.store.folder import CampaignStore
-    from bayesftc.report.page import report
+    from bayesftc.report import page
 
     target = store / "report.html" if out is None else out
     opened = CampaignStore.open(store)
     output.check_folder(target.parent, [target.name])
-    page = report(opened, metric=metric, compare=compare, title=title)
+    text = page.report(opened, metric=metric, compare=compare, title=title)
     with output.staged(target.parent) as stage:
-        (stage / target.name).write_text(page, encoding="utf-8")
+        (stage / target.name).write_text(text, encoding="utf-8")
     if not quiet:
         typer.echo(f"{target}: open it in a browser.")

@@ -5,15 +5,15 @@ from __future__ import annotations
 import io
 import os
 import sys
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.options import Json, Quiet
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.random import check_seed
 from bayesftc.reproduce.registry import EXPERIMENTS
@@ -30,52 +30,61 @@ QUICK = {"compress_level": 3}
 """Figures are written in three quarters of the time, and are one twentieth larger."""
 
 
-def reproduce_experiments(
-    name: str,
-    out: Path | None,
-    options: Mapping[str, Any],
-    filters: Mapping[str, Sequence[str] | int | None],
-    *,
-    json: bool,
-    quiet: bool,
+def reproduce(
+    experiment: Annotated[str, typer.Argument(help="One of those above, or all.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write a JSON file and figures for each experiment there."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of all noise and faults.")] = 0,
+    jobs: Annotated[int | None, typer.Option(help="Number of threads; by default one for each core.")] = None,
+    runs: Annotated[int | None, typer.Option(help="Runs of each case, fewer than by default for a quick look.")] = None,
+    cases: Annotated[
+        list[str] | None, typer.Option("--case", metavar="PATTERN", help="Of family: a case, as 'freeze*'; repeatable.")
+    ] = None,
+    learners: Annotated[
+        list[str] | None,
+        typer.Option("--learner", metavar="PATTERN", help="Of family: a learner, as '*Precision'; repeatable."),
+    ] = None,
+    unseen: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Of family: N cases that are drawn at random, on which nothing was tuned."),
+    ] = None,
+    paper_only: Annotated[
+        bool,
+        typer.Option(
+            "--paper-only",
+            help="Leave out what is not in the paper: further techniques, other faults; of all also bound and what follows it.",
+        ),
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Run one experiment or all, print their tables and write their files.
 
-    Parameters
-    ----------
-    name : str
-        Of the experiment, or ``all``.
-    out : pathlib.Path or None
-        Folder for ``<experiment>.json`` and the figures; each experiment's are written when it is done, in place of those
-        of an earlier run.
-    options : mapping
-        ``seed``, ``jobs`` (None: one for each core), ``runs``, ``beyond``, as the experiments take them.
-    filters : mapping
-        Names or patterns of the ``cases`` and ``learners`` that are to run, and how many ``unseen`` cases instead; None or
-        nothing for all.
-    json, quiet : bool
-        How the numbers are printed: as one JSON object with a key for each experiment, or not at all.
+    Each experiment's files are written when it is done, in place of those of an earlier run.
     """
+    name = experiment
     if name != ALL and name not in EXPERIMENTS:
         raise UnknownNameError(f"There is no experiment {name!r}; {did_you_mean(name, [*EXPERIMENTS, ALL])}")
-    paper_only = name == ALL and not options["beyond"]
-    chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL} and not (paper_only and e.beyond)]
+    of_paper = name == ALL and paper_only
+    chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL} and not (of_paper and e.beyond)]
+    filters = {"cases": cases, "learners": learners, "unseen": unseen}
     given: dict[str, Any] = {what: wanted for what, wanted in filters.items() if wanted not in (None, [])}
     if given and not all(e.filtered for e in chosen):
         able = ", ".join(e.name for e in EXPERIMENTS.values() if e.filtered)
         raise ModelError(f"{name} has no choice of {' and '.join(given)}; leave it out, or take one that has: {able}.")
-    jobs = options["jobs"]
-    options = {**options, "seed": check_seed(options["seed"]), "jobs": check_jobs(_cores() if jobs is None else jobs)}
+    given |= {"seed": check_seed(seed), "jobs": check_jobs(_cores() if jobs is None else jobs)}
     if out is not None:
         output.check_folder(out, [name for e in chosen for name in _names(e)])
     reports = {}
-    for experiment in chosen:
-        with _progress(experiment.name, shown=sys.stderr.isatty() and not quiet and not json) as progress:
-            report = experiment.run(**options, **given, progress=progress)
-        reports[experiment.name] = report
-        written = [] if out is None else _write(out, experiment, report)
+    for each in chosen:
+        with _progress(each.name, shown=sys.stderr.isatty() and not quiet and not json) as progress:
+            report = each.run(**given, runs=runs, beyond=not paper_only, progress=progress)
+        reports[each.name] = report
+        written = [] if out is None else _write(out, each, report)
         if not (json or quiet):
-            _print(experiment, report, out, written)
+            _print(each, report, out, written)
     if json:
         typer.echo(output.as_json(reports))
 
@@ -123,21 +132,5 @@ def _print(experiment: Experiment, report: Report, folder: Path | None, written:
 @contextmanager
 def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
     """Give a function that moves a progress bar on stderr, or None."""
-    if not shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress as Bar, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=None)
-        last = 0.0
-
-        def move(what: str, done: int, of: int) -> None:
-            nonlocal last
-            if (now := time.monotonic()) - last > BREATH or done == of:
-                last = now
-                bar.update(task, description=f"{name}: {what}", completed=done, total=of)
-
-        yield move
+    with output.progress_bar(name, "count", "elapsed", shown=shown, breath=BREATH) as move:
+        yield move and (lambda what, done, of: move(done, of, description=f"{name}: {what}"))

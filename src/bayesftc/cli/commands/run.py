@@ -6,14 +6,16 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
+from enum import StrEnum
 from fractions import Fraction
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
+from bayesftc.cosim.diagram.wiring import find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.metrics import figures, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
@@ -40,51 +42,57 @@ NOT_COMPARED = (
 DIFFERENCES = ("mean_difference", "covariance_difference", "mean_absolute", "covariance_absolute")
 
 
-def run_scenario(
-    path: str, out: Path | None, options: Mapping[str, Any], *, check_kalman: bool, json: bool, quiet: bool
-) -> None:
-    """Run a scenario, print its figures and write its files.
+Engine = StrEnum("Engine", ["auto", "compiled", "interpreted"])
 
-    Parameters
-    ----------
-    path : str
-        A scenario file or the name of a shipped scenario.
-    out : pathlib.Path or None
-        Folder for ``result.npz``, ``figure.png`` and ``figures.json``.
-    options : mapping
-        What is to differ from the file: ``seed``, ``duration``, ``engine``, and the ``pace``; None leaves it.
-    check_kalman : bool
-        Whether the belief is compared with filterpy's.
-    json, quiet : bool
-        How the figures are printed: as JSON, or not at all.
-    """
-    scenario = load_scenario(path)
-    loop = scenario.loop()
-    _compare(scenario)
+
+def run(
+    scenario: Annotated[
+        str, typer.Argument(help="A scenario file (TOML), or the name of a shipped one: cruise_control.")
+    ],
+    out: RunFolder = None,
+    seed: Seed = None,
+    duration: Duration = None,
+    engine: Annotated[Engine | None, typer.Option(help="Engine, instead of the scenario's.")] = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="Simulated seconds for each second of the clock; 1 for real time."),
+    ] = None,
+    check_kalman: Annotated[
+        bool, typer.Option("--check-kalman", help="Compare the belief with filterpy's Kalman filter.")
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a scenario, print its figures and write its files."""
+    path = scenario
+    options: dict[str, Any] = {"seed": seed, "duration": duration, "engine": engine and engine.value, "pace": pace}
+    loaded = load_scenario(path)
+    loop = loaded.loop()
+    _compare(loaded)
     if check_kalman:
-        _refuse_kalman(scenario)
-        options = {**options, "record": _with_kalmans(scenario, loop)}
+        _refuse_kalman(loaded)
+        options = {**options, "record": _with_kalmans(loaded, loop)}
     if out is not None:
         output.check_folder(out)
-    notes = unused(scenario, options.get("duration"))
+    notes = unused(loaded, duration)
     if not json and not quiet:
         output.say_notes(notes)
     try:
         with _progress(shown=sys.stderr.isatty() and not quiet and not json) as progress:
-            result = scenario.simulate(loop, progress=progress, **options)
+            result = loaded.simulate(loop, progress=progress, **options)
     except SimulationError as error:
         if out is not None and error.result is not None:
-            report = _report(path, scenario, loop, error.result)
+            report = _report(path, loaded, loop, error.result)
             output.write_files(out, error.result, *report)
             error.args = (f"{error} They are in {out / output.RESULT}.",)
         raise
-    numbers, signals = _report(path, scenario, loop, result)
-    numbers["model"] = _diagnosed(scenario, loop, result)
+    numbers, signals = _report(path, loaded, loop, result)
+    numbers["model"] = _diagnosed(loaded, loop, result)
     if check_kalman:
-        numbers["kalman"] = _kalman(scenario, loop, result)
-    elif _is_ser(scenario):
-        if scenario.simulation.record is None and result.decimation == 1:
-            numbers["kalman"] = _kalman(scenario, loop, result, most=COMPARED)
+        numbers["kalman"] = _kalman(loaded, loop, result)
+    elif _is_ser(loaded):
+        if loaded.simulation.record is None and result.decimation == 1:
+            numbers["kalman"] = _kalman(loaded, loop, result, most=COMPARED)
         else:
             numbers["notes"].append(NOT_COMPARED)
     if out is not None:
@@ -253,8 +261,8 @@ def _is_ser(scenario: Scenario) -> bool:
 
 def _source_of_samples(loop: Diagram) -> str | None:
     """Return the name of the signal that is connected to the controller's ``y``."""
-    brain = loop["controller"]
-    source = loop.source_of(brain, brain.block.port("y"), 0)
+    controller = find_controller(loop)
+    source = loop.source_of(controller, controller.port("y"), 0)
     return None if source is None else f"{source[0].node.name}.{source[0].port.name}"
 
 
@@ -337,18 +345,6 @@ def _verdict(check: Mapping[str, float], controller: BayesianController) -> tupl
 @contextmanager
 def _progress(shown: bool) -> Iterator[Progress | None]:
     """Give a function that moves a progress bar on stderr, or None."""
-    if not shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("Preparing", total=None)  # the first run of a kind of loop is compiled, for some seconds
-        yield lambda step, steps: bar.update(task, description="Simulating", completed=step, total=steps)
+    # The first run of a kind of loop is compiled, for some seconds.
+    with output.progress_bar("Preparing", "{task.percentage:3.0f} %", "remaining", shown=shown) as move:
+        yield move and (lambda step, steps: move(step, steps, description="Simulating"))

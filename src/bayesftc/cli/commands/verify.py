@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bayesftc.cli.options import Duration, Json, Quiet, Seed, Timing
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
@@ -21,62 +22,54 @@ DIFFERS = 19
 """Exit code where the FMU does not do what the blocks do."""
 
 
-def verify_scenario(
-    fmu: Path,
-    name: str,
-    blocks: Sequence[str],
-    *,
-    duration: float | None,
-    seed: int | None,
-    tolerance: float,
-    timing: Literal["plant", "sampled"] | None,
-    isolate: bool,
-    json: bool,
-    quiet: bool,
+def verify(
+    fmu: Annotated[Path, typer.Argument(help="An FMU, of bayesftc export or of any tool with the same names.")],
+    against: Annotated[
+        str, typer.Option(metavar="SCENARIO", help="The scenario whose blocks it is to do the work of.")
+    ],
+    block: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--block", "-b", help="The block that it stands for; by default the one that it was exported from."
+        ),
+    ] = None,
+    duration: Duration = None,
+    seed: Seed = None,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            help="Largest difference, by the largest value of a signal. 0: the same numbers; 1e-9 is usual where exp, log or "
+            "sin come from another C library."
+        ),
+    ] = 0.0,
+    timing: Annotated[Timing | None, typer.Option(help="When its outputs hold; by default what it says.")] = None,
+    isolate: Annotated[bool, typer.Option("--isolate", help="Run the FMU in a process of its own.")] = False,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Compare an FMU with blocks of a scenario and print the differences; leave with `DIFFERS` where they are too large.
-
-    Parameters
-    ----------
-    fmu : pathlib.Path
-        The FMU.
-    name : str
-        A scenario file or the name of a shipped scenario.
-    blocks : sequence of str
-        The blocks that the FMU stands for; none for what it says.
-    duration, seed : float, int, optional
-        Instead of the scenario's.
-    tolerance : float
-        The largest difference that is none, by the largest value of the signal.
-    timing : {"plant", "sampled"}, optional
-        When the FMU's outputs hold; by default what it says.
-    isolate : bool
-        Run the FMU in a process of its own.
-    json, quiet : bool
-        How it is printed: as JSON, or not at all.
-    """
+    """Compare an FMU with blocks of a scenario and print the differences; leave with `DIFFERS` where they are too large."""
     from bayesftc.cosim.export.verification import verify_fmu
 
     if not (isfinite(tolerance) and tolerance >= 0.0):
         raise ModelError(f"--tolerance is {tolerance!r}; it must be a number that is not negative.")
-    scenario = load_scenario(name)
+    scenario = load_scenario(against)
     own = scenario.simulation
     found = verify_fmu(
         expanded(fmu),
         scenario.loop(),
-        list(blocks) or None,
+        block or None,
         duration=own.duration if duration is None else duration,
         seed=own.seed if seed is None else seed,
-        timing=timing,
+        timing=timing.value if timing else None,  # type: ignore[arg-type]
         isolate=isolate,
         engine=own.engine,
     )
     if json:
         from bayesftc.cli.output import as_json
 
-        typer.echo(as_json(_plain(found, name, tolerance)))
+        typer.echo(as_json(_plain(found, against, tolerance)))
     elif not quiet:
-        _print(found, name, tolerance)
+        _print(found, against, tolerance)
     if not found.agrees(tolerance):
         raise typer.Exit(DIFFERS)
 

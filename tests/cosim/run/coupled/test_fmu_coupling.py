@@ -171,7 +171,7 @@ def test_no_warning_where_nothing_lags_or_timing_is_said(fmi, through):
 def test_inspect_shows_which_outputs_feed_through(fmi, through):
     from typer.testing import CliRunner
 
-    from bayesftc.cli.commands import app
+    from bayesftc.cli.application import app
 
     def shown(path):
         lines = CliRunner().invoke(app, ["inspect", str(path)]).stdout.splitlines()

@@ -1,0 +1,1 @@
+"""The commands of ``bayesftc``: a module for each, of its name."""

@@ -1,0 +1,23 @@
+"""``bayesftc bench``: what this package costs on this machine."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from bayesftc import bench as benchmarks
+from bayesftc.cli.options import Json
+
+
+def bench(
+    section: Annotated[
+        list[str] | None, typer.Argument(help="What to measure, as campaign or export; by default everything.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few and short repetitions: shows that all works, not how fast.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Make the measurements and print them."""
+    benchmarks.main(json=json, quick=quick, sections=section or benchmarks.SECTIONS)
