@@ -10,33 +10,20 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured quantity.
+    """One measured quantity."""
 
-    Attributes
-    ----------
-    key, label, unit : str
-        Its name in the JSON, what it is in words, and its unit (empty for a plain number).
-    samples : sequence of float
-        A value for each repetition; empty where it could not be measured.
-    at_least, at_most : float or None
-        The bars that its median should clear.
-    either : str or None
-        Figures of one section with the same word here are alternatives: one that clears its bar is enough.
-    reason : str or None
-        Why there are no samples, as a sentence.
-    note : str
-        What else there is to say.
-    """
-
+    # Its name in the JSON, what it is in words, and its unit (empty for a plain number).
     key: str
     label: str
     unit: str
-    samples: Sequence[float]
+    samples: Sequence[float]  # A value for each repetition; empty where it could not be measured
+    # The bars that its median should clear.
     at_least: float | None = None
     at_most: float | None = None
+    # Figures of one section with the same word here are alternatives: one that clears its bar is enough.
     either: str | None = None
-    reason: str | None = None
-    note: str = ""
+    reason: str | None = None  # why there are no samples, as a sentence
+    note: str = ""  # what else there is to say
 
     @property
     def value(self) -> float | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.campaign.designs.plan import OK
-from bayesftc.report.svg import INK, figure, legend, words
+from bayesftc.report.svg import INK, error_bars, figure, legend, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,25 +26,14 @@ SCORES = ("fault_probability", "beta")
 
 @dataclass(frozen=True)
 class Level:
-    """Scores and truth of some runs of a level of the compared factor.
+    """Scores and truth of some runs of a level of the compared factor."""
 
-    Attributes
-    ----------
-    score_name : str
-        The signal that ranks samples.
-    score, truth : list of ndarray of shape (steps, sensors)
-        Of each run.
-    seeds : list of int
-        Of each run. Those of the same seed have the same noise.
-    of : int
-        From how many runs they were drawn.
-    """
-
-    score_name: str
+    score_name: str  # the signal that ranks samples
+    # Of each run, of shape (steps, sensors).
     score: list[Floats]
     truth: list[Any]
-    seeds: list[int]
-    of: int
+    seeds: list[int]  # Of each run. Those of the same seed have the same noise.
+    of: int  # from how many runs they were drawn
 
     @property
     def is_probability(self) -> bool:
@@ -203,10 +192,8 @@ def reliability_figure(contents: Contents, detection: dict[Any, Level]) -> tuple
         p, share = found.pooled.predicted, found.pooled.observed
         bars = np.nan_to_num(np.clip([share - found.observed_low, found.observed_high - share], 0.0, None))
         name = "" if level is None else f"{words(contents.name(level), 32, 1)}: "
-        axis.errorbar(
-            p, share, yerr=bars, fmt=style.marker, ls=style.line, ms=4, lw=1.2, color=style.colour, capsize=3,
-            label=f"{name}calibration error {found.pooled.calibration_error:.3f}",
-        )  # fmt: skip
+        label = f"{name}calibration error {found.pooled.calibration_error:.3f}"
+        error_bars(axis, p, share, bars, style, label=label)
     axis.set(
         xlabel="fault probability", ylabel="share of samples with the fault", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02)
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.report.levels import estimate
-from bayesftc.report.svg import INK, figure, legend, words
+from bayesftc.report.svg import INK, error_bars, figure, legend, words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -130,16 +130,8 @@ def _dots(axis: Axes, contents: Contents, metric: str, name: str) -> None:
         points = contents.runs_of(level).groupby("point").agg({name: "first", metric: "mean"})
         if len(points) > DOTS:
             points = points.sample(DOTS, random_state=0)
-        axis.plot(
-            points[name],
-            points[metric],
-            style.marker,
-            ms=3.5,
-            mew=0,
-            alpha=0.7,
-            color=style.colour,
-            label=_name(contents, level),
-        )
+        look: dict[str, Any] = {"ms": 3.5, "mew": 0, "alpha": 0.7, "color": style.colour}
+        axis.plot(points[name], points[metric], style.marker, **look, label=_name(contents, level))
 
 
 def _bars(axis: Axes, contents: Contents, metric: str, name: str) -> None:
@@ -153,10 +145,8 @@ def _bars(axis: Axes, contents: Contents, metric: str, name: str) -> None:
         # Beside each other, as far as there is no scale that would be wrong then.
         at = np.array(values, dtype=float) if numeric else np.arange(len(values)) + 0.12 * (i - (len(drawn) - 1) / 2)
         half = np.nan_to_num([e.half() for e in found])
-        axis.errorbar(
-            at, [e.value for e in found], yerr=half, fmt=style.marker, ls=style.line if numeric else "none", ms=4, lw=1.2,
-            color=style.colour, capsize=3, label=None if own else _name(contents, level),
-        )  # fmt: skip
+        drawn_as = style if numeric else style._replace(line="none")
+        error_bars(axis, at, [e.value for e in found], half, drawn_as, label=None if own else _name(contents, level))
     if numeric and len(values) <= FEW:
         axis.set_xticks(values, [_short(v) for v in values])
     if not numeric:

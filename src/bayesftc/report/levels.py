@@ -22,28 +22,15 @@ SURE = 0.95
 
 @dataclass(frozen=True)
 class Pair:
-    """Two levels, and the difference of their means over the points that both have.
+    """Two levels, and the difference of their means over the points that both have."""
 
-    Attributes
-    ----------
-    first, second : object
-        The levels.
-    difference : Estimate
-        First minus second.
-    paired : bool
-        Whether runs of the same seed were compared.
-    points : int
-        At how many combinations of the other factors both have runs.
-    pairs : int
-        How many pairs of levels there are: intervals and p hold for all of them together (Bonferroni).
-    """
-
+    # The levels.
     first: Any
     second: Any
-    difference: Estimate
-    paired: bool
-    points: int
-    pairs: int
+    difference: Estimate  # first minus second
+    paired: bool  # whether runs of the same seed were compared
+    points: int  # at how many combinations of the other factors both have runs
+    pairs: int  # how many pairs of levels there are: intervals and p hold for all of them together (Bonferroni)
 
     @property
     def half(self) -> float:

@@ -18,22 +18,13 @@ NAN = float("nan")
 
 
 class Estimate(NamedTuple):
-    """A mean or a difference of means.
+    """A mean or a difference of means."""
 
-    Attributes
-    ----------
-    value : float
-        Of all runs that have one; NaN without any.
-    error, freedom : float
-        Its standard error, and the degrees of freedom of Student's t; NaN with one seed.
-    runs : int
-        How many runs, or pairs of runs, it is of.
-    """
-
-    value: float
+    value: float  # of all runs that have one; NaN without any
+    # Its standard error, and the degrees of freedom of Student's t; NaN with one seed.
     error: float
     freedom: float
-    runs: int
+    runs: int  # how many runs, or pairs of runs, it is of
 
     def half(self, level: float = 0.95) -> float:
         """Return half of the confidence interval; NaN where nothing scatters that would tell."""

@@ -71,14 +71,18 @@ def tidy(axis: Axes) -> None:
         text.set_fontsize(9)
 
 
+def error_bars(axis: Axes, x: Any, y: Any, half: Any, style: Style, label: str | None) -> None:
+    """Draw values with their intervals, as a level is drawn."""
+    look: dict[str, Any] = {"fmt": style.marker, "ls": style.line, "color": style.colour}
+    axis.errorbar(x, y, yerr=half, ms=4, lw=1.2, capsize=3, label=label, **look)
+
+
 def legend(axis: Axes, columns: int = 3) -> None:
     """Name what an axis shows, above it, if there is anything to name."""
     handles, _ = axis.get_legend_handles_labels()
     if handles:
-        axis.legend(
-            loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(len(handles), columns), frameon=False, fontsize=8,
-            labelcolor=INK, borderaxespad=0.2,
-        )  # fmt: skip
+        above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+        axis.legend(ncols=min(len(handles), columns), frameon=False, fontsize=8, labelcolor=INK, **above)
 
 
 def to_svg(made: Figure, description: str) -> str:

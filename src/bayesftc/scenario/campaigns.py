@@ -36,42 +36,25 @@ MOST = 30
 
 @dataclass(frozen=True)
 class Runs:
-    """What a campaign file says besides scenario, factors and metrics; see `bayesftc.cosim.Campaign`.
+    """What a campaign file says besides scenario, factors and metrics; see `bayesftc.cosim.Campaign`."""
 
-    Attributes
-    ----------
-    seeds : int or sequence of int
-        Runs of each point, or their seeds.
-    seed, independent, record, decimation, time_limit, piece
-        As of a `Campaign`.
-    duration : float or str, optional
-        Seconds of each run; by default the scenario's.
-    """
-
-    seeds: int | Sequence[int] = 1
+    seeds: int | Sequence[int] = 1  # runs of each point, or their seeds
+    # As of a `Campaign`.
     seed: int = 0
     independent: Sequence[str] = ()
     record: Sequence[str] = ()
     decimation: int = 1
     time_limit: float | None = None
     piece: int | None = None
-    duration: float | str | None = None
+    duration: float | str | None = None  # seconds of each run; by default the scenario's
 
 
 @dataclass(frozen=True)
 class ScenarioLoop:
-    """The loop of a scenario file in which some lines say something else: called with factors, it returns the diagram.
+    """The loop of a scenario file in which some lines say something else: called with factors, it returns the diagram."""
 
-    Parameters
-    ----------
-    path : str
-        The file.
-    content : mapping
-        What it says.
-    """
-
-    path: str
-    content: Mapping[str, Any] = field(repr=False)
+    path: str  # the file
+    content: Mapping[str, Any] = field(repr=False)  # what it says
 
     def __call__(self, **factors: Any) -> Diagram:
         """Return the diagram with these lines changed; the names are paths in the file, such as ``"faults[0].start"``."""

@@ -28,19 +28,12 @@ MODEL = "model.toml"
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit is told: the stretch of time and the columns, by default everything.
+    """What a fit is told: the stretch of time and the columns, by default everything."""
 
-    Attributes
-    ----------
-    start, stop : float or None
-        The stretch, in seconds of the recording.
-    sensors : tuple of str
-        The columns.
-    """
-
+    # The stretch, in seconds of the recording.
     start: float | None = None
     stop: float | None = None
-    sensors: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ()  # the columns
 
 
 def fit_files(recording: Sequence[Path], told: Fit, model: Path) -> tuple[FittedModel, Recording]:
@@ -100,10 +93,10 @@ def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
     for name, sensor in fitted.sensors.items():
         own = [float(np.max(e.std)) ** 2 for e in fitted.errors if e.sensors and name in e.sensors]
-        table.add_row(
-            name, f"{sensor.std:.3g}", f"{sum(own) ** 0.5:.3g}" if own else output.DASH, f"{sensor.bias:.3g}",
-            f"{sensor.resolution:.3g}" if sensor.resolution else "fine", f"{sensor.repeats:.0%}", f"{sensor.missing:.0%}",
-        )  # fmt: skip
+        lasting = f"{sum(own) ** 0.5:.3g}" if own else output.DASH
+        resolution = f"{sensor.resolution:.3g}" if sensor.resolution else "fine"
+        shares = f"{sensor.repeats:.0%}", f"{sensor.missing:.0%}"
+        table.add_row(name, f"{sensor.std:.3g}", lasting, f"{sensor.bias:.3g}", resolution, *shares)
     console.print(table)
     for errors in fitted.errors:
         if errors.common:

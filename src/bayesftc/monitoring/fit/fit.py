@@ -129,9 +129,8 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         names = [recording.sensors[i] for i in pair]
         errors += [SensorErrors(float(v) ** 0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
     level = median(whole, 1)
-    return FittedModel(
-        plant, sensors, tuple(errors), motion.seen, float(np.nanmedian(level)), float(np.nanstd(level)), rate,
-    )  # fmt: skip
+    middle, spread = float(np.nanmedian(level)), float(np.nanstd(level))
+    return FittedModel(plant, sensors, tuple(errors), motion.seen, middle, spread, rate)
 
 
 def _half(apart: Floats) -> float:

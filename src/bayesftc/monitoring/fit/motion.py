@@ -16,18 +16,10 @@ from bayesftc.monitoring.fit.settings import FIT
 
 @dataclass(frozen=True)
 class Motion:
-    """How far the quantity moves over a lag.
+    """How far the quantity moves over a lag."""
 
-    Attributes
-    ----------
-    variance : float
-        Of the difference, in the livelier windows.
-    seen : bool
-        Whether it is told from noise; else `variance` is what may hide in it.
-    """
-
-    variance: float
-    seen: bool = True
+    variance: float  # of the difference, in the livelier windows
+    seen: bool = True  # whether it is told from noise; else `variance` is what may hide in it
 
 
 def common(y: Floats, lag: int, order: int, noise: float) -> Motion:

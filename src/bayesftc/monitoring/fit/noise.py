@@ -15,18 +15,10 @@ from bayesftc.monitoring.fit.settings import FIT
 
 @dataclass(frozen=True)
 class Noise:
-    """What one sensor, or a group of sensors together, has of errors.
+    """What one sensor, or a group of sensors together, has of errors."""
 
-    Attributes
-    ----------
-    white : float
-        Variance from sample to sample.
-    lasting : tuple of tuple
-        Variance and time constant in steps of coloured noise, if there is any.
-    """
-
-    white: float
-    lasting: tuple[tuple[float, float], ...]
+    white: float  # variance from sample to sample
+    lasting: tuple[tuple[float, float], ...]  # variance and time constant in steps of coloured noise, if there is any
 
     def times(self, factor: float) -> Noise:
         """Return noise whose variance is larger by a factor."""

@@ -90,24 +90,15 @@ class Batch(NamedTuple, Generic[R]):
 class Ensemble:
     """What all runs of an experiment have in common.
 
-    Parameters
-    ----------
-    seed : int
-        Of all noise.
-    jobs : int
-        Number of threads.
-    progress : callable, optional
-        Called as ``progress(what, done, of)``.
-
     Raises
     ------
     ModelError
         If the seed or the number of threads cannot be one.
     """
 
-    seed: int
-    jobs: int = 1
-    progress: Progress | None = None
+    seed: int  # of all noise
+    jobs: int = 1  # number of threads
+    progress: Progress | None = None  # called as ``progress(what, done, of)``
 
     def __post_init__(self) -> None:
         check_seed(self.seed)

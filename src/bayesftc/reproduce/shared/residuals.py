@@ -33,23 +33,13 @@ LEAST = 1e-16
 
 @dataclass(frozen=True)
 class Residual:
-    """What a fault probability is computed from.
+    """What a fault probability is computed from."""
 
-    Attributes
-    ----------
-    text : str
-        What it is.
-    learners : tuple of PrecisionLearner
-        Of the controllers from whose loops it is taken.
-    columns : tuple of function
-        For each learner the function from its run to a feature of each step and sensor.
-    probability : function, optional
-        From its learner's run to the fault probability of each step and sensor, if the learner gives one.
-    """
-
-    text: str
-    learners: tuple[controllers.PrecisionLearner, ...]
+    text: str  # what it is
+    learners: tuple[controllers.PrecisionLearner, ...]  # of the controllers from whose loops it is taken
+    # For each learner the function from its run to a feature of each step and sensor.
     columns: tuple[Callable[[cosim.Result], Floats], ...]
+    # From its learner's run to the fault probability of each step and sensor, if the learner gives one.
     probability: Callable[[cosim.Result], Floats] | None = None
 
     def features(self, streams: Sequence[Stream]) -> Floats:

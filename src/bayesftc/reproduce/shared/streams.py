@@ -43,14 +43,9 @@ class Stream(NamedTuple):
 
 @dataclass(frozen=True)
 class Streams:
-    """Makes streams: closed loops with random faults, and their runs.
+    """Makes streams: closed loops with random faults, and their runs."""
 
-    Parameters
-    ----------
-    settings, car : Detection, Car
-        Of the experiment.
-    """
-
+    # Of the experiment.
     settings: Detection
     car: Car
 

@@ -33,29 +33,20 @@ class PosteriorFilter:
     does not matter, as long as it is known: the loop's response to it is subtracted, and a frozen sensor is known by its
     repeating itself.
 
-    Parameters
-    ----------
-    settings, car : Detection, Car
-        Of the experiment that the streams are from.
-    faults : Faults
-        Their true sizes.
-    particles : int
-        Number of hypotheses that are kept.
-    tolerance : float
-        How far apart hypotheses with the same modes and ages are that are merged, in standard deviations of the state. They
-        differ in what is long past, and say the same of what is to come; without merging most particles repeat each other, and
-        those that matter are lost.
-
     Raises
     ------
     ModelError
         If there are more than three sensors, or they have a resolution.
     """
 
+    # Of the experiment that the streams are from.
     settings: Detection
     car: Car
-    faults: Faults
-    particles: int
+    faults: Faults  # their true sizes
+    particles: int  # number of hypotheses that are kept
+    # How far apart hypotheses with the same modes and ages are that are merged, in standard deviations of the state. They
+    # differ in what is long past, and say the same of what is to come; without merging most particles repeat each other, and
+    # those that matter are lost.
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:

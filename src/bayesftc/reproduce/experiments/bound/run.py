@@ -89,21 +89,11 @@ def _areas(bench: Bench, faults: Faults, own: Sequence[int], residuals: Mapping[
 
 
 class Posterior(NamedTuple):
-    """What the filter has found with a number of particles.
+    """What the filter has found with a number of particles."""
 
-    Attributes
-    ----------
-    particles : int
-        Their number.
-    odds : list of lists of ndarray
-        Log odds of each stream of each cell.
-    areas : ndarray of shape (cells, streams)
-        The AUC.
-    """
-
-    particles: int
-    odds: list[list[Floats]]
-    areas: Floats
+    particles: int  # their number
+    odds: list[list[Floats]]  # log odds of each stream of each cell
+    areas: Floats  # the AUC, of shape (cells, streams)
 
 
 def _converged(

@@ -24,21 +24,11 @@ EVEN = "probability .5"
 
 @dataclass(frozen=True)
 class Detectors:
-    """Judges residuals of one feature by their alarms.
+    """Judges residuals of one feature by their alarms."""
 
-    Parameters
-    ----------
-    streams : Streams
-        Where they are judged.
-    ensemble : Ensemble
-        Seed, threads and progress.
-    residuals : mapping
-        By name; one with several features has no threshold and is left out.
-    """
-
-    streams: Streams
-    ensemble: Ensemble
-    residuals: Mapping[str, Residual]
+    streams: Streams  # where they are judged
+    ensemble: Ensemble  # seed, threads and progress
+    residuals: Mapping[str, Residual]  # by name; one with several features has no threshold and is left out
 
     def report(self, headline: Faults) -> dict[str, Any]:
         """Return thresholds, their false alarms on other fault-free streams, and delays and misses by kind and size of fault.

@@ -18,54 +18,23 @@ CAR = "car"
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant, what is measured and driven of it, where it goes, and when its sensors fail.
+    """A plant, what is measured and driven of it, where it goes, and when its sensors fail."""
 
-    Attributes
-    ----------
-    fmu : str
-        Name of the shipped FMU.
-    goals : tuple of str
-        The outputs that have a goal, of which the errors count.
-    references : tuple of Source
-        Their goals over time.
-    measured : tuple of str
-        The outputs that sensors read, in turn.
-    actuated : tuple of str
-        The inputs that the controller drives.
-    std : tuple of float
-        Standard deviation of a sensor of each measured output.
-    noise : mapping of str to float
-        Standard deviation of each disturbed input, by its name.
-    duration : float
-        Seconds of a run.
-    window : tuple of float
-        Seconds between which sensors fail.
-    accept : tuple of float
-        Acceptable error and control, for `bayesftc.controllers.design`; empty for the car, which `design` has not made.
-    limits : tuple of float
-        Of the control.
-    means : mapping of str to float
-        Means of disturbed inputs that are not zero.
-    settled : float
-        Seconds from which errors count: after a step that no controller follows at once.
-    dt : float, optional
-        Sample time in seconds, by default the FMU's.
-    """
-
-    fmu: str
-    goals: tuple[str, ...]
-    references: tuple[cosim.Source, ...]
-    measured: tuple[str, ...]
-    actuated: tuple[str, ...]
-    std: tuple[float, ...]
-    noise: Mapping[str, float]
-    duration: float
-    window: tuple[float, float]
+    fmu: str  # name of the shipped FMU
+    goals: tuple[str, ...]  # the outputs that have a goal, of which the errors count
+    references: tuple[cosim.Source, ...]  # their goals over time
+    measured: tuple[str, ...]  # the outputs that sensors read, in turn
+    actuated: tuple[str, ...]  # the inputs that the controller drives
+    std: tuple[float, ...]  # standard deviation of a sensor of each measured output
+    noise: Mapping[str, float]  # standard deviation of each disturbed input, by its name
+    duration: float  # seconds of a run
+    window: tuple[float, float]  # seconds between which sensors fail
+    # Acceptable error and control, for `bayesftc.controllers.design`; empty for the car, which `design` has not made.
     accept: tuple[float, ...] = ()
-    limits: tuple[float, float] = (-inf, inf)
-    means: Mapping[str, float] = field(default_factory=dict)
-    settled: float = 0.0
-    dt: float | None = None
+    limits: tuple[float, float] = (-inf, inf)  # of the control
+    means: Mapping[str, float] = field(default_factory=dict)  # means of disturbed inputs that are not zero
+    settled: float = 0.0  # seconds from which errors count: after a step that no controller follows at once
+    dt: float | None = None  # sample time in seconds, by default the FMU's
 
 
 PLANTS: Mapping[str, Plant] = {

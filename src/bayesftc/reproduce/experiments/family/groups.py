@@ -9,21 +9,13 @@ import numpy as np
 
 
 class Figures(NamedTuple):
-    """What a learner comes to in a group of cases.
+    """What a learner comes to in a group of cases."""
 
-    Attributes
-    ----------
-    mean, worst : float
-        Geometric mean and largest of the errors over the oracle's; infinite if a run has lost its plant.
-    lost : int
-        Number of such runs.
-    false_share : float or None
-        Share of healthy sensors' time with an alarm, mean over the cases; None of a learner that tells of no faults.
-    """
-
+    # Geometric mean and largest of the errors over the oracle's; infinite if a run has lost its plant.
     mean: float
     worst: float
-    lost: int
+    lost: int  # number of such runs
+    # Share of healthy sensors' time with an alarm, mean over the cases; None of a learner that tells of no faults.
     false_share: float | None
 
 

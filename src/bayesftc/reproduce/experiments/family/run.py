@@ -42,17 +42,11 @@ Learners = Mapping[str, controllers.PrecisionLearner]
 
 
 class Runs(NamedTuple):
-    """The runs of one learner in one case.
+    """The runs of one learner in one case."""
 
-    Attributes
-    ----------
-    rmse : ndarray of shape (runs,)
-        Root-mean-square error of the goal output in each whole run; infinite if the run could not go on.
-    alarms : Alarms or None
-        All alarms of all sensors; None of a learner that says neither a probability nor a detection.
-    """
-
+    # Of shape (runs,): root-mean-square error of the goal output in each whole run; infinite if the run could not go on.
     rmse: Floats
+    # All alarms of all sensors; None of a learner that says neither a probability nor a detection.
     alarms: Alarms | None
 
 

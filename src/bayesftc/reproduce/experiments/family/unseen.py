@@ -41,20 +41,11 @@ RANGES: Mapping[str, tuple[tuple[float, float], ...]] = {
 
 @dataclass(frozen=True)
 class Draw:
-    """Random numbers for a fault of one sensor.
+    """Random numbers for a fault of one sensor."""
 
-    Attributes
-    ----------
-    random : numpy.random.Generator
-        Where they come from.
-    sd : float
-        Standard deviation of the sensor.
-    low, high : float
-        Between which values it goes.
-    """
-
-    random: np.random.Generator = field(repr=False)
-    sd: float
+    random: np.random.Generator = field(repr=False)  # where they come from
+    sd: float  # standard deviation of the sensor
+    # Between which values it goes.
     low: float
     high: float
 

@@ -42,35 +42,16 @@ class TrueCar(Block):
     """``v <- (1 - b/m h) v + h/m (force - c v |v| - m g sin(slope)) + disturbance``; the force is limited, late and lags behind.
 
     With the defaults for all that stands below `drag` it is the FMU ``CruiseControl``, bit for bit.
-
-    Parameters
-    ----------
-    start_speed : float
-        m/s.
-    mass : float
-        kg.
-    drag : float
-        b, in N s/m.
-    quadratic_drag : float
-        c, in N s^2/m^2.
-    slope : float
-        Of the road, rise over run.
-    force_limit : float
-        N, to both sides.
-    lag : float
-        Time constant in s with which the force follows what is asked for.
-    delay : int
-        Samples by which it comes late.
     """
 
-    start_speed: float
-    mass: float
-    drag: float
-    quadratic_drag: float = 0.0
-    slope: float = 0.0
-    force_limit: float = inf
-    lag: float = 0.0
-    delay: int = 0
+    start_speed: float  # m/s
+    mass: float  # kg
+    drag: float  # b, in N s/m
+    quadratic_drag: float = 0.0  # c, in N s^2/m^2
+    slope: float = 0.0  # of the road, rise over run
+    force_limit: float = inf  # N, to both sides
+    lag: float = 0.0  # time constant in s with which the force follows what is asked for
+    delay: int = 0  # samples by which it comes late
 
     checks_finite = True
 
@@ -104,30 +85,14 @@ class TrueCar(Block):
 
 @dataclass(frozen=True)
 class Condition:
-    """What is not as the controller believes.
+    """What is not as the controller believes."""
 
-    Attributes
-    ----------
-    text : str
-        In words.
-    label : str
-        In few words, as they stand in figures.
-    car : mapping
-        Parameters of `TrueCar` that differ.
-    noise : float
-        True standard deviation of the sensors over the believed one.
-    ageing : float
-        The same at the end of the run, up to which the noise grows.
-    known_limit : bool
-        Whether the controller knows the limit of the force.
-    """
-
-    text: str
-    label: str
-    car: Mapping[str, float] = field(default_factory=dict)
-    noise: float = 1.0
-    ageing: float = 1.0
-    known_limit: bool = False
+    text: str  # in words
+    label: str  # in few words, as they stand in figures
+    car: Mapping[str, float] = field(default_factory=dict)  # parameters of `TrueCar` that differ
+    noise: float = 1.0  # true standard deviation of the sensors over the believed one
+    ageing: float = 1.0  # the same at the end of the run, up to which the noise grows
+    known_limit: bool = False  # whether the controller knows the limit of the force
 
 
 RIGHT = "right"

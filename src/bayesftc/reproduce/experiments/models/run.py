@@ -34,18 +34,11 @@ FIXED = "No FT"
 
 
 class Detector(NamedTuple):
-    """When a learner says that a sensor is faulty.
+    """When a learner says that a sensor is faulty."""
 
-    Attributes
-    ----------
-    signal : str
-        What of the controller tells: ``fault_probability``, ``detected``, or ``precision`` (the less, the more it looks faulty).
-    threshold : float
-        The least score of an alarm: of the signal, or of the negative precision.
-    """
-
+    # What of the controller tells: ``fault_probability``, ``detected``, or ``precision`` (the less, the more it looks faulty).
     signal: str
-    threshold: float = ALARM
+    threshold: float = ALARM  # the least score of an alarm: of the signal, or of the negative precision
 
     @property
     def record(self) -> str:
@@ -67,17 +60,10 @@ NOTHING: Detectors = (None, None)
 
 
 class Runs(NamedTuple):
-    """The runs of one cell.
+    """The runs of one cell."""
 
-    Attributes
-    ----------
-    rmse : ndarray of shape (runs,)
-        Root-mean-square tracking error of each run, in m/s.
-    alarms, actuator_alarms : Alarms or None
-        All alarms for sensors and for the actuator, if there is a detector.
-    """
-
-    rmse: Floats
+    rmse: Floats  # of shape (runs,): root-mean-square tracking error of each run, in m/s
+    # All alarms for sensors and for the actuator, if there is a detector.
     alarms: Alarms | None
     actuator_alarms: Alarms | None
 

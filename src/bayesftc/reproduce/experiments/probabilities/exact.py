@@ -30,30 +30,19 @@ STRENGTH = 10.0
 
 @dataclass(frozen=True)
 class World:
-    """A scalar state that wanders, sensors that read it, and how often they fail and recover.
+    """A scalar state that wanders, sensors that read it, and how often they fail and recover."""
 
-    Attributes
-    ----------
-    decay, process_variance : float
-        By which the state is multiplied at each sample, and the variance of what is added then.
-    mean, variance : float
-        What is known of it at the first sample.
-    noise : ndarray of shape (sensors,)
-        Variance of each sensor.
-    begins, ends : float
-        Probability per sample that a healthy sensor fails, and that a failed one is healthy again.
-    loss : float
-        Share of the samples that a healthy sensor does not send.
-    """
-
+    # By which the state is multiplied at each sample, and the variance of what is added then.
     decay: float
     process_variance: float
+    # What is known of it at the first sample.
     mean: float
     variance: float
-    noise: Floats
+    noise: Floats  # variance of each sensor, of shape (sensors,)
+    # Probability per sample that a healthy sensor fails, and that a failed one is healthy again.
     begins: float
     ends: float
-    loss: float
+    loss: float  # share of the samples that a healthy sensor does not send
 
     @classmethod
     def of(
@@ -80,26 +69,16 @@ class World:
 
 @dataclass
 class Courses:
-    """All courses of events up to a sample: which sensors have failed when, and what is believed in each.
+    """All courses of events up to a sample: which sensors have failed when, and what is believed in each."""
 
-    Attributes
-    ----------
-    log : ndarray of shape (N,)
-        Logarithm of the probability of a course together with the samples so far.
-    failed, fresh : ndarray of bool of shape (N, m)
-        Which sensors have failed now, and which of them at this sample.
-    mean, covariance : ndarray of shape (N, n) and (N, n, n)
-        Of [state, offset of the first sensor, its change per sample, offset of the second, ...].
-    own : dict of str to ndarray
-        What a kind of fault keeps besides, for each course.
-    """
-
-    log: Floats
+    log: Floats  # of shape (N,): logarithm of the probability of a course together with the samples so far
+    # Of shape (N, m): which sensors have failed now, and which of them at this sample.
     failed: Bools
     fresh: Bools
+    # Of shape (N, n) and (N, n, n): of [state, offset of the first sensor, its change per sample, offset of the second, ...].
     mean: Floats
     covariance: Floats
-    own: dict[str, Floats]
+    own: dict[str, Floats]  # what a kind of fault keeps besides, for each course
 
     def part(self) -> Floats:
         """Return for each sensor the probability that it has failed."""
@@ -208,17 +187,10 @@ def normal(courses: Courses, i: int, y: float, world: World, where: Bools | bool
 
 @dataclass(frozen=True)
 class Shifted(Kind):
-    """An offset, of an `Offset` or a subclass of it.
+    """An offset, of an `Offset` or a subclass of it."""
 
-    Attributes
-    ----------
-    mode : Offset
-        Whose settings hold.
-    as_large_as_seen : bool
-        Whether at its onset it is expected to be at least as large as its first innovation.
-    """
-
-    mode: controllers.Offset
+    mode: controllers.Offset  # whose settings hold
+    # Whether at its onset it is expected to be at least as large as its first innovation.
     as_large_as_seen: bool = False
 
     offsets: ClassVar[bool] = True

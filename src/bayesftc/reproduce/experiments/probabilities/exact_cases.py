@@ -35,17 +35,10 @@ DEFAULT, OFTEN = "default times", "frequent faults"
 
 @dataclass(frozen=True)
 class Row:
-    """A mode, and what the exact probability is of.
+    """A mode, and what the exact probability is of."""
 
-    Attributes
-    ----------
-    mode : FaultMode
-        With its default times.
-    kind : function, optional
-        From the mode to what its fault does; None of one whose noise is not known, which is summed over a grid.
-    """
-
-    mode: controllers.FaultMode
+    mode: controllers.FaultMode  # with its default times
+    # From the mode to what its fault does; None of one whose noise is not known, which is summed over a grid.
     kind: Callable[[Any], Kind] | None
 
     def exact(self, world: World, samples: Floats) -> Floats:

@@ -15,18 +15,10 @@ from bayesftc.reproduce.settings import Probabilities
 
 @dataclass(frozen=True)
 class RandomFault:
-    """A fault of one sensor, drawn at random.
+    """A fault of one sensor, drawn at random."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    faults : tuple of Fault
-        What the sensor goes through.
-    """
-
-    kind: str
-    faults: tuple[cosim.Fault, ...]
+    kind: str  # one of `KINDS`
+    faults: tuple[cosim.Fault, ...]  # what the sensor goes through
 
     def truth(self, time: Floats, sensors: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Return an array of shape (steps, sensors): with which samples the fault was present."""

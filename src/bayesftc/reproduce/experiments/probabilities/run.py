@@ -166,9 +166,8 @@ def judged(settings: Probabilities, runs: Sequence[Run], kinds: Sequence[str]) -
         ``largest``: largest absolute gap of a bin that has enough samples, with its ``ci`` by the bootstrap over runs, and the
         number of that ``bin``. ``brier``, ``ece`` (calibration error) and their ``ci``.
     """
-    found = calibration(
-        [r.probability for r in runs], [r.faulty for r in runs], bins=settings.bins, equal="widths"
-    )  # fmt: skip
+    probability, faulty = [r.probability for r in runs], [r.faulty for r in runs]
+    found = calibration(probability, faulty, bins=settings.bins, equal="widths")
     samples, gaps = _gaps(settings, runs)
     each = {kind: np.array([k == kind for k in kinds]) for kind in dict.fromkeys(name for name, *_ in settings.kinds)}
     pooled, bins = found.pooled, []

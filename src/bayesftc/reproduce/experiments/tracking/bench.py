@@ -53,18 +53,10 @@ class Scenario:
 
 
 class Runs(NamedTuple):
-    """The runs of one technique in one scenario.
+    """The runs of one technique in one scenario."""
 
-    Attributes
-    ----------
-    rmse : ndarray of shape (runs,)
-        Root-mean-square tracking error of each run, in m/s.
-    absolute : ndarray of shape (steps,)
-        Mean over the runs of the absolute tracking error at each step, in m/s.
-    """
-
-    rmse: Floats
-    absolute: Floats
+    rmse: Floats  # of shape (runs,): root-mean-square tracking error of each run, in m/s
+    absolute: Floats  # of shape (steps,): mean over the runs of the absolute tracking error at each step, in m/s
 
 
 class Measured(NamedTuple):
