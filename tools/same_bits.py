@@ -60,12 +60,12 @@ def digest(value: object) -> str:
 
 def car(controller: cosim.Block, faults: tuple[cosim.Block, ...] = (), **plant: object) -> cosim.Diagram:
     """Return the README's loop."""
+    fmu = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}, **plant)
+    wiring = {"control": "force", "measured": "v", "sensors": cosim.Sensors(count=2, std=1.0)}
+    noise, goal = cosim.Gaussian(std=0.001**0.5), cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
     return cosim.closed_loop(
-        plant=cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}, **plant), controller=controller,
-        control="force", measured="v", noise={"disturbance": cosim.Gaussian(std=0.001**0.5)},
-        sensors=cosim.Sensors(count=2, std=1.0), faults=list(faults),
-        reference=cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
-    )  # fmt: skip
+        fmu, controller, **wiring, noise={"disturbance": noise}, faults=list(faults), reference=goal
+    )
 
 
 FREEZE = cosim.Freeze(sensor=0, start=1.0, stop=3.0)
@@ -147,11 +147,15 @@ def of_plants() -> Iterator[Case]:
                 return diagram.simulate(2.0, seed=1)
 
             yield f"plant {file.stem} isolate={isolate}", alone
-    yield "plant PositionServo design", lambda: cosim.closed_loop(
-        plant=(servo := cosim.FMU(fmus.path("PositionServo"))), controller=controllers.design(servo, **SERVO),
-        control="voltage", measured="angle", sensors=cosim.Sensors(count=2, std=0.01),
-        faults=[cosim.Injection(sensor=0, start=1.0, magnitude=0.5)], reference=cosim.Step(time=0.5, after=0.5),
-    ).simulate(2.0, seed=1)  # fmt: skip
+
+    def designed() -> object:
+        servo = cosim.FMU(fmus.path("PositionServo"))
+        wiring = {"control": "voltage", "measured": "angle", "sensors": cosim.Sensors(count=2, std=0.01)}
+        faults, goal = [cosim.Injection(sensor=0, start=1.0, magnitude=0.5)], cosim.Step(time=0.5, after=0.5)
+        loop = cosim.closed_loop(servo, controllers.design(servo, **SERVO), **wiring, faults=faults, reference=goal)
+        return loop.simulate(2.0, seed=1)
+
+    yield "plant PositionServo design", designed
 
 
 def of_exports() -> Iterator[Case]:
@@ -184,9 +188,9 @@ def of_campaigns() -> Iterator[Case]:
                 (FREEZE,),
             )
             rms = cosim.RMSE("plant.v", "reference.y", name="rmse")
-            return cosim.Campaign(
-                loop, duration=4.0, seeds=5, grid={"freeze_0.stop": [2.0, 3.0]}, metrics=[rms]
-            ).run(executor=executor).table.to_csv()  # fmt: skip
+            grid = {"freeze_0.stop": [2.0, 3.0]}
+            campaign = cosim.Campaign(loop, duration=4.0, seeds=5, grid=grid, metrics=[rms])
+            return campaign.run(executor=executor).table.to_csv()
 
         yield f"campaign {name}", table
 
@@ -265,9 +269,7 @@ def parameters(thing: object) -> object:
     return [(p.name, str(p.kind), "" if p.default is p.empty else type(p.default).__name__) for p in found]
 
 
-ALL = (
-    of_signatures, of_learners, of_faults, of_plants, of_exports, of_campaigns, of_identification, of_commands,
-)  # fmt: skip
+ALL = (of_signatures, of_learners, of_faults, of_plants, of_exports, of_campaigns, of_identification, of_commands)
 
 
 def hashes(part: str) -> dict[str, str]:

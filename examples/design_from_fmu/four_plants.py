@@ -7,9 +7,10 @@ same plant. On none of the four will a goal for the next step alone do: without 
 """
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -79,21 +80,40 @@ CASES = (
 
 def make_loop(case: Case, way: str) -> cosim.Diagram:
     """Return the closed loop of a case under one of the three controllers."""
-    plant, sensors = cosim.FMU(fmus.path(case.plant)), 2 * len(case.measured)
-    precision = controllers.SwitchingPrecision() if way == "fault-tolerant" else controllers.FixedPrecision()
+    measured = len(case.measured)
+    noise = {name: cosim.Gaussian(mean=case.offsets.get(name, 0.0), std=std) for name, std in case.noise.items()}
+    return loop_of(
+        cosim.FMU(fmus.path(case.plant)),
+        case,
+        way,
+        cosim.Sensors(count=2 * measured, signals=measured, std=case.std * 2),
+        noise,
+        goal=case.goal,
+        u_min=case.limits[0],
+        u_max=case.limits[1],
+    )
+
+
+def loop_of(
+    plant: cosim.FMU,
+    case: Any,
+    way: str,
+    sensors: cosim.Sensors,
+    noise: Mapping[str, Any] | None = None,
+    **settings: Any,
+) -> cosim.Diagram:
+    """Return a plant under one of the three controllers, designed with what the case says and further settings."""
     controller = controllers.design(
         plant,
         measured=case.measured,
-        goal=case.goal,
         actuated=case.actuated,
-        sensors=sensors,
+        sensors=sensors.count,
         sensor_std=case.std,
         noise=case.noise,
         acceptable_error=case.accept[0],
         acceptable_control=case.accept[1],
-        precision=precision,
-        u_min=case.limits[0],
-        u_max=case.limits[1],
+        precision=controllers.SwitchingPrecision() if way == "fault-tolerant" else controllers.FixedPrecision(),
+        **settings,
     )
     fault = case.fault
     if way == "oracle":
@@ -103,9 +123,9 @@ def make_loop(case: Case, way: str) -> cosim.Diagram:
         controller,
         control=case.actuated,
         measured=case.measured,
-        sensors=cosim.Sensors(count=sensors, signals=len(case.measured), std=case.std * 2),
+        sensors=sensors,
         faults=[replace(fault, name="fault")],
-        noise={name: cosim.Gaussian(mean=case.offsets.get(name, 0.0), std=std) for name, std in case.noise.items()},
+        noise=noise,
         reference=case.reference,
     )
 

@@ -7,17 +7,16 @@ to leave the failing sensor out. Tools that are not installed are named and left
 
 import sys
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc import controllers, cosim
+from bayesftc import cosim
+from bayesftc.examples.design_from_fmu.four_plants import WAYS, loop_of
 from bayesftc.examples.foreign_fmus.makers import MAKERS, MissingTool
-
-WAYS = ("fault-tolerant", "without", "oracle")
 
 
 @dataclass(frozen=True)
@@ -70,34 +69,9 @@ CASES = (
 
 def make_loop(case: Case, file: Path, way: str) -> cosim.Diagram:
     """Return the closed loop of a case under one of the three controllers."""
-    plant = cosim.FMU(file, **case.settings)
-    controller = controllers.design(
-        plant,
-        measured=case.measured,
-        actuated=case.actuated,
-        dt=case.dt,
-        sensors=2,
-        sensor_std=case.std,
-        noise=case.noise,
-        disturbance=True
-        if case.tool.startswith("Python")
-        else None,  # of a nonlinear plant the model is not quite true
-        acceptable_error=case.accept[0],
-        acceptable_control=case.accept[1],
-        precision=controllers.SwitchingPrecision() if way == "fault-tolerant" else controllers.FixedPrecision(),
-    )
-    fault = case.fault
-    if way == "oracle":
-        fault = cosim.Dropout(sensor=fault.sensor, start=fault.start, stop=fault.stop)
-    return cosim.closed_loop(
-        plant,
-        controller,
-        control=case.actuated,
-        measured=case.measured,
-        sensors=cosim.Sensors(count=2, std=case.std),
-        faults=[replace(fault, name="fault")],
-        reference=case.reference,
-    )
+    uncertain = case.tool.startswith("Python") or None  # of a nonlinear plant the model is not quite true
+    sensors = cosim.Sensors(count=2, std=case.std)
+    return loop_of(cosim.FMU(file, **case.settings), case, way, sensors, dt=case.dt, disturbance=uncertain)
 
 
 def main(

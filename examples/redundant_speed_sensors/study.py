@@ -28,9 +28,13 @@ from bayesftc.examples.redundant_speed_sensors.command import at_least, sentence
 from bayesftc.monitoring import Monitor, Monitored, Recording, Signal, align, default_precision, load_monitor
 
 DATA = Path(__file__).parent / "data"
+INJECTIONS, DRIFTS = (0.5, 1.0, 2.0), (0.2, 1.0)
 CASES = (
-    ("freeze", 0.0), ("injection", 0.5), ("injection", 1.0), ("injection", 2.0), ("drift", 0.2), ("drift", 1.0), ("noise", 5.0),
-)  # fmt: skip
+    ("freeze", 0.0),
+    *(("injection", size) for size in INJECTIONS),
+    *(("drift", slope) for slope in DRIFTS),
+    ("noise", 5.0),
+)
 UNITS = {"freeze": "", "injection": " m/s", "drift": " m/s per s", "noise": " times"}
 KINDS = {"freeze": "Frozen", "injection": "Offset", "drift": "Drifting", "noise": "Noisier"}
 FITTED, SPAN = 20.0, 8.0
@@ -133,13 +137,10 @@ def study(
             others += sum(e.sensor != name and e.start >= onset - SPAN for e in found.events)
         half = stdtrit(onsets - 1, 0.975) * np.std(areas, ddof=1) / np.sqrt(onsets)
         low, high = np.mean(areas) - half, min(np.mean(areas) + half, 1.0)  # Student's interval knows of no bound
-        rows.append(
-            Found(
-                kind, size, float(np.mean(areas)), float(low), float(high),
-                float(roc_auc_score(np.concatenate(truths), np.concatenate(scores))),
-                float(np.isinf(delays).mean()), float(np.median(delays)), float(np.mean(names)), others,
-            )
-        )  # fmt: skip
+        pooled = roc_auc_score(np.concatenate(truths), np.concatenate(scores))
+        area, missed, delay = float(np.mean(areas)), float(np.isinf(delays).mean()), float(np.median(delays))
+        interval, named = (float(low), float(high)), float(np.mean(names))
+        rows.append(Found(kind, size, area, *interval, float(pooled), missed, delay, named, others))
     return healthy, rows
 
 

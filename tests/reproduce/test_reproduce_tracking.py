@@ -13,12 +13,11 @@ from bayesftc.reproduce import paper
 from bayesftc.reproduce.experiments.tracking import (
     bench as _tracking_bench,
     figures as _tracking_figures,
-    oracle_tables as _oracle_tables,
     tables as _tracking_tables,
 )
 from bayesftc.reproduce.experiments.tracking.oracle import over_oracle
 from bayesftc.reproduce.settings import Car, Tracking
-from bayesftc.reproduce.shared.ensemble import Ensemble, chunks, in_parallel
+from bayesftc.reproduce.shared.ensemble import Ensemble, chunks
 
 FOUR = ("EF-FDI", "No FT", "PL", "SER FT")
 
@@ -175,11 +174,11 @@ def test_tables_say_which_aims_are_missed(printed):
                                       "ours": {"ratio": ratio, "ratio_ci": [ratio - 0.2, ratio + 0.4], "n": 6}}}  # fmt: skip
 
     cells = {f"{fault}/{r}": cell(1.1, 1.0) for fault in ("freeze", "drift 2") for r in ("constant", "sine")}
-    text = printed(_oracle_tables.show(cells))
+    text = printed(_tracking_tables.show_oracle(cells))
     assert "ours meets the aim in all 4 cells." in text
     assert "1.000 ± 0.3" in text
     assert "9.00" in text
-    text = printed(_oracle_tables.show(cells | {"drift 2/sine": cell(1.1, 1.2)}))
+    text = printed(_tracking_tables.show_oracle(cells | {"drift 2/sine": cell(1.1, 1.2)}))
     assert "ours meets the aim in 3 of 4 cells, and misses it on drift 2/sine (1.2 for 1.1)." in text
 
 
@@ -214,7 +213,7 @@ def test_seeds_of_two_purposes_never_meet():
 
 
 def test_tasks_keep_their_places_and_an_error_ends_the_work():
-    assert in_parallel([lambda i=i: i * i for i in range(20)], jobs=4) == [i * i for i in range(20)]
+    assert Ensemble(0, 4).run([lambda i=i: i * i for i in range(20)], "Squares") == [i * i for i in range(20)]
     assert chunks(list(range(7)), 3) == [[0, 1, 2], [3, 4, 5], [6]]
     begun = []
 
@@ -226,7 +225,7 @@ def test_tasks_keep_their_places_and_an_error_ends_the_work():
         time.sleep(0.01)
 
     with pytest.raises(ValueError, match="broken"):
-        in_parallel([fail] + [wait] * 1000, jobs=2)
+        Ensemble(0, 2).run([fail] + [wait] * 1000, "Waiting")
     assert len(begun) < 1000
 
 

@@ -49,9 +49,8 @@ def engine_loop() -> Loop:
 def c_loop(car: Unpacked, library: Any) -> Loop:
     """Return the loop of ``c_loop.c`` over the FMU's own functions."""
     function = library.c_loop
-    function.argtypes = [
-        *[ctypes.c_void_p] * 4, *[ctypes.c_uint] * 2, *[ctypes.c_double] * 3, *[ctypes.c_longlong] * 2, ctypes.c_void_p
-    ]  # fmt: skip
+    numbers = [*[ctypes.c_uint] * 2, *[ctypes.c_double] * 3, *[ctypes.c_longlong] * 2]
+    function.argtypes = [*[ctypes.c_void_p] * 4, *numbers, ctypes.c_void_p]
 
     def run(steps: int) -> tuple[Floats, float]:
         recording = np.empty(steps // EVERY + 1)

@@ -47,37 +47,6 @@ class _Tasks(Generic[R]):
         """Free nothing: each task does so itself."""
 
 
-def in_parallel(
-    tasks: Sequence[Callable[[], R]], jobs: int, progress: Progress | None = None, what: str = "Simulating"
-) -> list[R]:
-    """Run all tasks on `jobs` threads and return their results in the order of the tasks.
-
-    No task knows which others run, so the results are the same bits for any number of jobs. Ctrl-C and errors wait for the tasks
-    that have begun, of which each should be short, and drop the rest.
-
-    Parameters
-    ----------
-    tasks : sequence of callables without arguments
-        What to do.
-    jobs : int
-        Number of threads, at least 1.
-    progress : callable, optional
-        Called as ``progress(what, done, of)`` after each task.
-    what : str
-        Name of the work, for the progress.
-    """
-    results: dict[int, R] = {}
-    pieces = [Piece(i, i, i + 1) for i in range(len(tasks))]
-    if progress:
-        progress(what, 0, len(tasks))
-    with closing(Threads(check_jobs(jobs)).run(_Tasks(tasks), pieces)) as done:
-        for number, result in done:
-            results[number] = result
-            if progress:
-                progress(what, len(results), len(tasks))
-    return [results[i] for i in range(len(tasks))]
-
-
 class Batch(NamedTuple, Generic[R]):
     """A loop, the seeds of its runs, and what makes some of them: called as ``function(loop, seeds)``."""
 
@@ -108,16 +77,38 @@ class Ensemble:
         """Return seeds for one purpose, see `hashed_seeds`."""
         return hashed_seeds(self.seed, purpose, count)
 
+    def tell(self, what: str, done: int, of: int) -> None:
+        """Report the progress, if there is anybody to report to."""
+        if self.progress:
+            self.progress(what, done, of)
+
     def prepare(self, loops: Sequence[Diagram]) -> None:
         """Make one step with each loop, so that all is compiled before threads would wait for each other's compiling."""
         for i, loop in enumerate(loops):
-            if self.progress:
-                self.progress("Preparing", i, len(loops))
+            self.tell("Preparing", i, len(loops))
             loop.simulate(loop.step, record=[])
 
     def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
-        """Run all tasks, see `in_parallel`."""
-        return in_parallel(tasks, self.jobs, self.progress, what)
+        """Run all tasks on the threads and return their results in the order of the tasks.
+
+        No task knows which others run, so the results are the same bits for any number of threads. Ctrl-C and errors wait for
+        the tasks that have begun, of which each should be short, and drop the rest.
+
+        Parameters
+        ----------
+        tasks : sequence of callables without arguments
+            What to do.
+        what : str
+            Name of the work, for the progress.
+        """
+        results: dict[int, R] = {}
+        self.tell(what, 0, len(tasks))
+        pieces = [Piece(i, i, i + 1) for i in range(len(tasks))]
+        with closing(Threads(self.jobs).run(_Tasks(tasks), pieces)) as done:
+            for number, result in done:
+                results[number] = result
+                self.tell(what, len(results), len(tasks))
+        return [results[i] for i in range(len(tasks))]
 
     def each(self, what: str, batches: Mapping[K, Batch[R]], size: int) -> tuple[dict[K, list[R]], float]:
         """Run batches, after all their loops are prepared.

@@ -100,8 +100,7 @@ def learn(
     learned: dict[str, dict[str, controllers.LearnedModes]] = {form: {} for form in starts}
     # One after the other: learning steps through the samples in Python, which threads make no faster.
     for done, ((form, size), runs) in enumerate(every.items()):
-        if ensemble.progress:
-            ensemble.progress("Learning", done, len(every))
+        ensemble.tell("Learning", done, len(every))
         recordings = [run for few in runs for run in few]
         learned[form][size] = controllers.learn_modes(recordings, model(source.car), starts[form])
     return learned

@@ -162,8 +162,9 @@ def resample(weights, uniform, limit, floats, codes, now, count):
 
 
 @callee
-def step(y, k, uniform, model, limit, tolerance, floats, codes, weights, table, keys, log_odds, now, count):
+def step(y, k, uniform, model, limit, tolerance, space, log_odds, now, count):
     """Take the samples of step `k`, write the log odds of each sensor's fault, and return how many hypotheses are left."""
+    floats, codes, weights, table, keys = space
     sensors, first = y.shape[1], k == 0
     for i in range(sensors):
         repeats = not first and y[k, i] == y[k - 1, i]
@@ -222,7 +223,7 @@ def track(y, u, uniform, model, limit, tolerance, floats, codes, weights, table,
     log_odds : array, steps x sensors
         What is written; infinite where a fault is certain.
     """
-    now, count = 0, 1
+    now, count, space = 0, 1, (floats, codes, weights, table, keys)
     for k in range(y.shape[0]):
         if k > 0:
             for p in range(count):
@@ -230,5 +231,5 @@ def track(y, u, uniform, model, limit, tolerance, floats, codes, weights, table,
                 floats[now, VARIANCE, p] = (
                     model[KEPT] * model[KEPT] * floats[now, VARIANCE, p] + model[PROCESS_VARIANCE]
                 )
-        count = step(y, k, uniform, model, limit, tolerance, floats, codes, weights, table, keys, log_odds, now, count)
+        count = step(y, k, uniform, model, limit, tolerance, space, log_odds, now, count)
         now = (now + y.shape[1] + 1) % 2  # each sensor and the resampling have written into the other buffer

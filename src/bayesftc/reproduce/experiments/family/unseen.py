@@ -77,6 +77,11 @@ def _injection(draw: Draw) -> dict[str, float]:
     return draw.either(constant, swings, {**constant, **swings})  # type: ignore[no-any-return]
 
 
+def _spikes(draw: Draw) -> dict[str, Any]:
+    sizes = {"magnitude": draw.sds(3, 100), "probability": draw.size(0.01, 0.3)}
+    return {**sizes, "random_size": draw.either(False, True)}
+
+
 def _clipping(draw: Draw) -> dict[str, float]:
     return {draw.either("low", "high"): draw.uniform(draw.low, draw.high)}
 
@@ -89,16 +94,14 @@ KINDS: Mapping[type[cosim.Fault], Callable[[Draw], dict[str, Any]]] = {
     cosim.Drift: lambda draw: {"slope": draw.either(-1, 1) * draw.sds(0.3, 30)},
     cosim.GainFault: lambda draw: {"factor": draw.uniform(-1, 2)},
     cosim.Dropout: lambda draw: {},
-    cosim.Spikes: lambda draw: {
-        "magnitude": draw.sds(3, 100), "probability": draw.size(0.01, 0.3), "random_size": draw.either(False, True),
-    },
+    cosim.Spikes: _spikes,
     cosim.NoiseIncrease: lambda draw: {"std": rounded(added_noise(draw.size(1.5, 30)) * draw.sd)},
     cosim.NoiseGrowth: lambda draw: {"slope": draw.sds(0.3, 30)},
     cosim.Clipping: _clipping,
     cosim.Rounding: lambda draw: {"resolution": draw.sds(0.5, 30)},
     cosim.Lag: lambda draw: {"time_constant": draw.size(0.03, 3)},
     cosim.Delay: lambda draw: {"delay": draw.size(0.03, 3)},
-}  # fmt: skip
+}
 """How the settings of each kind of fault are drawn; a bias is there from the first step on. Sizes are from half a standard
 deviation, below which little can be lost, to thirty; times from a sample or two to a good part of a run."""
 

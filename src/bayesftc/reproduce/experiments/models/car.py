@@ -101,47 +101,34 @@ RIGHT = "right"
 
 def conditions(settings: Models, car: Car) -> dict[str, Condition]:
     """Return the conditions by name: of words of at most five letters, which head the columns of the tables."""
-    s = settings
+    s, times = settings, "times the believed one"
     limit = {"force_limit": s.force_limit}
+
+    def mass(factor: float) -> Condition:
+        return Condition(f"the mass is {factor:g} {times}", f"mass x {factor:g}", {"mass": factor * car.mass})
+
+    def noise(factor: float) -> Condition:
+        return Condition(f"the sensors' sd is {factor:g} {times}", f"sensor noise x {factor:g}", noise=factor)
+
+    drag = f"a drag of {s.quadratic_drag:g} N s^2/m^2 times the squared speed on top"
+    worn = f"the sensors' sd grows to {s.ageing:g} {times}"
+    lag = f"the force follows what is asked for with a time constant of {s.lag:g} s"
+    late, samples = f"the force comes {s.delay:g} s late", round(s.delay / car.step)
+    limited = f"the actuator gives no more than {s.force_limit:g} N to either side"
+    known = "the same, and the controller knows the limit"
     return {
         RIGHT: Condition("all is as the controller believes", "all as believed"),
-        "mass up": Condition(
-            f"the mass is {s.heavier:g} times the believed one", f"mass x {s.heavier:g}", {"mass": s.heavier * car.mass}
-        ),
-        "mass down": Condition(
-            f"the mass is {s.lighter:g} times the believed one", f"mass x {s.lighter:g}", {"mass": s.lighter * car.mass}
-        ),
-        "drag": Condition(
-            f"a drag of {s.quadratic_drag:g} N s^2/m^2 times the squared speed on top",
-            "further drag",
-            {"quadratic_drag": s.quadratic_drag},
-        ),
+        "mass up": mass(s.heavier),
+        "mass down": mass(s.lighter),
+        "drag": Condition(drag, "further drag", {"quadratic_drag": s.quadratic_drag}),
         "hill": Condition(f"a slope of {s.slope:.0%}", f"hill of {100 * s.slope:g} %", {"slope": s.slope}),
-        "sd up": Condition(
-            f"the sensors' sd is {s.noisier:g} times the believed one", f"sensor noise x {s.noisier:g}", noise=s.noisier
-        ),
-        "sd down": Condition(
-            f"the sensors' sd is {s.quieter:g} times the believed one", f"sensor noise x {s.quieter:g}", noise=s.quieter
-        ),
-        "worn": Condition(
-            f"the sensors' sd grows to {s.ageing:g} times the believed one",
-            f"noise grows to x {s.ageing:g}",
-            ageing=s.ageing,
-        ),
-        "lag": Condition(
-            f"the force follows what is asked for with a time constant of {s.lag:g} s",
-            f"lag of {s.lag:g} s",
-            {"lag": s.lag},
-        ),
-        "late": Condition(
-            f"the force comes {s.delay:g} s late", f"delay of {s.delay:g} s", {"delay": round(s.delay / car.step)}
-        ),
-        UNKNOWN_LIMIT: Condition(
-            f"the actuator gives no more than {s.force_limit:g} N to either side", "force limit, untold", limit
-        ),
-        "sat. told": Condition(
-            "the same, and the controller knows the limit", "force limit, told", limit, known_limit=True
-        ),
+        "sd up": noise(s.noisier),
+        "sd down": noise(s.quieter),
+        "worn": Condition(worn, f"noise grows to x {s.ageing:g}", ageing=s.ageing),
+        "lag": Condition(lag, f"lag of {s.lag:g} s", {"lag": s.lag}),
+        "late": Condition(late, f"delay of {s.delay:g} s", {"delay": samples}),
+        UNKNOWN_LIMIT: Condition(limited, "force limit, untold", limit),
+        "sat. told": Condition(known, "force limit, told", limit, known_limit=True),
     }
 
 
