@@ -68,17 +68,7 @@ def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> list[
 
 
 def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = SECTIONS) -> None:
-    """Measure and print; a bar that is missed is a result like any other, not an error.
-
-    Parameters
-    ----------
-    json : bool
-        Print one JSON object instead of a table.
-    quick : bool
-        See `measure`.
-    sections : iterable of str
-        See `measure`.
-    """
+    """Measure `sections`, see `measure`, and print tables, or one JSON object; a bar that is missed is no error."""
     done = measure(sections, quick=quick)
     if json:
         sys.stdout.write(encoder.dumps(as_json(done, quick), indent=2) + "\n")

@@ -22,13 +22,7 @@ BUG, NO_MEMORY, INTERRUPTED, BROKEN_PIPE = 70, 71, EXIT_CODE, 141
 
 @contextmanager
 def guarded(debug: bool = False) -> Iterator[None]:
-    """Turn what is raised inside into a sentence on stderr and `typer.Exit` with the exit code that belongs to it.
-
-    Parameters
-    ----------
-    debug : bool
-        Whether the traceback of an error is shown as well.
-    """
+    """Turn what is raised inside into a sentence (with `debug` a traceback too) and a `typer.Exit` with its exit code."""
     from bayesftc.cosim.errors import BayesFTCError
 
     try:

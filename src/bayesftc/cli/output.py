@@ -7,7 +7,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from bayesftc.cosim.errors import ResultFileError
 from bayesftc.cosim.judging.metrics import without_nan
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from bayesftc.cosim.judging.signals import LoopSignals
@@ -54,27 +55,21 @@ ACTUATOR_ROWS = (
     ("kind during alarms, mostly", "kind", "{}"),
     ("its mean size", "size", "{:.4g}"),
 )
+OF_INPUTS = (
+    ("inputs", "Faults on the way to the plant", INPUT_ROWS, ""),
+    ("actuators", "Actuators' faults as the controller sees them", ACTUATOR_ROWS, ACTUATORS),
+)
+"""The tables with a column for each input of the plant: which numbers, heading, rows, and a sentence below."""
 MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
 """Rows that are shown only if a sensor has missing samples."""
 PHASES = (("overall", "whole run"), ("before", "before faults"), ("during", "during"), ("after", "after"))
 
 
 def check_folder(folder: Path, names: Iterable[str] = (RESULT, FIGURE, NUMBERS)) -> None:
-    """Check, before the run rather than after it, that files can be written to a folder that may not be there yet.
+    """Check, before the run rather than after it, that files (of a run, by default) can be written to a folder.
 
-    Nothing is made: whatever way the run ends, an empty folder does not stay behind.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where to.
-    names : iterable of str
-        The files that are to be written; by default those of a run.
-
-    Raises
-    ------
-    ResultFileError
-        If they cannot.
+    The folder may not be there yet. Nothing is made: whatever way the run ends, an empty folder does not stay behind. If the
+    files cannot be written, a ResultFileError is raised.
     """
     try:
         there = next(p for p in (folder, *folder.absolute().parents) if os.path.lexists(p))
@@ -208,10 +203,9 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
     title = f"{numbers['scenario']}: {numbers['duration']:g} s, {numbers['steps']} steps, seed {numbers['seed']}"
     console.print(Text(title), soft_wrap=True)
     tables = [(*_sensors(numbers["sensors"]), "")]
-    if numbers["inputs"]:
-        tables.append((*_inputs(numbers["inputs"]), ""))
-    if numbers["actuators"]:
-        tables.append((*_actuators(numbers["actuators"]), ACTUATORS))
+    for what, heading, rows, sentence in OF_INPUTS:
+        if numbers[what]:
+            tables.append((heading, _by_name(numbers[what], rows), sentence))
     if numbers["tracking"]:
         tables.insert(0, (*_errors(numbers), TRACKING))
     if "kalman" in numbers:
@@ -256,14 +250,6 @@ def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
     return "Faults and their detection", table
 
 
-def _inputs(inputs: list[dict[str, Any]]) -> tuple[str, Table]:
-    return "Faults on the way to the plant", _by_name(inputs, INPUT_ROWS)
-
-
-def _actuators(actuators: list[dict[str, Any]]) -> tuple[str, Table]:
-    return "Actuators' faults as the controller sees them", _by_name(actuators, ACTUATOR_ROWS)
-
-
 def _by_name(columns: list[dict[str, Any]], rows: Iterable[tuple[str, str, str]]) -> Table:
     """Return a table with a column for each input of the plant."""
     table = empty_table(*(f"{c['name']} ({c['unit']})" if c["unit"] else c["name"] for c in columns))
@@ -290,6 +276,26 @@ def empty_table(*columns: str) -> Table:
     for column in columns:
         table.add_column(Text(column), justify="right", overflow="fold")
     return table
+
+
+def plain_table(*columns: str, right: Collection[str] = ()) -> Table:
+    """Return a table in the house's style with these columns, some of them to the right."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, overflow="fold", justify="right" if column in right else "left")
+    return table
+
+
+def sayer() -> tuple[Console, Callable[..., None]]:
+    """Return the terminal, and what prints a sentence there, in a style of rich."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    return console, lambda sentence, style="": console.print(Text(sentence, style=style), soft_wrap=True)
 
 
 def _number(value: float | str | None, form: str) -> str:

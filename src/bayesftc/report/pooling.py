@@ -43,16 +43,9 @@ class Estimate(NamedTuple):
 
 
 def pooled(values: Floats, points: Any, seeds: Any, designs: Any) -> Estimate:
-    """Return the mean of some runs.
+    """Return the mean of the runs that have a finite value; all arrays have the shape (runs,).
 
-    Parameters
-    ----------
-    values : ndarray of shape (runs,)
-        What is not finite is left out.
-    points, seeds : ndarray of int, of shape (runs,)
-        Of each run.
-    designs : ndarray of int, of shape (runs,)
-        Which list of seeds the point of each run has; those of different lists are independent.
+    `designs` numbers the list of seeds of each run's point: runs whose points have different lists are independent.
     """
     known = np.isfinite(values)
     values, seeds, designs = values[known], seeds[known], designs[known]

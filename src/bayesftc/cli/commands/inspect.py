@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bayesftc.cli import output
 from bayesftc.cli.inspection.verdicts import Verdict, verdicts
 from bayesftc.cli.options import Json
 from bayesftc.cosim.base.paths import exists, expanded
@@ -45,10 +46,8 @@ def inspect(
     description = describe(path, validate=validate)
     works = verdicts(path, description, validate=validate)
     if json:
-        from bayesftc.cli.output import as_json
-
         table = {v.what: {"works": v.works, "how": v.how} for v in works}
-        typer.echo(as_json({"path": str(path), **_plain(asdict(description)), "works": table}))
+        typer.echo(output.as_json({"path": str(path), **_plain(asdict(description)), "works": table}))
         return
     _print(path, description, works, everything)
 
@@ -66,7 +65,6 @@ def find_fmu(name: str) -> Path:
 
 
 def _print(path: Path, description: FMUDescription, works: list[Verdict], everything: bool) -> None:
-    from rich import box
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -79,9 +77,7 @@ def _print(path: Path, description: FMUDescription, works: list[Verdict], everyt
         facts.add_row(label, Text(value))
     console.print(facts)
     console.print()
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("what works", "", "how, or why not"):
-        table.add_column(column, overflow="fold")
+    table = output.plain_table("what works", "", "how, or why not")
     for verdict in works:
         table.add_row(Text(verdict.what), Text(verdict.works, style=STYLES[verdict.works]), Text(verdict.how))
     console.print(table)
@@ -89,13 +85,9 @@ def _print(path: Path, description: FMUDescription, works: list[Verdict], everyt
 
 
 def _print_variables(console: Console, description: FMUDescription, everything: bool) -> None:
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("variable", "causality", "type", "unit", "start", "description"):
-        table.add_column(column, overflow="fold", justify="right" if column == "start" else "left")
+    table = output.plain_table("variable", "causality", "type", "unit", "start", "description", right={"start"})
     shown = [v for v in description.variables if everything or v.causality in ORDER[:5]]
     ranked = sorted(shown, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER))
     for v in ranked:

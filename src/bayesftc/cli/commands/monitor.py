@@ -129,14 +129,7 @@ def _write(folder: Path, found: Monitored, numbers: dict[str, Any]) -> None:
 
 
 def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(highlight=False)
-
-    def say(sentence: str, style: str = "") -> None:
-        console.print(Text(sentence, style=style), soft_wrap=True)
-
+    console, say = output.sayer()
     say(f"{numbers['start']:g} to {numbers['end']:g} s, {len(found.time)} steps of {float(found.recording.dt):g} s\n")
     sensors = output.empty_table("samples", "a second", "left out", "mean probability", "alarms")
     for name, row in numbers["sensors"].items():

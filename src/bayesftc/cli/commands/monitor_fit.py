@@ -37,23 +37,9 @@ class Fit:
 
 
 def fit_files(recording: Sequence[Path], told: Fit, model: Path) -> tuple[FittedModel, Recording]:
-    """Fit a model to a recording, write it, and return it with the recording.
+    """Fit a model to CSV files or folders, write it, and return it with the recording.
 
-    Parameters
-    ----------
-    recording : sequence of pathlib.Path
-        CSV files or folders.
-    told : Fit
-        The stretch and the columns.
-    model : pathlib.Path
-        The file that is written; one that is there stays as it is.
-
-    Raises
-    ------
-    ResultFileError
-        If the file is there already, or cannot be written.
-    RecordingError
-        As of `redundant_signals` and `fit_model`.
+    A model file that is there stays as it is: then, and where it cannot be written, a ResultFileError is raised.
     """
     if os.path.lexists(model):
         raise ResultFileError(f"{model} is there already; name another file by --model, or leave --fit out to use it.")
@@ -80,14 +66,7 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
 
 def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
     """Print what was fitted."""
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(highlight=False)
-
-    def say(sentence: str, style: str = "") -> None:
-        console.print(Text(sentence, style=style), soft_wrap=True)
-
+    console, say = output.sayer()
     say("Fitted model", "bold")
     say(_motion(fitted))
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")

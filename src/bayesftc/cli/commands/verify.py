@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bayesftc.cli import output
 from bayesftc.cli.options import Duration, Json, Quiet, Seed, Timing
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.errors import ModelError
@@ -65,9 +66,7 @@ def verify(
         engine=own.engine,
     )
     if json:
-        from bayesftc.cli.output import as_json
-
-        typer.echo(as_json(_plain(found, against, tolerance)))
+        typer.echo(output.as_json(_plain(found, against, tolerance)))
     elif not quiet:
         _print(found, against, tolerance)
     if not found.agrees(tolerance):

@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import typer
+
+from bayesftc.cli import output
 from bayesftc.cosim.blocks.mathblocks import Gain
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import SSPError
@@ -14,17 +17,7 @@ from bayesftc.cosim.ssp.system import open_ssp
 
 
 def inspect_ssp(path: Path, *, validate: bool, json: bool) -> None:
-    """Print tables (or JSON) of the diagram that an SSP makes.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The ``.ssp`` or ``.ssd``.
-    validate : bool
-        Whether it and its FMUs must keep the rules of SSP and FMI.
-    json : bool
-        Print JSON.
-    """
+    """Print tables (or JSON) of the diagram of an SSP; with `validate` it and its FMUs must keep the rules of SSP and FMI."""
     try:
         diagram = open_ssp(path, validate=validate)
         step: str | None = str(diagram.step)
@@ -34,11 +27,7 @@ def inspect_ssp(path: Path, *, validate: bool, json: bool) -> None:
         diagram, step = open_ssp(path, validate=validate, dt=1), None
     found = {"path": str(path), "step": step, "components": _components(diagram), "connections": _connections(diagram)}
     if json:
-        import typer
-
-        from bayesftc.cli.output import as_json
-
-        typer.echo(as_json(found))
+        typer.echo(output.as_json(found))
         return
     _print(found)
 
@@ -79,24 +68,18 @@ def _connections(diagram: Diagram) -> list[dict[str, Any]]:
 
 
 def _print(found: dict[str, Any]) -> None:
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
     console = Console(highlight=False)
     console.print(Text(f"file  {found['path']}"))
     console.print(Text(f"step  {found['step']} s" if found["step"] else "step  none is given: open_ssp(path, dt=...)"))
-    components = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("component", "FMU", "FMI", "used for", "values"):
-        components.add_column(column, overflow="fold")
+    components = output.plain_table("component", "FMU", "FMI", "used for", "values")
     for name, row in found["components"].items():
         values = ", ".join(f"{variable} = {value}" for variable, value in row["values"].items())
         components.add_row(*map(Text, (name, row["fmu"], row["fmi_version"], row["kind"], values)))
     console.print(components)
-    connections = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("from", "to", "factor", "offset"):
-        connections.add_column(column, overflow="fold", justify="right" if column in {"factor", "offset"} else "left")
+    connections = output.plain_table("from", "to", "factor", "offset", right={"factor", "offset"})
     for row in found["connections"]:
         numbers = (f"{row[n]:.10g}" if n in row else "" for n in ("factor", "offset"))
         connections.add_row(*map(Text, (row["from"], row["to"], *numbers)))

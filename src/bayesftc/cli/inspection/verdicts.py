@@ -30,17 +30,7 @@ class Verdict:
 
 
 def verdicts(path: Path, description: FMUDescription, *, validate: bool) -> list[Verdict]:
-    """Return what can be done with an FMU.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    description : FMUDescription
-        What it says of itself.
-    validate : bool
-        Whether the description must keep the rules of FMI.
-    """
+    """Return what can be done with an FMU; with `validate` its description must keep the rules of FMI."""
     archive = open_archive(path.absolute())
     blocks = {kind: _block(path, kind, validate) for name, kind in _KINDS.items() if name in description.kinds}
     return [

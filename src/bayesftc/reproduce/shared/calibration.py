@@ -32,15 +32,7 @@ class Calibration:
 
 
 def calibration(streams: Sequence[Calibration], residual: Residual) -> dict[str, Any]:
-    """Return Brier score and calibration errors with intervals over the streams, and the reliability diagram.
-
-    Parameters
-    ----------
-    streams : sequence of Calibration
-        At least two.
-    residual : Residual
-        Whose probabilities they are.
-    """
+    """Return Brier score and calibration errors with intervals over two or more streams, and the reliability diagram."""
     counts, widths = (mean_reliability([getattr(s, name) for s in streams]) for name in ("counts", "widths"))
     return {
         "of": FITTED if residual.probability is None else OWN,

@@ -68,16 +68,8 @@ def colour_bar(figure: Figure, image: Any, axes: Any, label: str, **options: Any
 def legend(axis: Axes, lines: Sequence[str], title: str = "", group: Sequence[str] = ()) -> None:
     """Put the legend beside the axis, where it covers nothing.
 
-    Parameters
-    ----------
-    axis : Axes
-        Where the lines are.
-    lines : sequence of str
-        Labels of the lines that are named one by one, in the order of the legend.
-    title : str
-        Stands beside a single line in `FURTHER_STYLE`, for all lines that look like it.
-    group : sequence of str
-        Their names, below the title.
+    The labels of `lines` are named one by one, in this order. The names of a `group` stand below the title, which stands beside a
+    single line in `FURTHER_STYLE`, for all lines that look like it.
     """
     from matplotlib.lines import Line2D
 

@@ -89,17 +89,10 @@ class Ensemble:
             loop.simulate(loop.step, record=[])
 
     def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
-        """Run all tasks on the threads and return their results in the order of the tasks.
+        """Run all tasks on the threads and return their results in their order; `what` names the work, for the progress.
 
         No task knows which others run, so the results are the same bits for any number of threads. Ctrl-C and errors wait for
         the tasks that have begun, of which each should be short, and drop the rest.
-
-        Parameters
-        ----------
-        tasks : sequence of callables without arguments
-            What to do.
-        what : str
-            Name of the work, for the progress.
         """
         results: dict[int, R] = {}
         self.tell(what, 0, len(tasks))
@@ -111,23 +104,10 @@ class Ensemble:
         return [results[i] for i in range(len(tasks))]
 
     def each(self, what: str, batches: Mapping[K, Batch[R]], size: int) -> tuple[dict[K, list[R]], float]:
-        """Run batches, after all their loops are prepared.
+        """Run batches after all their loops are prepared, each task `size` runs.
 
-        Parameters
-        ----------
-        what : str
-            Name of the work, for the progress.
-        batches : mapping
-            The batches by what tells them apart.
-        size : int
-            Number of runs that one task makes.
-
-        Returns
-        -------
-        results : dict
-            For each batch what its function returned, in the order of its seeds.
-        seconds : float
-            How long that took, without the preparation.
+        Return what the functions returned for each batch, in the order of its seeds, and how many seconds that took without the
+        preparation.
         """
         self.prepare([batch.loop for batch in batches.values()])
         groups = {key: chunks(batch.seeds, size) for key, batch in batches.items()}

@@ -95,10 +95,7 @@ def sentence_list(names: Sequence[str]) -> str:
 def interval_widths(cells: Sequence[tuple[str, str, Mapping[str, Any]]]) -> str:
     """Return in words how wide the confidence intervals of ratios are, beside the ratios.
 
-    Parameters
-    ----------
-    cells : sequence of tuple
-        Row and column of a table, and what the report has of the cell: ``ratio`` and ``ratio_ci``.
+    The cells are row and column of a table, and what the report has of the cell: ``ratio`` and ``ratio_ci``.
     """
     halves = {(n, c): (cell["ratio_ci"][1] - cell["ratio_ci"][0]) / 2 / cell["ratio"] for n, c, cell in cells}
     widest = max(halves, key=halves.__getitem__)

@@ -78,16 +78,7 @@ def wrong(
 ) -> dict[str, controllers.SwitchingPrecision]:
     """Return a learner as it is, and for each row with settings of all its modes multiplied and divided by a factor.
 
-    All its modes are those of sensors, of actuators and of the process.
-
-    Parameters
-    ----------
-    learner : SwitchingPrecision
-        Whose settings they are.
-    factor : float
-        By how much they are wrong.
-    of : mapping
-        The settings of each row; modes without one stay as they are.
+    All its modes are those of sensors, of actuators and of the process; those without the settings of a row stay as they are.
     """
 
     def times(names: Sequence[str], by: float) -> controllers.SwitchingPrecision:

@@ -43,12 +43,7 @@ def score(
 ) -> dict[str, Scores]:
     """Return for each form and row mean and interval of each measure on the streams of each size of the faults.
 
-    Parameters
-    ----------
-    source, ensemble, settings : Streams, Ensemble, Beliefs
-        What makes the streams, how, and how many.
-    forms : mapping
-        By form and row the learner for each size.
+    `forms` has the learner by form, row and size.
     """
     sizes = sizes_of(settings)
     own = {size: ensemble.seeds(f"beliefs/{size}", settings.streams) for size in sizes}
@@ -83,12 +78,7 @@ def learn(
 ) -> dict[str, dict[str, controllers.LearnedModes]]:
     """Return what each form learns for each size of the faults, from streams on seeds that none is judged on.
 
-    Parameters
-    ----------
-    source, ensemble, settings : Streams, Ensemble, Beliefs
-        What makes the streams, how, and how many.
-    starts : mapping
-        By form the settings from which learning begins; they also run while the streams are recorded.
+    Learning begins from the settings of `starts`, which also run while the streams are recorded.
     """
     sizes = sizes_of(settings)
     own = {size: ensemble.seeds(f"beliefs/training/{size}", settings.training_streams) for size in sizes}

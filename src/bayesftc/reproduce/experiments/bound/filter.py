@@ -62,14 +62,8 @@ class PosteriorFilter:
     def log_odds(self, y: Floats, u: Floats, seed: int = 0) -> Floats:
         """Return the log odds of a fault of each sensor at each step, infinite where it is certain; of the shape of `y`.
 
-        Parameters
-        ----------
-        y : ndarray of shape (steps, sensors)
-            Samples as they reach the controller.
-        u : ndarray of shape (steps,)
-            The control from each step on.
-        seed : int
-            Of the resampling.
+        `y` (steps x sensors) has the samples as they reach the controller, `u` (steps) the control from each step on; `seed` is
+        that of the resampling.
         """
         steps, sensors = y.shape
         capacity = self.particles * 3**sensors

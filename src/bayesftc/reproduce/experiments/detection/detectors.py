@@ -33,10 +33,7 @@ class Detectors:
     def report(self, headline: Faults) -> dict[str, Any]:
         """Return thresholds, their false alarms on other fault-free streams, and delays and misses by kind and size of fault.
 
-        Parameters
-        ----------
-        headline : Faults
-            Sizes to judge beside those of the settings.
+        The sizes are those of the settings, and before them the headline's.
         """
         s = self.streams.settings
         thresholds = self.thresholds()

@@ -28,18 +28,8 @@ SER_FT = "SER FT"
 def track(bench: TrackingBench, ours: Mapping[Scenario, Errors]) -> dict[str, Any]:
     """Return the tracking errors of the first runs of each scenario with filterpy's filter in the loop, beside ours.
 
-    Parameters
-    ----------
-    bench : Bench
-        Of the experiment; its setting ``filterpy_runs`` says how many runs.
-    ours : mapping
-        The errors of all runs of the compiled techniques.
-
-    Returns
-    -------
-    dict
-        ``runs``, and for each scenario ``ours`` and ``filterpy`` (means over these runs in m/s) and ``largest_difference`` (of a
-        run, relative).
+    There are ``runs``, and for each scenario ``ours`` and ``filterpy`` (means over these runs in m/s) and
+    ``largest_difference`` (of a run, relative).
     """
     s = bench.settings
     runs = min(s.runs, s.filterpy_runs)
@@ -60,20 +50,8 @@ def track(bench: TrackingBench, ours: Mapping[Scenario, Errors]) -> dict[str, An
 def detect(bench: DetectionBench, faults: Faults, seeds: Sequence[int]) -> list[dict[str, Any]]:
     """Return the AUC of the innovation by filterpy's filter over the samples of the SER baseline's loop, beside ours.
 
-    Parameters
-    ----------
-    bench : Bench
-        Of the experiment.
-    faults : Faults
-        How large faults are.
-    seeds : sequence of int
-        Of the streams.
-
-    Returns
-    -------
-    list of dict
-        For each stream ``seed``, ``ours`` and ``filterpy`` (AUC on the test part), and ``largest_difference`` of an innovation,
-        in standard deviations of a sensor.
+    For each stream there are ``seed``, ``ours`` and ``filterpy`` (AUC on the test part), and ``largest_difference`` of an
+    innovation, in standard deviations of a sensor.
     """
     s, car = bench.settings, bench.car
     residual = _residuals.ser(s)

@@ -107,13 +107,7 @@ deviation, below which little can be lost, to thirty; times from a sample or two
 
 
 def unseen_cases(seed: int) -> Iterator[Case]:
-    """Give cases without end, the same for the same seed.
-
-    Parameters
-    ----------
-    seed : int
-        Of what is drawn; the noise of the runs has seeds of its own.
-    """
+    """Give cases without end, the same for the same seed; the noise of the runs has seeds of its own."""
     check_seed(seed)
     for number in count(1):
         random = np.random.default_rng([seed, number])

@@ -150,14 +150,7 @@ class Kind:
 def probabilities(world: World, kind: Kind, samples: Floats) -> Floats:
     """Return the probability that each sensor has failed at each sample, given the samples up to there.
 
-    Parameters
-    ----------
-    world : World
-        The state and how sensors fail.
-    kind : Kind
-        What a failed one does.
-    samples : ndarray of shape (steps, sensors)
-        NaN where a sensor sends nothing. With k steps there are 2^(k m) courses.
+    `samples` (steps x sensors) is NaN where a sensor sends nothing. With k steps there are 2^(k m) courses.
     """
     m = samples.shape[1]
     n = 1 + 2 * m * kind.offsets
@@ -342,17 +335,9 @@ def on_a_grid(
 ) -> Floats:
     """Return what `probabilities` does where a failed sensor's noise has another precision, which is not known.
 
-    It is gamma distributed, and the same as long as the fault lasts: no forgetting. The state is summed over a grid, the
-    logarithm of each sensor's precision over another; such sums of smooth densities are accurate to 1e-5.
-
-    Parameters
-    ----------
-    world, mode, samples
-        As of `probabilities`.
-    spacing : float
-        Of the states, in standard deviations of the process noise.
-    nodes : int
-        How many precisions.
+    It is gamma distributed, and the same as long as the fault lasts: no forgetting. The state is summed over a grid of a
+    spacing in standard deviations of the process noise, the logarithm of each sensor's precision over another with so many
+    nodes; such sums of smooth densities are accurate to 1e-5.
     """
     m, deviation = samples.shape[1], world.process_variance**0.5
     reach = 6 * (world.variance + len(samples) * world.process_variance) ** 0.5

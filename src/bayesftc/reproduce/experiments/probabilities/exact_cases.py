@@ -84,20 +84,9 @@ def distances(
 ) -> dict[str, dict[str, Any]]:
     """Return for each row, pace and form the differences between our fault probabilities and the exact ones.
 
-    Parameters
-    ----------
-    settings, ensemble : Probabilities, Ensemble
-        How many sequences of which length, and of which seed.
-    model : LinearModel
-        Of a scalar state.
-    mean : float
-        Of the state at the start; its variance is what a filter knows of it after a while.
-
-    Returns
-    -------
-    dict
-        By row, pace and form: ``largest`` and ``rms``; ``by_size``, the same for each size of the fault; and ``between``, the
-        share of the failing sensor's samples with an exact probability from .05 to .95.
+    The model has a scalar state, whose mean at the start is given; its variance is what a filter knows of it after a while. By
+    row, pace and form there are ``largest`` and ``rms``; ``by_size``, the same for each size of the fault; and ``between``, the
+    share of the failing sensor's samples with an exact probability from .05 to .95.
     """
     sizes, variance = dict(settings.sizes), settled_variance(model)
     cells = [(name, pace, row) for name, plain in ROWS.items() for pace, row in paces(settings, plain).items()]

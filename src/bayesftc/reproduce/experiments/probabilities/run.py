@@ -149,14 +149,7 @@ def _simulated(settings: Probabilities, runs: Sequence[tuple[cosim.Diagram, Rand
 def judged(settings: Probabilities, runs: Sequence[Run], kinds: Sequence[str]) -> dict[str, Any]:
     """Return the reliability of probabilities: diagram with intervals over runs, the worst bin, and what each kind does to it.
 
-    Parameters
-    ----------
-    settings : Probabilities
-        How many bins, and what is enough.
-    runs : sequence of Run
-        Each counts as one, for its samples depend on each other.
-    kinds : sequence of str
-        Of the fault in each run.
+    Each run counts as one, for its samples depend on each other; `kinds` has the kind of its fault.
 
     Returns
     -------

@@ -23,20 +23,9 @@ def over_oracle(
 ) -> dict[str, Any]:
     """Return for each cell and technique the ratio of its error to the oracle's, on the same noise, with a 95 % interval.
 
-    Parameters
-    ----------
-    bench : Bench
-        Of the experiment.
-    known : mapping
-        The techniques by name.
-    often : collection of str
-        Those that make more runs, by the setting ``oracle_factor``, as the oracle does; the others make the first of them.
-
-    Returns
-    -------
-    dict
-        ``cells``: "fault size/reference" -> ``bar``, ``oracle`` (its error in m/s) and ``ratio`` by technique (``ratio``,
-        ``ratio_ci``, ``n``).
+    The techniques in `often` make more runs, by the setting ``oracle_factor``, as the oracle does; the others make the first of
+    them. Under ``cells`` each "fault size/reference" has its ``bar``, ``oracle`` (its error in m/s) and the ``ratio`` by
+    technique (``ratio``, ``ratio_ci``, ``n``).
     """
     s = bench.settings
     longer = replace(bench, settings=s.of_size(s.runs * s.oracle_factor))
