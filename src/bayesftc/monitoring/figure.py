@@ -45,9 +45,8 @@ def plot_monitored(found: Monitored) -> Figure:
         axes[-1].plot(*thin(found.time, found.fault_probability[:, i]), lw=1.3, label=sensor, **style)
     for j, name in enumerate(found.actuators):
         style = {"color": BLACK, "ls": LINES[j % len(LINES)]}
-        axes[-1].plot(
-            *thin(found.time, found.actuator_fault_probability[:, j]), lw=1.3, label=f"actuator {name}", **style
-        )
+        shown = thin(found.time, found.actuator_fault_probability[:, j])
+        axes[-1].plot(*shown, lw=1.3, label=f"actuator {name}", **style)
     axes[-1].set_ylim(-0.04, 1.04)
     axes[-1].set_ylabel("fault probability")
     for axis in axes:

@@ -137,9 +137,8 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
         delays = delay_curve(own.score, own.truth, step=step)
         share = delays["false_share"].to_numpy()
         least = min([least, *share[share > 0]])
-        right.plot(
-            share, delays["median_delay"], color=style.colour, ls=style.line, lw=1.5, marker=style.marker, ms=2.5
-        )
+        look: dict[str, Any] = {"color": style.colour, "ls": style.line, "marker": style.marker}
+        right.plot(share, delays["median_delay"], lw=1.5, ms=2.5, **look)
     left.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.02))
     right.set_xscale("symlog", linthresh=least)
@@ -194,9 +193,8 @@ def reliability_figure(contents: Contents, detection: dict[Any, Level]) -> tuple
         name = "" if level is None else f"{words(contents.name(level), 32, 1)}: "
         label = f"{name}calibration error {found.pooled.calibration_error:.3f}"
         error_bars(axis, p, share, bars, style, label=label)
-    axis.set(
-        xlabel="fault probability", ylabel="share of samples with the fault", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02)
-    )
+    whole = (-0.02, 1.02)
+    axis.set(xlabel="fault probability", ylabel="share of samples with the fault", xlim=whole, ylim=whole)
     axis.set_aspect("equal")
     legend(axis, columns=1)
     return made, (

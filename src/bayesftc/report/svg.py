@@ -6,6 +6,7 @@ import io
 import re
 import textwrap
 import warnings
+import zlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -109,15 +110,8 @@ def to_svg(made: Figure, description: str) -> str:
         svg = svg.replace(colour.lower(), f"var(--c{i})")
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", svg, count=1)
     # Several figures stand in one page: what their parts are called must differ.
-    prefix = f"f{abs(hash_of(description)):x}-"
+    prefix = f"f{zlib.crc32(description.encode()):x}-"  # the same in each process
     svg = re.sub(r'\bid="', f'id="{prefix}', svg)
     svg = svg.replace("url(#", f"url(#{prefix}").replace('href="#', f'href="#{prefix}')
     head = f'<svg role="img" aria-label="{escape(description, quote=True)}"'
     return svg.replace("<svg", head, 1)
-
-
-def hash_of(text: str) -> int:
-    """Return a number for a text, the same in each process."""
-    import zlib
-
-    return zlib.crc32(text.encode())

@@ -33,9 +33,7 @@ Scores = dict[str, dict[str, Any]]
 
 def sizes_of(settings: Beliefs) -> dict[str, Faults]:
     """Return the sizes of the faults by their names."""
-    return {
-        f"injection {injection:g}, drift {drift:g}": Faults(injection, drift) for injection, drift in settings.sizes
-    }
+    return {f"injection {i:g}, drift {d:g}": Faults(i, d) for i, d in settings.sizes}
 
 
 def score(

@@ -30,9 +30,8 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         yield from _errors(f"{form}: {title}", rows)
         coarse = report["coarse"]["errors"][form]
         yield from _errors(f"{form}, sensors with a resolution of {settings['resolution']:g} m/s: {title}", coarse)
-        yield interval_widths(
-            [(row, c, of) for cells in (rows, coarse) for row in cells for c, of in cells[row].items()]
-        )
+        both = [(row, c, of) for cells in (rows, coarse) for row in cells for c, of in cells[row].items()]
+        yield interval_widths(both)
         yield _worst(form, report["worst"][form])
     judged = f"mean over {settings['streams']} streams"
     for form, rows in report["detection"].items():

@@ -117,9 +117,7 @@ def _posterior(
 ) -> Posterior:
     filters = [PosteriorFilter(bench.settings, bench.car, faults, particles, settings.tolerance) for faults in cells]
     tasks: list[Callable[[], Floats]] = [
-        partial(each.log_odds, record.y, record.u)
-        for each, mine in zip(filters, records, strict=True)
-        for record in mine
+        partial(each.log_odds, r.y, r.u) for each, mine in zip(filters, records, strict=True) for r in mine
     ]
     done = iter(bench.ensemble.run(tasks, f"Bound, {particles} particles"))
     odds = [[next(done) for _ in mine] for mine in records]
@@ -141,9 +139,7 @@ def _compared(residuals: Mapping[str, Floats], bound: Floats) -> dict[str, Any]:
     every = {**residuals, BOUND: bound}
     return {
         "auc": {name: {"mean": float(v.mean()), "ci": interval(v)} for name, v in every.items()},
-        "ratio": {
-            name: {"mean": float((v / bound).mean()), "ci": interval(v / bound)} for name, v in residuals.items()
-        },
+        "ratio": {n: {"mean": float((v / bound).mean()), "ci": interval(v / bound)} for n, v in residuals.items()},
         "streams": {name: v.tolist() for name, v in every.items()},
     }
 

@@ -31,11 +31,9 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         + ")."
     )
     for cell in report["cells"]:
-        title = (
-            f"Injection {cell['injection']:g} m/s, drift {cell['drift']:g} m/s per second: mean over {streams} streams"
-        )
+        size = f"Injection {cell['injection']:g} m/s, drift {cell['drift']:g} m/s per second"
         rows = {name: {"of": of, "ratio": cell["ratio"].get(name)} for name, of in cell["auc"].items()}
-        yield listed(title, rows, COLUMNS, corner="residual")
+        yield listed(f"{size}: mean over {streams} streams", rows, COLUMNS, corner="residual")
     yield KNOWS
     errors = [cell["calibration"]["ece"]["mean"] for cell in report["cells"]]
     yield f"The bound is calibrated: its expected calibration error is {min(errors):.4f} to {max(errors):.4f}."

@@ -46,9 +46,8 @@ def _losses(table: Mapping[str, Mapping[str, Any]], name: str) -> str:
     )
     if not bad:
         return f"`{name}` is above {BAR:.2f} in no case."
-    return (
-        f"`{name}` is above {BAR:.2f} in {len(bad)}: {sentence_list([_loss(case, table[case], name) for case in bad])}."
-    )
+    losses = sentence_list([_loss(case, table[case], name) for case in bad])
+    return f"`{name}` is above {BAR:.2f} in {len(bad)}: {losses}."
 
 
 def _loss(case: str, of: Mapping[str, Any], name: str) -> str:

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial, reduce
+from functools import partial
 from itertools import islice
-from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ from bayesftc.reproduce.experiments.family.cases import CASES, PLANTS, Case
 from bayesftc.reproduce.experiments.family.groups import ratio_of
 from bayesftc.reproduce.experiments.family.loop import family_loop, faulty_samples, goal_error, signals_of_goals
 from bayesftc.reproduce.experiments.family.unseen import unseen_cases
-from bayesftc.reproduce.experiments.tracking.bench import CHUNK, ORACLE
+from bayesftc.reproduce.experiments.tracking.bench import CHUNK, ORACLE, all_alarms
 from bayesftc.reproduce.settings import Family, check_size
 from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
@@ -210,16 +209,11 @@ def _judged(case: Case, loop: cosim.Diagram, seeds: Sequence[int], signal: str |
         if signal:
             truth, step = faulty_samples(case, result.time), float(result.step)
             alarms.append(judge_alarms(result[signal], truth, threshold=ALARM, step=step))
-    return Runs(np.array(errors), _sum(alarms))
-
-
-def _sum(alarms: Iterable[Alarms | None]) -> Alarms | None:
-    known = [each for each in alarms if each is not None]
-    return reduce(add, known) if known else None
+    return Runs(np.array(errors), all_alarms(alarms))
 
 
 def _pooled(parts: Sequence[Runs]) -> Runs:
-    return Runs(np.concatenate([part.rmse for part in parts]), _sum(part.alarms for part in parts))
+    return Runs(np.concatenate([part.rmse for part in parts]), all_alarms(part.alarms for part in parts))
 
 
 def _rms(errors: Floats) -> float:

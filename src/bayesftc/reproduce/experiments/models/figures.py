@@ -52,9 +52,8 @@ def _maps(report: dict[str, Any], cases: list[str], title: str, form: str, limit
         what = "" if case == HEALTHY else f"{case}; "
         axis.set_title(what + MODELS[model], fontsize=10, loc="left")
     for axis in axes[-1]:
-        axis.set_xticks(
-            range(len(labels)), labels.values(), rotation=35, ha="right", rotation_mode="anchor", fontsize=9
-        )
+        slanted = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"}
+        axis.set_xticks(range(len(labels)), labels.values(), fontsize=9, **slanted)
     bar = colour_bar(made, image, list(axes.ravel()), "ratio of root-mean-square errors", extend="both")
     ticks = [2.0**k for k in range(-10, 11) if 1 / limit <= 2.0**k <= limit]
     bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 from itertools import product
-from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +22,16 @@ from bayesftc.cosim.run.repeat import repeat
 from bayesftc.cosim.statistics import ratio
 from bayesftc.cosim.types import Floats
 from bayesftc.reproduce.experiments.models.car import RIGHT, Condition, believed, conditions, disturbed, loop
-from bayesftc.reproduce.experiments.tracking.bench import CHUNK, HEALTHY, ORACLE, PAPERS, RECORD, techniques
+from bayesftc.reproduce.experiments.tracking.bench import (
+    CHUNK,
+    HEALTHY,
+    ORACLE,
+    PAPERS,
+    RECORD,
+    all_alarms,
+    techniques,
+    tracking_errors,
+)
 from bayesftc.reproduce.settings import Car, Models, Tracking
 from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import SWITCHING
@@ -241,10 +249,9 @@ def _scores(duration: float, detector: Detector, loop: cosim.Diagram, own_seeds:
 
 
 def _run(duration: float, detectors: Detectors, loop: cosim.Diagram, own_seeds: Sequence[int]) -> Runs:
-    """Make runs of one cell; the controller aims at the goal of t_k with the state of t_k+1."""
+    """Make runs of one cell."""
     results = list(repeat(loop, duration, own_seeds, (*RECORD, *(d.record for d in detectors if d))))
-    errors = np.array([r["plant.v"][1:] - r["reference.y"][:-1] for r in results])
-    return Runs(np.sqrt(np.mean(errors**2, axis=1)), *(_judged(results, d) for d in detectors))
+    return Runs(np.sqrt(np.mean(tracking_errors(results) ** 2, axis=1)), *(_judged(results, d) for d in detectors))
 
 
 def _judged(results: Sequence[cosim.Result], detector: Detector | None) -> Alarms | None:
@@ -252,17 +259,13 @@ def _judged(results: Sequence[cosim.Result], detector: Detector | None) -> Alarm
     if detector is None:
         return None
     scores, step = [detector.score(r) for r in results], float(results[0].step)
-    return _sum([judge_alarms(x, np.zeros(x.shape, bool), threshold=detector.threshold, step=step) for x in scores])
-
-
-def _sum(alarms: Sequence[Alarms | None]) -> Alarms | None:
-    known = [each for each in alarms if each is not None]
-    return reduce(add, known) if known else None
+    level = detector.threshold
+    return all_alarms(judge_alarms(x, np.zeros(x.shape, bool), threshold=level, step=step) for x in scores)
 
 
 def _pooled(parts: Sequence[Runs]) -> Runs:
     rmse, alarms, actuator = zip(*parts, strict=True)
-    return Runs(np.concatenate(rmse), _sum(alarms), _sum(actuator))
+    return Runs(np.concatenate(rmse), all_alarms(alarms), all_alarms(actuator))
 
 
 def _errors(its: Runs, over: Runs) -> dict[str, Any]:

@@ -77,8 +77,7 @@ def judged_learners(
     to_fault, to_recovery = mean_times(settings, lengths, car)
     default = controllers.SwitchingPrecision()
     told = [
-        replace(mode, time_to_fault=len(default.modes) * to_fault, time_to_recovery=to_recovery)
-        for mode in default.modes
+        replace(m, time_to_fault=len(default.modes) * to_fault, time_to_recovery=to_recovery) for m in default.modes
     ]
     larger = [replace(mode, jump=settings.jump) if type(mode) is controllers.Offset else mode for mode in default.modes]
     gamma = controllers.GammaPrecision()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 from itertools import product
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayesftc import controllers, cosim
+from bayesftc.cosim.judging.alarms import Alarms
 from bayesftc.cosim.run.repeat import repeat
 from bayesftc.cosim.types import Floats
 from bayesftc.reproduce import paper
@@ -145,13 +147,20 @@ class Bench:
 
 
 def _run(duration: float, loop: cosim.Diagram, own_seeds: Sequence[int]) -> tuple[Floats, Floats]:
-    """Return the root-mean-square tracking error of each run, and the sum over runs of the absolute error over time.
-
-    The controller aims at the goal of t_k with the state of t_k+1.
-    """
-    results = repeat(loop, duration, own_seeds, RECORD)
-    errors = np.array([r["plant.v"][1:] - r["reference.y"][:-1] for r in results])
+    """Return the root-mean-square tracking error of each run, and the sum over runs of the absolute error over time."""
+    errors = tracking_errors(repeat(loop, duration, own_seeds, RECORD))
     return np.sqrt(np.mean(errors**2, axis=1)), np.abs(errors).sum(axis=0)
+
+
+def tracking_errors(results: Iterable[cosim.Result]) -> Floats:
+    """Return the errors of runs over time: the controller aims at the goal of t_k with the state of t_k+1."""
+    return np.array([r["plant.v"][1:] - r["reference.y"][:-1] for r in results])
+
+
+def all_alarms(parts: Iterable[Alarms | None]) -> Alarms | None:
+    """Return the alarms of all parts together; None if none has any."""
+    known = [each for each in parts if each is not None]
+    return reduce(add, known) if known else None
 
 
 def summary(errors: Floats) -> dict[str, float]:

@@ -51,14 +51,8 @@ def error_over_time(report: dict[str, Any]) -> Figure:
         axis.plot(time, smooth, label=name, **styles[name])
     axis.axvspan(settings["fault_start"], settings["fault_stop"], color="#D55E00", alpha=0.12, lw=0, label="fault")
     title = f"Injection of {settings['injection']:g} m/s into one of two sensors, sine as reference, {settings['runs']} runs"
-    finish(
-        axis,
-        title,
-        yscale="log",
-        xlim=(0, settings["duration"]),
-        xlabel="time (s)",
-        ylabel="mean absolute tracking error (m/s)",
-    )
+    words = {"xlabel": "time (s)", "ylabel": "mean absolute tracking error (m/s)"}
+    finish(axis, title, yscale="log", xlim=(0, settings["duration"]), **words)
     _plain_logarithms(axis.yaxis)
     legend(
         axis,
