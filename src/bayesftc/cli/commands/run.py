@@ -64,9 +64,8 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Run a scenario, print its figures and write its files."""
-    path = scenario
     options: dict[str, Any] = {"seed": seed, "duration": duration, "engine": engine and engine.value, "pace": pace}
-    loaded = load_scenario(path)
+    loaded = load_scenario(scenario)
     loop = loaded.loop()
     _compare(loaded)
     if check_kalman:
@@ -82,11 +81,11 @@ def run(
             result = loaded.simulate(loop, progress=progress, **options)
     except SimulationError as error:
         if out is not None and error.result is not None:
-            report = _report(path, loaded, loop, error.result)
+            report = _report(scenario, loaded, loop, error.result)
             output.write_files(out, error.result, *report)
             error.args = (f"{error} They are in {out / output.RESULT}.",)
         raise
-    numbers, signals = _report(path, loaded, loop, result)
+    numbers, signals = _report(scenario, loaded, loop, result)
     numbers["model"] = _diagnosed(loaded, loop, result)
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
