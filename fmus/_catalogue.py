@@ -31,8 +31,8 @@ def names() -> tuple[str, ...]:
     Examples
     --------
     >>> from bayesftc import fmus
-    >>> fmus.names()
-    ('CartPendulum', 'CruiseControl', 'HydroTurbine', 'PositionServo', 'TwoLinkArm', 'TwoMasses')
+    >>> fmus.names()[:2]
+    ('CartPendulum', 'CruiseControl')
     """
     from bayesftc.fmus.plants import PLANTS
 

@@ -11,7 +11,15 @@ from typing import NamedTuple
 
 from bayesftc.controllers.estimation.filter import doubt, keep_only
 from bayesftc.controllers.linalg.dense import cholesky, multiply, whiten
-from bayesftc.controllers.linalg.least_squares import absorb, curve, damp, is_finite, solve_curved, squared_length
+from bayesftc.controllers.linalg.least_squares import (
+    Curvature,
+    absorb,
+    curve,
+    damp,
+    is_finite,
+    solve_curved,
+    squared_length,
+)
 from bayesftc.cosim.ops import both, maximum, negate, select
 from bayesftc.cosim.types import Floats
 
@@ -212,7 +220,7 @@ def make_minimiser(
         J, J2 = slopes[0], slopes[1]
         T, T2, D, S, M = squares[0], squares[1], squares[2], squares[3], squares[4]
         b, b2, d, trial, row = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
-        moved, turned, bent = vectors[5], vectors[6], vectors[7]
+        curvature = Curvature(S, M, vectors[5], vectors[6], vectors[7])
         n = z.shape[0]
         cost[0] = INFINITE  # the start is the first point that is tried
         damping = 0.0
@@ -225,10 +233,8 @@ def make_minimiser(
             equations(problem, ahead, trial, point, control, J2, residual, row, T2, b2, cost2)
             better = both(is_finite(T2, cost2[0]), negate(cost2[0] > cost[0] * (1.0 + ROUNDING)))
             started = cost[0] < INFINITE
-            curve(
-                both(better, started), z, trial, T2, J, J2, residual, ROUNDING * ROUNDING * cost[0], S, M,
-                moved, turned, bent,
-            )  # fmt: skip
+            flat = ROUNDING * ROUNDING * cost[0]
+            curve(both(better, started), z, trial, T2, J, J2, residual, flat, curvature)
             for i in range(n):
                 z[i] = select(better, trial[i], z[i])
                 b[i] = select(better, b2[i], b[i])

@@ -5,8 +5,11 @@ their information. Unlike the normal equations this squares no condition number,
 sensor) before a tiny one (a vague prior) could drown in it.
 """
 
+from typing import NamedTuple
+
 from bayesftc.controllers.linalg.dense import cholesky, multiply_transposed, solve_vector
 from bayesftc.cosim.ops import absolute, both, minimum, select, sqrt
+from bayesftc.cosim.types import Floats
 
 LEAST_BEND = 0.7
 """Share of the curvature along a step that is left at least; Powell has 0.2, with which random problems need more steps."""
@@ -114,7 +117,17 @@ def turn(T, moved, turned):
     return squared
 
 
-def curve(changed, z, z2, T2, J, J2, values, least, S, M, moved, turned, bent):
+class Curvature(NamedTuple):
+    """What is learned of the residuals' own curvature ``S``; ``M`` and three vectors are scratch space."""
+
+    S: Floats
+    M: Floats
+    moved: Floats
+    turned: Floats
+    bent: Floats
+
+
+def curve(changed, z, z2, T2, J, J2, values, least, curvature):
     """Learn from the step to `z2` what Gauss and Newton leave out of the Hessian: ``S``, the residuals' own curvature.
 
     The structured secant update of Dennis, Gay and Welsch (ACM Trans. Math. Softw. 7, 1981), with their sizing. Where the cost
@@ -122,6 +135,7 @@ def curve(changed, z, z2, T2, J, J2, values, least, S, M, moved, turned, bent):
     leaves that share (Powell, Lect. Notes Math. 630, 1978): the sum stays positive along the step, and steps grow. Nothing is
     learned where it has not `changed`, or where the step is so short (`least`) that only rounding would be learned from.
     """
+    S, M, moved, turned, bent = curvature
     n = z.shape[0]
     for i in range(n):
         moved[i] = z2[i] - z[i]

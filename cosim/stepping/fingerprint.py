@@ -241,7 +241,7 @@ def service_fingerprint(function: FunctionType, text: str) -> str:
             for cell in value.__closure__ or ():
                 visit(cell.cell_contents)
         elif isinstance(value, ModuleType | FunctionType | type):
-            digest.update(f"{value.__name__};".encode())
+            digest.update(f"{value.__name__}{getattr(value, '_fields', '')};".encode())
         elif isinstance(value, Number | str | tuple):
             digest.update(f"{value!r};".encode())
         else:

@@ -3,6 +3,7 @@
 import json
 import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from sklearn.metrics import roc_auc_score
 
 import bayesftc
 from bayesftc.bench import SECTIONS
+from bayesftc.cli.application import COMMANDS
 from bayesftc.cli.commands import run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.judging.metrics import figures
@@ -33,8 +35,10 @@ def run_car(bayesftc_, *options):
 def test_version_and_help(bayesftc_):
     assert bayesftc_("--version").output.strip() == f"bayesftc {bayesftc.__version__}"
     text = bayesftc_("--help").output
-    for command in ("run", "inspect", "example", "bench"):
+    page = (Path(__file__).parents[2] / "docs" / "command-line.md").read_text(encoding="utf-8")
+    for command in COMMANDS:
         assert re.search(rf"\b{command}\b", text)
+        assert f"`bayesftc {command}" in page
     assert "cruise_control" in text
 
 

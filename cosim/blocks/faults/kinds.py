@@ -18,8 +18,8 @@ To add a kind of fault you must:
 4. if what it shows depends on earlier samples, set ``remembers = True``, return from ``memory(step)`` how many numbers it keeps,
    and give the function a seventh argument ``memory``; override ``numbers`` if it wants its settings in steps;
 5. override ``check`` where a setting can be wrong in other ways than not being finite;
-6. put it into `FAULTS` and ``cosim/__init__.pyi``, and into the list of
-   ``tests/cosim/blocks/faults/test_faults.py`` with its formula in NumPy.
+6. put it into `FAULTS`, before `RandomFaults`, and into ``cosim/__init__.pyi``; with its formula in NumPy into the list of
+   ``tests/cosim/blocks/faults/test_faults.py``, and into `KINDS` of ``reproduce/experiments/family/unseen.py``.
 
 Random, scheduled and mixed faults, both engines and scenario files then have it.
 """

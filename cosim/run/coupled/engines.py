@@ -141,10 +141,11 @@ class InterpretedGroup(GroupRun):
 
     def __call__(self, t: float, k: int) -> int:
         """Compute the group; return a status."""
+        guessed = self.torn, self.guesses, self.work, self.numbers, self.tolerance, self.limit, self.method
+        doubling = steps.Doubling(self.doubling, self.group.size, self.error, self.divisor, self.growth)
         status: int = self._compute(
-            self, self.run.memory, self.torn, self.guesses, self.doubling, self.group.size, self.work, self.numbers,
-            self.tolerance, self.limit, self.method, self.error, self.divisor, self.growth, t, self.length, k, self.record,
-        )  # fmt: skip
+            self, self.run.memory, steps.Iteration(*guessed), doubling, t, self.length, k, self.record
+        )
         return status
 
     def sweep(self, t: float, h: float, k: int) -> int:

@@ -9,7 +9,7 @@ from numba.extending import intrinsic
 
 from bayesftc.cosim.diagram.schedule import NOT_FINITE
 from bayesftc.cosim.fmi.running.kernels import number, put_word, word
-from bayesftc.cosim.run.coupled.steps import PART, RECORD_WORDS, SAVING, STATUS, WORK_ROWS, build
+from bayesftc.cosim.run.coupled.steps import PART, RECORD_WORDS, SAVING, STATUS, WORK_ROWS, Doubling, Iteration, build
 from bayesftc.cosim.run.loop import (
     CHECK_FROM,
     CHECK_TO,
@@ -142,12 +142,21 @@ def group(state, parameters, inputs, outputs, t, k):
         carray(as_integers(word(parameters, STATES)), (word(parameters, STATE_COUNT), 2)),
         carray(as_floats(word(parameters, KEPT)), (2, word(parameters, KEPT_SIZE))),
     )
-    return _compute(
-        machine, memory, torn, guesses,
-        carray(as_integers(word(parameters, DOUBLING)), (word(parameters, DOUBLING_COUNT), 5)), word(parameters, SIZE_AT),
+    iteration = Iteration(
+        torn,
+        guesses,
         carray(as_floats(word(parameters, WORK)), (WORK_ROWS, word(parameters, TORN_COUNT))),
         carray(as_floats(word(parameters, NUMBERS)), (word(parameters, NUMBER_COUNT),)),
-        number(parameters, TOLERANCE), word(parameters, LIMIT), word(parameters, METHOD), number(parameters, ERROR),
-        number(parameters, DIVISOR), number(parameters, GROWTH), t, number(parameters, LENGTH), k,
-        carray(as_integers(word(parameters, RECORD)), (RECORD_WORDS,)),
-    )  # fmt: skip
+        number(parameters, TOLERANCE),
+        word(parameters, LIMIT),
+        word(parameters, METHOD),
+    )
+    doubling = Doubling(
+        carray(as_integers(word(parameters, DOUBLING)), (word(parameters, DOUBLING_COUNT), 5)),
+        word(parameters, SIZE_AT),
+        number(parameters, ERROR),
+        number(parameters, DIVISOR),
+        number(parameters, GROWTH),
+    )
+    record = carray(as_integers(word(parameters, RECORD)), (RECORD_WORDS,))
+    return _compute(machine, memory, iteration, doubling, t, number(parameters, LENGTH), k, record)

@@ -4,6 +4,8 @@ One text for both engines: `build` takes the few things that they do differently
 and restore a state) and returns the function that computes a group, whose arithmetic is then the same to the last bit.
 """
 
+from typing import Any, NamedTuple
+
 from bayesftc.cosim.ops import sqrt
 
 NOT_CONVERGED, NO_STEP, DIVERGED = 701, 702, 703
@@ -42,6 +44,32 @@ HUGE = 1e100
 NOT_FINITE = 1_000_000  # as in bayesftc.cosim.diagram.schedule
 FATAL = 4
 CRASHED, INTERRUPTED = 901, 902  # as in bayesftc.cosim.isolation.protocol
+
+
+class Iteration(NamedTuple):
+    """What is guessed until it agrees: the places of the values, where their first guesses stand, and how.
+
+    ``work`` and ``numbers`` are scratch space, and what the engines leave for messages; ``tolerance`` and ``limit`` end it;
+    ``method`` is the acceleration.
+    """
+
+    torn: Any
+    guesses: Any
+    work: Any
+    numbers: Any
+    tolerance: float
+    limit: int
+    method: int
+
+
+class Doubling(NamedTuple):
+    """Steps of a group's own: five ``places`` of each output (`Group.doubling`), that of the step size, and what is borne."""
+
+    places: Any
+    size_at: int
+    error: float
+    divisor: float
+    growth: float
 
 
 def build(sweep, save, restore, forget, resize, compiled=lambda function: function):
@@ -147,8 +175,9 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
         return status < NOT_FINITE and (status % 100 == FATAL or status in (CRASHED, INTERRUPTED))
 
     @compiled
-    def agree(machine, memory, torn, guesses, work, numbers, tolerance, limit, method, t, h, k, record):
+    def agree(machine, memory, iteration, t, h, k, record):
         """Sweep from the same state until the values that were guessed come out; 0, or a status."""
+        torn, guesses, work, numbers, tolerance, limit, method = iteration
         count = torn.size
         if count == 0:
             return sweep(machine, memory, t, h, k, record)
@@ -200,14 +229,12 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
         return status
 
     @compiled
-    def double(
-        machine, memory, torn, guesses, doubling, size_at, work, numbers, tolerance, limit, method, error, divisor, growth,
-        t, h, k, record,
-    ):  # fmt: skip
+    def double(machine, memory, iteration, doubling, t, h, k, record):
         """Go from `t` to ``t + h`` in steps of the group's own, whose error two of half the size show."""
-        count = doubling.shape[0]
+        places, size_at, error, divisor, growth = doubling
+        count = places.shape[0]
         for i in range(count):
-            memory[doubling[i, 1]] = memory[doubling[i, 0]]
+            memory[places[i, 1]] = memory[places[i, 0]]
         size = FINEST if not memory[size_at] >= 1.0 else int(memory[size_at])
         position = 0
         while position < FINEST:
@@ -216,32 +243,30 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
             if status != 0:
                 return status
             for i in range(count):
-                memory[doubling[i, 4]] = memory[doubling[i, 1]]
+                memory[places[i, 4]] = memory[places[i, 1]]
             gap = 0.0
             where = 0
             # Once in one step, then in two.
             for part in range(3):
                 if part == 1:
                     for i in range(count):
-                        memory[doubling[i, 3]] = memory[doubling[i, 2]]
+                        memory[places[i, 3]] = memory[places[i, 2]]
                     status = restore(machine, memory, OUTER)
                     if status != 0:
                         return status
                 if part == 2:
                     for i in range(count):
-                        memory[doubling[i, 1]] = memory[doubling[i, 2]]
+                        memory[places[i, 1]] = memory[places[i, 2]]
                 own = length if part == 0 else 0.5 * length
                 at = start + own if part == 2 else start
                 resize(machine, memory, own)
-                status = agree(
-                    machine, memory, torn, guesses, work, numbers, tolerance, limit, method, at, own, k, record
-                )
+                status = agree(machine, memory, iteration, at, own, k, record)
                 if status != 0:
                     break
             if status == 0:
                 for i in range(count):
-                    fine = memory[doubling[i, 2]]
-                    each = abs(fine - memory[doubling[i, 3]]) / divisor / (1.0 + abs(fine))
+                    fine = memory[places[i, 2]]
+                    each = abs(fine - memory[places[i, 3]]) / divisor / (1.0 + abs(fine))
                     if gap == gap and not each <= gap:
                         gap, where = each, i
             elif is_fatal(record[STATUS]) or status >= SAVING:
@@ -251,14 +276,19 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 if status != 0:
                     return status
                 for i in range(count):
-                    memory[doubling[i, 1]] = memory[doubling[i, 2]]
+                    memory[places[i, 1]] = memory[places[i, 2]]
                 position += size
                 if gap <= growth * error and size < FINEST and position % (2 * size) == 0:
                     size = 2 * size
             elif size == 1:
                 if status == 0:
                     status = NO_STEP
-                    record[STATUS], record[WHERE], numbers[GAP], numbers[STEP] = status, where, gap, length
+                    record[STATUS], record[WHERE], iteration.numbers[GAP], iteration.numbers[STEP] = (
+                        status,
+                        where,
+                        gap,
+                        length,
+                    )
                 forget(machine, memory, OUTER)
                 return status
             else:
@@ -270,25 +300,19 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 if status != 0:
                     return status
                 for i in range(count):
-                    memory[doubling[i, 1]] = memory[doubling[i, 4]]
+                    memory[places[i, 1]] = memory[places[i, 4]]
                 size = size // 2
         memory[size_at] = float(size)
         return 0
 
     @compiled
-    def compute(
-        machine, memory, torn, guesses, doubling, size_at, work, numbers, tolerance, limit, method, error, divisor, growth,
-        t, h, k, record,
-    ):  # fmt: skip
+    def compute(machine, memory, iteration, doubling, t, h, k, record):
         """Compute a group: 0, or a status, with more in `record`."""
         record[PART], record[STATUS], record[WHERE] = -1, 0, 0
-        if doubling.shape[0] > 0:
-            status = double(
-                machine, memory, torn, guesses, doubling, size_at, work, numbers, tolerance, limit, method, error, divisor,
-                growth, t, h, k, record,
-            )  # fmt: skip
+        if doubling.places.shape[0] > 0:
+            status = double(machine, memory, iteration, doubling, t, h, k, record)
         else:
-            status = agree(machine, memory, torn, guesses, work, numbers, tolerance, limit, method, t, h, k, record)
+            status = agree(machine, memory, iteration, t, h, k, record)
         if status != 0 and record[STATUS] == 0:
             record[STATUS] = status
         return status

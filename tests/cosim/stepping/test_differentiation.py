@@ -46,8 +46,8 @@ def evaluated(kernel, x, u, *widths):
 
 def by_casadi(x, u):
     import casadi as ca
+    from casadi_ops import OPERATIONS
 
-    from bayesftc.cosim.stepping.casadi_ops import OPERATIONS
     from bayesftc.cosim.stepping.tracing import rebound
 
     xs, us = ca.SX.sym("x", 2), ca.SX.sym("u", 1)

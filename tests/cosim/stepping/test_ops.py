@@ -140,7 +140,7 @@ def test_compiled_loop(plain):
 @pytest.fixture(scope="module")
 def traced():
     ca = pytest.importorskip("casadi", reason="CasADi is not installed (extra 'test')")
-    from bayesftc.cosim.stepping.casadi_ops import OPERATIONS as f
+    from casadi_ops import OPERATIONS as f
 
     before = ca.GlobalOptions.getSimplificationOnTheFly()
     ca.GlobalOptions.setSimplificationOnTheFly(False)
@@ -167,7 +167,7 @@ def traced():
 
 def test_casadi_covers_every_operation():
     pytest.importorskip("casadi", reason="CasADi is not installed (extra 'test')")
-    from bayesftc.cosim.stepping.casadi_ops import OPERATIONS
+    from casadi_ops import OPERATIONS
 
     assert tuple(OPERATIONS) == ops.NAMES
 

@@ -19,9 +19,9 @@ def iterated(step, size, method, limit=40):
     record, none = np.zeros(3, dtype=np.int64), np.zeros((0, 5), dtype=np.int64)
     for most in range(1, limit):
         memory[:] = 0.0
-        status = compute(
-            None, memory, places, places, none, -1, work, numbers, 1e-12, most, method, 0.0, 1.0, 0.0, 0.0, 1.0, 0, record
-        )  # fmt: skip
+        iteration = _group_steps.Iteration(places, places, work, numbers, 1e-12, most, method)
+        doubling = _group_steps.Doubling(none, -1, 0.0, 1.0, 0.0)
+        status = compute(None, memory, iteration, doubling, 0.0, 1.0, 0, record)
         gaps.append(numbers[_group_steps.GAP])
         if status == 0:
             return most, memory.copy()
