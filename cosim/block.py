@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayesftc.cosim.errors import KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
-from bayesftc.cosim.stepping.records import with_arrays
+from bayesftc.cosim.stepping.records import as_written, with_arrays
 from bayesftc.cosim.types import Floats, Kernel
 
 if TYPE_CHECKING:
@@ -54,7 +54,14 @@ class Definition:
 
     def __post_init__(self) -> None:
         for name in ("output", "update"):
-            object.__setattr__(self, name, with_arrays(getattr(self, name), self.records))
+            kernel = getattr(self, name)
+            written = kernel if kernel is None else as_written(kernel)  # which it is not after dataclasses.replace
+            object.__setattr__(self, name, with_arrays(written, self.records))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        values |= {name: values[name] and as_written(values[name]) for name in ("output", "update")}
+        return type(self), tuple(values.values())
 
 
 class Block:

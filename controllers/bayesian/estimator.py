@@ -8,7 +8,8 @@ from fractions import Fraction
 import numpy as np
 
 from bayesftc.controllers.bayesian.block import VARIANCE_CAP, extended_mean, known_constant
-from bayesftc.controllers.estimation.belief import ESTIMATION, alarm_of, estimation, look_ahead, make_estimate
+from bayesftc.controllers.estimation.absurd import alarm_of
+from bayesftc.controllers.estimation.belief import ESTIMATION, estimation, look_ahead, make_estimate
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner

@@ -16,7 +16,8 @@ from bayesftc.controllers.bayesian.block import BayesianBlock
 from bayesftc.controllers.bayesian.free_energy import tell_nothing, tell_posterior
 from bayesftc.controllers.bayesian.steady import steady_gains
 from bayesftc.controllers.estimation import filter as _filter
-from bayesftc.controllers.estimation.belief import ESTIMATION, alarm_of, estimation, go_on, make_estimate, plan
+from bayesftc.controllers.estimation.absurd import alarm_of
+from bayesftc.controllers.estimation.belief import ESTIMATION, estimation, go_on, make_estimate, plan
 from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner

@@ -392,6 +392,3 @@ class NonlinearBayesianController(BayesianBlock):
         }  # fmt: skip
         scratch = {name: np.zeros(shape) for name, shape in sizes.items()}
         return Definition(kernel, state=state, parameters=parameters, scratch=scratch, records=RECORDS)
-
-
-__all__ = ["NonlinearBayesianController"]

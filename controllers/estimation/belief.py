@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bayesftc.controllers.estimation.absurd import Reading, Screen, alarm_of, blame, screening
+from bayesftc.controllers.estimation.absurd import Reading, Screen, blame, screening
 from bayesftc.controllers.estimation.consistency import SEERS, Seers, check_consistency, consistency, follow
 from bayesftc.controllers.estimation.filter import (
     Belief,
@@ -211,16 +211,3 @@ def arrive(actuators):
     """Compute what of the control arrives at the plant."""
     for j in range(actuators.applied.shape[0]):
         actuators.effective[j] = actuators.works[0, j] * actuators.applied[j] + actuators.load[0, j]
-
-
-__all__ = [
-    "ESTIMATION",
-    "SAMPLE",
-    "Estimation",
-    "alarm_of",
-    "estimation",
-    "go_on",
-    "look_ahead",
-    "make_estimate",
-    "plan",
-]

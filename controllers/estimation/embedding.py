@@ -76,7 +76,8 @@ def embed(law: Any, sizes: tuple[int, int, int], step: Fraction, *, differentiat
         definition, ports = law.define(step), {name: name for name in ("x_hat", "goal", "u")}
     if definition.output is None or not definition.compiled:
         raise ModelError(f"The law {type(law).__name__} needs an output function that can be compiled.")
-    state, parameters = (_arrays(values) for values in (definition.state, definition.parameters))
+    kept = {**definition.state, **definition.scratch}
+    state, parameters = _arrays(kept), _arrays(definition.parameters)
     shapes = {name: array.shape for name, array in {**state, **parameters}.items()}
     shapes |= {name: (sizes[("x_hat", "goal", "u").index(port)],) for name, port in ports.items()}
     here = {"x_hat": "mean", "goal": "goal", "u": "wanted"}
@@ -90,7 +91,7 @@ def embed(law: Any, sizes: tuple[int, int, int], step: Fraction, *, differentiat
         if unknown:
             raise ModelError(
                 f"The law's step function {function.__name__!r} asks for {unknown[0]!r}; inside a controller a law has its "
-                "ports, states and parameters by name, t and k."
+                "ports, states, parameters and scratch space by name, t and k."
             )
         calls[name] = f"{name}({', '.join(renamed.get(a, a) for a in argument_names(function))})"
     if differentiate:

@@ -1,7 +1,7 @@
 """The state of a diagram, as few numbers as it can be: the places in memory that a step reads before it writes them.
 
-Step functions keep scratch space among their states, since they may allocate nothing. What a step writes before it reads it is
-no state. As a step function never branches on data, one step that is watched says all.
+Scratch space that a block declares is no state. What it keeps among its states, and writes before it reads it, is none
+either. As a step function never branches on data, one step that is watched says all.
 """
 
 from __future__ import annotations

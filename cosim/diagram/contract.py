@@ -31,6 +31,11 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
     late = {p.name for p in block.inputs if not p.feedthrough}
     entries = {*definition.state, *definition.parameters, *definition.scratch}
     known = {p.name for p in block.inputs} | outputs | entries | RESERVED
+    for name in definition.records:
+        if name in known:
+            raise KernelError(
+                f"Block {title} has a record {name!r}, but a port or entry is called so, too: rename one."
+            )
     for kernel in (definition.output, definition.update):
         if kernel is None:
             continue
@@ -75,11 +80,13 @@ def _check_stores(kernel: Kernel, block: Block, definition: Definition, title: s
 
 def _stored(kernel: Kernel, definition: Definition) -> set[str]:
     """Return the names of the arrays into which a step function stores, those in records, too."""
-    found = set()
-    for name in stored_into(as_written(kernel).__code__):
-        array: Any = definition.records
-        for part in name.split("."):
-            array = array.get(part, part) if array is definition.records else getattr(array, part, None)
+    written, found = as_written(kernel), set()
+    records = {name: definition.records[name] for name in argument_names(written) if name in definition.records}
+    for name in stored_into(written.__code__):
+        first, *rest = name.split(".")
+        array: Any = records.get(first, first)
+        for part in rest:
+            array = getattr(array, part, None)
         found.add(array if isinstance(array, str) else name)
     return found
 

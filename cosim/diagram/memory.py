@@ -1,4 +1,4 @@
-"""Where a diagram's numbers lie: every block's states, parameters, inputs and outputs, one after the other in one flat array."""
+"""Where a diagram's numbers lie, in one flat array: each block's states and scratch space, parameters, inputs and outputs."""
 
 from __future__ import annotations
 

@@ -10,14 +10,12 @@ import builtins
 import dis
 import hashlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import cache
 from numbers import Number
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any
-
-import numpy as np
 
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
@@ -27,9 +25,6 @@ from bayesftc.cosim.stepping.records import as_written, is_record_class
 _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
 _BUILTINS = frozenset({range, len})
 _ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
-_OF_ARRAYS = frozenset(name for name, value in vars(np.ndarray).items() if not callable(value))
-"""What NumPy's arrays have besides methods; a field of a record may be called as a method, such as ``mean``."""
-
 _FORBIDDEN = {
     "IMPORT_NAME": "imports inside; import from bayesftc.cosim.ops at the top of the file",
     "STORE_GLOBAL": "writes a global variable; declare a state instead",
@@ -68,11 +63,13 @@ def environment() -> str:
 def functions_called(function: FunctionType) -> list[FunctionType]:
     """Return `function` and every plain function it reaches, callees first, after checking each against the contract."""
     ordered: list[FunctionType] = []
-    _visit(function, ordered, [])
+    _visit(function, ordered, [], _fields(function, set()))
     return ordered
 
 
-def _visit(function: FunctionType, ordered: list[FunctionType], path: list[FunctionType]) -> None:
+def _visit(
+    function: FunctionType, ordered: list[FunctionType], path: list[FunctionType], fields: Collection[str]
+) -> None:
     if function in path:
         names = " -> ".join(f.__name__ for f in [*path, function])
         at = where(path[-1], line_of(path[-1], function.__name__))
@@ -83,15 +80,16 @@ def _visit(function: FunctionType, ordered: list[FunctionType], path: list[Funct
         return
     for name, value in references(function):
         if isinstance(value, FunctionType) and value not in _OPERATIONS:
-            _visit(value, ordered, [*path, function])
+            _visit(value, ordered, [*path, function], fields)
         elif not _allowed(value):
             at = where(function, line_of(function, name))
             raise KernelError(
                 f"Step function {at} uses {name!r} ({_describe(value)}); a step function may use only numbers, "
-                f"range, len, other such functions, and the mathematics of bayesftc.cosim.ops ({', '.join(ops.NAMES)})."
+                "range, len, other such functions, classes of records, and the mathematics of bayesftc.cosim.ops "
+                f"({', '.join(ops.NAMES)})."
                 f"{instead_of(function, name, value)}"
             )
-    _check_code(function, function.__code__)
+    _check_code(function, function.__code__, fields)
     ordered.append(function)
 
 
@@ -146,7 +144,7 @@ def _allowed(value: Any) -> bool:
     return value is ops or isinstance(value, Number) or (callable(value) and value in _OPERATIONS | _BUILTINS)
 
 
-def _check_code(function: FunctionType, code: CodeType) -> None:
+def _check_code(function: FunctionType, code: CodeType, fields: Collection[str]) -> None:
     if any(isinstance(constant, CodeType) for constant in code.co_consts):
         raise KernelError(
             f"Step function {where(function)} has a function or comprehension inside; move the function outside, and write "
@@ -162,7 +160,6 @@ def _check_code(function: FunctionType, code: CodeType) -> None:
     def at(instruction: dis.Instruction) -> str:
         return where(function, instruction.positions.lineno if instruction.positions else None)
 
-    before: dis.Instruction | None = None
     for instruction in dis.get_instructions(code):
         if instruction.opname in _FORBIDDEN:
             raise KernelError(f"Step function {at(instruction)} {_FORBIDDEN[instruction.opname]}.")
@@ -175,22 +172,24 @@ def _check_code(function: FunctionType, code: CodeType) -> None:
                 f"Step function {at(instruction)} uses '**', which rounds differently in compiled code: "
                 "multiply, or use ops.square, ops.sqrt or ops.exp."
             )
-        if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and not (
-            _is_field(instruction.argval, before)
-            and "METHOD" not in instruction.opname
-            and "NULL" not in instruction.argrepr
-        ):
+        called = "METHOD" in instruction.opname or "NULL" in instruction.argrepr  # as those of a module may be, too
+        allowed = ops.NAMES if called else {*_ATTRIBUTES, *fields}
+        if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and instruction.argval not in allowed:
             raise KernelError(
                 f"Step function {at(instruction)} uses the attribute {instruction.argval!r}; of arrays only shape, size and "
                 "indexing are available to a step function, of records their fields."
             )
-        before = instruction
 
 
-def _is_field(attribute: str, before: dis.Instruction | None) -> bool:
-    """Return whether an attribute may be one of a record, or is one that a step function may use of anything."""
-    of_variable = before is not None and before.opname.startswith(("LOAD_FAST", "LOAD_ATTR"))
-    return attribute in _ATTRIBUTES or (of_variable and attribute not in _OF_ARRAYS)
+def _fields(function: FunctionType, seen: set[FunctionType]) -> set[str]:
+    """Return the names of the fields of all records that a function and those that it calls know."""
+    seen.add(function)
+    found: set[str] = set()
+    for _, value in references(function):
+        found |= set(getattr(value, "_fields", ()))
+        if isinstance(value, FunctionType) and value not in seen:
+            found |= _fields(value, seen)
+    return found
 
 
 def where(function: Callable[..., Any], line: int | None = None) -> str:

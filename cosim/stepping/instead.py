@@ -13,11 +13,11 @@ _INSTEAD = _SAME | {
     "abs": "ops.absolute",
     "all": "a loop",
     "any": "a loop",
-    "array": "a state or a parameter of the block",
+    "array": "a state, a parameter or scratch space of the block",
     "bool": "a comparison",
     "clip": "ops.minimum and ops.maximum",
     "dot": "loops",
-    "empty": "a state of the block",
+    "empty": "scratch space of the block",
     "enumerate": "range(len(...))",
     "fabs": "ops.absolute",
     "float": "the number itself: all are floats",
@@ -38,7 +38,7 @@ _INSTEAD = _SAME | {
     "tanh": "ops.exp",
     "trunc": "ops.floor",
     "where": "ops.select",
-    "zeros": "a state of the block",
+    "zeros": "scratch space of the block",
     "zip": "range(len(...))",
 }
 

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
+from keyword import iskeyword
 from typing import Any
 
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.written import function_from_text
 from bayesftc.cosim.types import Kernel, argument_names
+
+MOST_FIELDS = 30
+"""Python makes a list of more arguments of a call, which a step function must not; records can stand in records."""
 
 
 def is_record_class(value: Any) -> bool:
@@ -39,18 +43,20 @@ def with_arrays(kernel: Kernel | None, records: Mapping[str, Any]) -> Kernel | N
     """
     if kernel is None or not set(records) & set(argument_names(kernel)):
         return kernel
-    return _flat(kernel, tuple(sorted((name, _key(record)) for name, record in records.items())))
+    return _flat(
+        kernel, argument_names(kernel), tuple(sorted((name, _key(record)) for name, record in records.items()))
+    )
 
 
 def as_written(kernel: Kernel) -> Kernel:
     """Return the step function as its author wrote it, with records: whose file and lines are named where something is wrong."""
-    found: Kernel = kernel.__dict__.get("written", kernel)
+    found: Kernel = getattr(kernel, "written", kernel)
     return found
 
 
 def given_to(kernel: Kernel) -> tuple[Any, ...]:
     """Return what `as_written` is given for each of its arguments: names of arrays, and ``(class, fields)`` of records."""
-    found: tuple[Any, ...] = kernel.__dict__.get("given", ())
+    found: tuple[Any, ...] = getattr(kernel, "given", ())
     return found
 
 
@@ -62,14 +68,23 @@ def written(record: Any) -> str:
 
 def _key(record: Any) -> tuple[Any, ...]:
     """Return a record of names with its class, so that records of two classes are not taken for one."""
-    if not is_record_class(type(record)):
-        raise KernelError(f"A record must be a NamedTuple whose fields name ports or entries, not {record!r}.")
-    return type(record), tuple(field if isinstance(field, str) else _key(field) for field in record)
+    cls = type(record)
+    if not is_record_class(cls) or cls._field_defaults or len(record) > MOST_FIELDS:
+        raise KernelError(
+            f"A record must be a NamedTuple of at most {MOST_FIELDS} fields, none with a default, filled with the names of ports "
+            f"and entries or with other records, not {record!r}."
+        )
+    for field in record:
+        if isinstance(field, str) and (not field.isidentifier() or iskeyword(field)):
+            raise KernelError(
+                f"The record {cls.__name__} names {field!r}, as which no port or entry can be an argument."
+            )
+    return cls, tuple(field if isinstance(field, str) else _key(field) for field in record)
 
 
 # The same step function gives the same one, so that it is compiled once for however many blocks.
 @lru_cache(maxsize=1024)
-def _flat(kernel: Kernel, records: tuple[tuple[str, tuple[Any, ...]], ...]) -> Kernel:
+def _flat(kernel: Kernel, arguments: tuple[str, ...], records: tuple[tuple[str, tuple[Any, ...]], ...]) -> Kernel:
     known = dict(records)
     classes: dict[type, str] = {}
     arrays: dict[str, None] = {}  # a set that keeps the order
@@ -85,16 +100,14 @@ def _flat(kernel: Kernel, records: tuple[tuple[str, tuple[Any, ...]], ...]) -> K
         return f"{name}({', '.join(parts)})"
 
     given = []
-    for name in argument_names(kernel):
+    for name in arguments:
         if name in known:
             given.append(text(known[name]))
         else:
             arrays[name] = None
             given.append(name)
     names = {name: cls for cls, name in classes.items()} | {"with_records": kernel}
-    made = function_from_text(kernel.__name__, arrays, [f"with_records({', '.join(given)})"], names)
-    made.__dict__.update(written=kernel, given=tuple(known.get(name, name) for name in argument_names(kernel)))
+    made = function_from_text("of_arrays", arrays, [f"with_records({', '.join(given)})"], names)
+    made.__name__ = kernel.__name__
+    made.__dict__.update(written=kernel, given=tuple(known.get(name, name) for name in arguments))
     return made
-
-
-__all__ = ["as_written", "given_to", "is_record_class", "named_alike", "with_arrays", "written"]

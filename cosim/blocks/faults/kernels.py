@@ -199,9 +199,9 @@ def several_kinds(kinds: tuple[Value, ...]) -> Kernel:
     """Return the step function of a fault whose kind is drawn at every onset; ``settings`` and ``memory`` have a row for each."""
     value_of = _numbered(kinds, len(kinds) - 1)
 
-    def fault(t, k, u, channel, draws, course, kinds, held, y, active, kind):
+    def fault(t, k, u, channel, draws, course, mixture, held, y, active, kind):
         on, age = course.on, course.age
-        shares, chosen, settings, memory = kinds
+        shares, chosen, settings, memory = mixture
         gate(t, draws.transition, course)
         sample = element(u, channel)
         before = select(k == 0, sample, held[0])

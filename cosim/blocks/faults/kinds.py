@@ -410,7 +410,7 @@ class RandomFaults(Fault):
         memory = np.zeros((len(self.kinds), max(kind.memory(step) for kind in self.kinds)))
         kernel = kernels.several_kinds(tuple(kind.kernel() for kind in self.kinds))
         state = {**STATE, "chosen": 0.0}
-        records = {"draws": kernels.SEVERAL, "course": kernels.COURSE, "kinds": kernels.KINDS}
+        records = {"draws": kernels.SEVERAL, "course": kernels.COURSE, "mixture": kernels.KINDS}
         if any(kind.remembers for kind in self.kinds):
             return Definition(kernel, state={**state, "memory": memory}, parameters=parameters, records=records)
         return Definition(kernel, state=state, parameters={**parameters, "memory": memory}, records=records)

@@ -56,5 +56,6 @@ class Expressions(Conditions):
 
     def _kept(self, value: Value) -> Value:
         """Return a value as a record keeps it, whatever becomes of the variables that it was computed from."""
-        whole = isinstance(value.kind, Constant | Fields) or value.text in map(self.local, self.arguments)
+        unchanged = self.arguments.keys() - self.assigned
+        whole = isinstance(value.kind, Constant | Fields) or value.text in map(self.local, unchanged)
         return value if whole else self.temporary(value)

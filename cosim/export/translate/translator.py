@@ -47,6 +47,7 @@ class Translator(Expressions):
         arguments = dict(zip((a.arg for a in listed), kinds, strict=True))
         super().__init__(functions, function, arguments, dict(references(function)))
         assigned = stores(self.tree)
+        self.assigned = set(assigned)
         self.counters = counters(self.tree)
         self.once = {name for name in assigned if assigned.count(name) == 1} - set(arguments) - self.counters
         #: Names whose values do not change while a loop runs whose bounds they stand in.

@@ -1,13 +1,16 @@
 """Step functions that take records of arrays, and scratch space: the same bits as without, in every form in which they run."""
 
+import pickle
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim import Port, ops
+from bayesftc.cosim import Definition, Port, ops
 from bayesftc.cosim.stepping.records import as_written, named_alike, with_arrays
+from bayesftc.cosim.types import argument_names
 
 
 class Model(NamedTuple):
@@ -168,7 +171,7 @@ def test_a_field_that_is_not_there_is_a_sentence(make_block, engine):
 
     block = make_block(output=reads, records=RECORDS, **{**PORTS, **PARTS})
     if engine == "compiled":
-        with pytest.raises(cosim.KernelError, match="cannot be compiled"):
+        with pytest.raises(cosim.KernelError, match="uses the attribute 'men'"):
             fed(block).simulate(0.1, engine=engine)
     else:
         with pytest.raises(AttributeError, match="men"):
@@ -181,3 +184,76 @@ def test_of_arrays_no_methods_can_be_called(make_block):
 
     with pytest.raises(cosim.KernelError, match="uses the attribute 'sum'; of arrays only shape, size and indexing"):
         fed(make_block(output=calls, records=RECORDS, **{**PORTS, **PARTS})).simulate(0.1)
+
+
+def test_operations_of_a_module_that_stands_elsewhere(make_block, same_bits):
+    """As in a notebook, where ops is imported in another cell: Python then calls them as it calls methods."""
+    names = {"ops": ops}
+    exec("def cell(u, y):\n    y[0] = ops.sqrt(ops.absolute(u[0]))\n    y[1] = ops.sin(u[0])\n", names)
+    runs = [fed(make_block(output=names["cell"], **PORTS)).simulate(1.0, engine=e)["block.y"] for e in ENGINES]
+    same_bits(*runs)
+
+
+def test_methods_of_arrays_are_refused_under_any_name(make_block):
+    def bound(u, y):
+        total = u.sum
+        y[0] = total()
+        y[1] = total()
+
+    with pytest.raises(cosim.KernelError, match="uses the attribute 'sum'"):
+        fed(make_block(output=bound, **PORTS)).simulate(0.1)
+
+
+class Pair(NamedTuple):
+    a: float
+    T: np.ndarray
+
+
+def keep(x, y):
+    pair = Pair(x, y)
+    x = x + 1.0
+    pair.T[0] = pair.a + 100.0 * x
+    pair.T[1] = x
+
+
+def keeps(u, y):
+    keep(u[0], y)
+
+
+def test_a_record_keeps_what_a_number_was_in_c_too(make_block, tmp_path, same_bits, c_compiler):
+    block = make_block(output=keeps, **PORTS)
+    expected = [fed(block).simulate(1.0, engine=engine)["block.y"] for engine in ENGINES]
+    result = fed(cosim.FMU(cosim.export_fmu(block, tmp_path / "keeps.fmu", dt=0.1))).simulate(1.0)
+    same_bits(*expected)
+    same_bits(np.column_stack([result["block.y[0]"], result["block.y[1]"]]), expected[0])
+
+
+def test_definitions_are_pickled_and_replaced():
+    definition = Definition(show, go_on, **PARTS, records=RECORDS)
+    again = pickle.loads(pickle.dumps(definition))
+    assert again.output is definition.output
+    other = replace(definition, records={**RECORDS, "model": Model("B", "A")})
+    assert argument_names(other.output) == ("y", "mean", "next", "u", "B", "A")
+
+
+class Default(NamedTuple):
+    a: str = "A"
+
+
+@pytest.mark.parametrize(
+    ("records", "sentence"),
+    [
+        ({"motion": Default()}, "none with a default"),
+        ({"motion": Motion("mean", "a b")}, "names 'a b', as which no port or entry can be an argument"),
+        ({"motion": Motion("mean", "lambda")}, "names 'lambda'"),
+        ({"y": named_alike(Motion), "motion": named_alike(Motion)}, "a record 'y', but a port or entry is called so"),
+    ],
+)
+def test_records_that_cannot_be(make_block, records, sentence):
+    with pytest.raises(cosim.KernelError, match=sentence):
+        fed(make_block(output=show, update=go_on, **PORTS, **PARTS, records={**RECORDS, **records})).simulate(0.1)
+
+
+def test_a_lambda_takes_records(make_block):
+    block = make_block(output=lambda y, motion: advance(motion, y), records=RECORDS, **PORTS, **PARTS)
+    assert argument_names(block.define(1).output) == ("y", "mean", "next")
