@@ -7,7 +7,7 @@ from scipy import stats
 
 from bayesftc import controllers
 from bayesftc.controllers import Drifting, DroppedOut, Frozen, LinearModel, Noisier, Offset, Ramping, SwitchingPrecision
-from bayesftc.controllers.switching.bank.hypothesis import blend, correct, expect, move
+from bayesftc.controllers.switching.bank.hypothesis import Moving, Onset, Places, blend, correct, expect, move
 from bayesftc.cosim.errors import ModelError
 
 STEP, A, Q = 0.02, 0.999, 0.001
@@ -103,7 +103,8 @@ def test_a_hypothesis_is_filtered_as_filterpy_does():
     couples = scratch + N * N
     shift = couples + n
     memory[couples:shift], memory[shift : shift + n] = [0.2, -0.4], [0.5, 0.6]
-    move(memory, 0, n, 1, 1, 0.0, 1.0, 1.0, 1.0, 0.3, F, q, False, np.eye(2), 1e20, couples, shift, scratch)
+    onset, moving = Onset(0.0, 1.0, 1.0, 1.0, 0.3), Moving(F, q, False, np.eye(2), 1e20)
+    move(memory, 0, n, 1, 1, onset, moving, Places(couples, shift, scratch))
     one = KalmanFilter(N, 1)
     one.x, one.P = mean[:, None], P
     one.F = np.block([[F, np.array([[0.2, 0.0], [-0.4, 0.0]])], [np.zeros((2, 2)), np.array([[1.0, 1.0], [0.0, 1.0]])]])

@@ -7,6 +7,7 @@ import pytest
 
 from bayesftc.controllers import LinearModel, SwitchingPrecision
 from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.controllers.estimation.filter import Belief
 from bayesftc.controllers.switching.bank.hypothesis import STATE
 from bayesftc.controllers.switching.bank.samples import make_conclude
 from bayesftc.cosim.errors import ModelError
@@ -90,7 +91,7 @@ def test_an_estimate_is_made_of_whatever_is_left(likely):
         memory[layout.first + h * layout.length] = p
         memory[layout.first + h * layout.length + STATE] = x
     x_hat, P, settings = np.zeros(2), np.zeros((2, 2)), np.ones(layout.takes_over + 1)
-    make_conclude(layout)(np.zeros(2), np.eye(2), memory, settings, x_hat, P)
+    make_conclude(layout)(Belief(np.zeros(2), np.eye(2), x_hat, P), memory, settings)
     if max(likely) <= 0.5 < 2 * rest:
         assert x_hat[0] == pytest.approx(1.0), "the plant was kicked"
     if max(likely) > 0.9:
