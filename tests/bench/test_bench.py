@@ -37,12 +37,14 @@ def report(sections):
     return json.loads(json.dumps(_run.as_json(sections, quick=True)))
 
 
+@pytest.mark.slow
 def test_report_has_every_section_and_bar(report):
     assert set(report) == {"machine", "quick", "bars", *bench.SECTIONS}
     assert report["quick"] is True
     assert set(report["bars"]) == BARS
 
 
+@pytest.mark.slow
 def test_every_bar_has_a_number_or_a_reason(report):
     for bar in report["bars"].values():
         assert isinstance(bar["value"], float) != bool(bar["reason"])
@@ -50,6 +52,7 @@ def test_every_bar_has_a_number_or_a_reason(report):
         assert {"at_least", "at_most"} & set(bar)
 
 
+@pytest.mark.slow
 def test_every_figure_has_median_min_and_max_or_a_reason(report):
     for section in bench.SECTIONS:
         for figure in report[section].values():
@@ -60,17 +63,20 @@ def test_every_figure_has_median_min_and_max_or_a_reason(report):
                 assert figure["reason"].endswith(".")
 
 
+@pytest.mark.slow
 def test_what_is_compared_computes_the_same(report):
     assert report["bars"]["plain_loop.difference"]["met"]
     assert report["bars"]["full_loop.difference"]["met"]
 
 
+@pytest.mark.slow
 def test_compiled_code_is_kept(report):
     assert report["startup"]["scenario_compiled"]["max"] == 0
     assert report["startup"]["first_compiled"]["min"] > report["startup"]["second_compiled"]["max"] > 0
     assert report["startup"]["first_engine"]["min"] > 0 == report["startup"]["second_engine"]["max"]
 
 
+@pytest.mark.slow
 def test_report_does_not_name_this_machine(report):
     import platform
 
@@ -81,6 +87,7 @@ def test_report_does_not_name_this_machine(report):
     assert set(report["machine"]) >= {"cpu", "cores", "python", "numba"}
 
 
+@pytest.mark.slow
 def test_tables_show_every_figure(sections):
     for section in sections:
         assert _run.as_table(section).row_count == len(section.figures)

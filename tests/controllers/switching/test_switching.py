@@ -435,6 +435,7 @@ def test_a_sensor_whose_offset_is_known_informs_though_its_own_precision_is_near
     assert both.P[0, 0] < known.P[0, 0] < (both.P[0, 0] + one.P[0, 0]) / 2
 
 
+@pytest.mark.slow
 def test_insurance_costs_nothing_on_healthy_sensors():
     """To learn the noise costs a little, until it is known after 4 s."""
     squares = []

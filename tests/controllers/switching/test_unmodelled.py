@@ -342,7 +342,7 @@ def test_a_healthy_sensor_whose_noise_is_hardly_known_has_the_density_of_student
         ("sensors 2 times noisier than believed, healthy", 1.0),
         ("clips above the mean speed plus 4 sd", 1.05),
         ("clips above the mean speed", 1.05),
-        ("servo: stuck at 0", 1.1),
+        pytest.param("servo: stuck at 0", 1.1, marks=pytest.mark.slow),
     ],
 )
 def test_healthy_sensors_are_not_blamed(case, most):
@@ -380,6 +380,7 @@ def test_a_fault_ends_with_the_hazard_of_a_lomax_distribution(mean, shape):
     np.testing.assert_array_equal(ended(1.0 / mean, ages, 0.0), 1.0 / mean)
 
 
+@pytest.mark.slow
 def test_an_old_fault_is_forgotten_later_than_a_young_one():
     """Samples that fit a healthy sensor end a fault that has just begun, while one of long standing is given time."""
     told = {}

@@ -30,7 +30,7 @@ def jumped(sensors, jump, precision, samples=100, seed=0, others=0):
     return out
 
 
-@pytest.mark.parametrize("sensors", [2, 3, 5])
+@pytest.mark.parametrize("sensors", [2, *(pytest.param(m, marks=pytest.mark.slow) for m in (3, 5))])
 @pytest.mark.parametrize("jump", [4.0, 6.0, -5.0])
 def test_nobody_can_tell_a_kick_of_a_random_walk_from_sensors_that_jump_alike(sensors, jump):
     """Whatever the jump and the number of sensors, what is told beforehand is what remains."""
@@ -41,6 +41,7 @@ def test_nobody_can_tell_a_kick_of_a_random_walk_from_sensors_that_jump_alike(se
         assert np.abs(np.median([out.x_hat[0] for out in outs]) - jump) < 0.6, "the estimate follows the sensors"
 
 
+@pytest.mark.slow
 def test_it_can_be_left_out():
     out = jumped(2, 5.0, SwitchingPrecision(alike=0.0))
     assert out.fault_probability.max() < 0.05
@@ -48,6 +49,7 @@ def test_it_can_be_left_out():
     np.testing.assert_array_equal(single.x_hat, jumped(1, 5.0, SwitchingPrecision(alike=0.0), others=1).x_hat)
 
 
+@pytest.mark.slow
 def test_of_two_quantities_it_is_the_plant_that_jumped():
     """A kick would have moved the other one, too: how probable that is nobody says, so there is no such hypothesis."""
     out = jumped(2, 5.0, SwitchingPrecision(alike=0.45), others=2)
