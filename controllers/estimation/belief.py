@@ -95,24 +95,6 @@ def learn_later(sample, trust, memory, settings, work):
 
 
 @cache
-def make_ways(
-    learn: Callable[..., None], infer: Callable[..., None] | None
-) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Return the step functions that learn precisions and update the belief, for a precision learner's two (see `Learner`)."""
-    if infer is None:
-
-        def update(est):
-            measure(est.sample.e, est.trust.used, est.trust.R, est.model.C, est.belief, est.space)
-
-        return learn, update
-
-    def update_together(est):
-        infer(est.sample, est.trust, est.belief, est.model, est.actuators, est.learning, est.reach)
-
-    return learn_later, update_together
-
-
-@cache
 def make_estimate(
     learn: Callable[..., None],
     infer: Callable[..., None] | None,
@@ -120,11 +102,21 @@ def make_estimate(
     alarm: Callable[..., None],
     first: int,
 ) -> Callable[..., None]:
-    """Return the step function from the samples to the belief, for a learner's ways of learning and of reporting.
+    """Return the step function from the samples to the belief, for a learner's functions (see `Learner`).
 
-    The learner's own outputs begin at the place `first` among all outputs.
+    Where it infers state and faults together, that takes the place of learning and of Kalman's update. The learner's own outputs
+    begin at the place `first` among all outputs.
     """
-    learn, update = make_ways(learn, infer)
+    if infer is None:
+
+        def update(est):
+            measure(est.sample.e, est.trust.used, est.trust.R, est.model.C, est.belief, est.space)
+
+    else:
+        learn = learn_later
+
+        def update(est):
+            infer(est.sample, est.trust, est.belief, est.model, est.actuators, est.learning, est.reach)
 
     def estimate(outputs, est):
         apply(est.model.C, est.belief.mean, est.reading.expected)

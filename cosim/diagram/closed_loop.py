@@ -112,18 +112,18 @@ def closed_loop(
     seen = diagram.add(sensors, "sensors")
     diagram.connect(outputs, seen["u"])
     samples = _through(diagram, seen["y"], [faults] if isinstance(faults, Fault) else faults)
-    brain = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
-    if len(brain["y"]) != sensors.count:
+    decider = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
+    if len(decider["y"]) != sensors.count:
         raise ConnectionError(
-            f"The controller has {len(brain['y'])} sensors, but the loop has {sensors.count}; give its model's C a row, or its "
+            f"The controller has {len(decider['y'])} sensors, but the loop has {sensors.count}; give its model's C a row, or its "
             "modalities a sample, for each sensor, and Sensors the same count."
         )
-    diagram.connect(samples, brain["y"])
-    diagram.connect([g["y"] for g in goals], brain["goal"])
+    diagram.connect(samples, decider["y"])
+    diagram.connect([g["y"] for g in goals], decider["goal"])
     inputs = {name: node[name] for name in _names(control, "control")}
-    if len(brain["u"]) != sum(map(len, inputs.values())):
+    if len(decider["u"]) != sum(map(len, inputs.values())):
         raise ConnectionError(
-            f"The controller has {len(brain['u'])} controls, but control= names {sum(map(len, inputs.values()))} inputs of the "
+            f"The controller has {len(decider['u'])} controls, but control= names {sum(map(len, inputs.values()))} inputs of the "
             f"plant: {', '.join(inputs)}."
         )
     if not isinstance(input_faults, Mapping | None):
@@ -133,11 +133,11 @@ def closed_loop(
         )
     befallen, first = dict(input_faults or {}), 0
     for name, target in inputs.items():
-        _feed(diagram, brain["u"][first : first + len(target)], target, befallen.pop(name, ()), name)
+        _feed(diagram, decider["u"][first : first + len(target)], target, befallen.pop(name, ()), name)
         first += len(target)
     seen_by = {"y": samples, "goal": [g["y"] for g in goals]}
     for name, monitor in (monitors or {}).items():
-        _watch(diagram, brain, diagram.add(monitor, name, brain.every), seen_by)
+        _watch(diagram, decider, diagram.add(monitor, name, decider.every), seen_by)
     for name, source in (noise or {}).items():
         _feed(diagram, diagram.add(source, f"{_plain(name)}_noise")["y"], node[name], befallen.pop(name, ()), name)
     for name, chain in befallen.items():
@@ -237,9 +237,9 @@ def _at_rest(diagram: Diagram, target: PortRef, name: str) -> PortRef:
     return diagram.add(Constant(float(start)), f"{_plain(name)}_start")["y"]
 
 
-def _watch(diagram: Diagram, brain: Node, monitor: Node, seen_by: Mapping[str, Any]) -> None:
+def _watch(diagram: Diagram, decider: Node, monitor: Node, seen_by: Mapping[str, Any]) -> None:
     """Connect a monitor's inputs to the controller's outputs of the same names, or to what feeds the controller."""
-    outputs = {port.name for port in brain.block.outputs}
+    outputs = {port.name for port in decider.block.outputs}
     for port in monitor.block.inputs:
         if port.name not in outputs | seen_by.keys():
             if port.default is not None or port.draw is not None:
@@ -248,7 +248,7 @@ def _watch(diagram: Diagram, brain: Node, monitor: Node, seen_by: Mapping[str, A
                 f"The monitor {monitor.name!r} watches {port.name!r}, which is no output of the controller; "
                 f"{did_you_mean(port.name, outputs | seen_by.keys())}"
             )
-        diagram.connect(brain[port.name] if port.name in outputs else seen_by[port.name], monitor[port.name])
+        diagram.connect(decider[port.name] if port.name in outputs else seen_by[port.name], monitor[port.name])
 
 
 def _every(block: Block, name: str, step: Fraction) -> int:

@@ -120,10 +120,15 @@ def make_room(run: Run, end: int) -> None:
     try:
         run.recording = np.empty((rows, columns))
     except (MemoryError, ValueError):
-        raise ModelError(
-            f"Recording {columns} numbers at {rows} steps takes {8e-9 * rows * columns:.3g} GB, more than this machine has; name "
-            "fewer signals with record=..., or keep every n-th step with decimation=n."
-        ) from None
+        raise too_large(rows, columns) from None
+
+
+def too_large(rows: int, columns: int) -> ModelError:
+    """Return the error that a recording does not fit into memory."""
+    return ModelError(
+        f"Recording {columns} numbers at {rows} steps takes {8e-9 * rows * columns:.3g} GB, more than this machine has; name "
+        "fewer signals with record=..., or keep every n-th step with decimation=n."
+    )
 
 
 def choose_engine(wanted: str, run: Run) -> Engine:

@@ -28,8 +28,8 @@ SECONDS = 120.0
 """That a case may take: all end in a few, alone on a machine."""
 MARK = "ATTACK_CASE"
 """Variable of the environment that says for which case a process was started."""
-SENTENCES = {1, *range(3, 19), 20, 71}
-"""Exit codes of `BayesFTCError`, and of too little memory."""
+SENTENCES = {1, *range(3, 19), 20}
+"""Exit codes of `BayesFTCError`."""
 FOREIGN = re.compile(
     r"Traceback|numpy|np\.|ufunc|dtype|broadcast|LAPACK|SVD|xmlns|\bat 0x|array\(|<class|pydantic|Errno|nan\b.*\bnan\b.*\bnan\b"
 )

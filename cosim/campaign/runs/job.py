@@ -23,6 +23,7 @@ from bayesftc.cosim.run.many import Aside, Block, ManyRuns, Wanted
 from bayesftc.cosim.run.raised import reason_of
 from bayesftc.cosim.run.recording import Selection, select_signals
 from bayesftc.cosim.run.result import Result
+from bayesftc.cosim.run.running import too_large
 from bayesftc.cosim.types import Floats
 
 Loop = Diagram | Callable[..., Diagram]
@@ -100,8 +101,18 @@ class Job:
 
     @property
     def time(self) -> Floats:
-        """Time in seconds of each row of the signals that are kept."""
-        return _times(self.steps, self.decimation, self.step)
+        """Time in seconds of each row of the signals that are kept.
+
+        Raises
+        ------
+        ModelError
+            If there are more than memory holds.
+        """
+        try:
+            return _times(self.steps, self.decimation, self.step)
+        except (MemoryError, ValueError):
+            columns = sum(int(np.prod(kept.shape)) for kept in self.signals.values())
+            raise too_large(self.steps // self.decimation + 1, columns) from None
 
     def diagram(self, point: int) -> Diagram:
         """Return the loop at one point of the design.

@@ -436,3 +436,11 @@ def test_an_fmu_is_made_once_for_all_pieces_of_a_point(monkeypatch, same_bits):
     result = campaign.run(executor=cosim.Threads(1))
     assert len(made) == 1
     assert_alone(campaign, result, range(6), same_bits)
+
+
+def test_signals_of_more_rows_than_any_memory_holds_are_refused(car, tmp_path):
+    with pytest.raises(
+        cosim.ModelError, match=r"Recording 1 numbers at 5\d+ steps takes 4e\+06 GB, more than this machine has"
+    ):
+        cosim.Campaign(car(), duration=1e13, record=["plant.v"]).run(tmp_path / "store")
+    assert not (tmp_path / "store").exists()
