@@ -41,7 +41,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.judging",),
     ("cosim.control",),
     ("cosim.ssp",),
-    ("cosim.export.translate",),
+    ("cosim.stepping.translate",),
     ("cosim.export",),
     ("cosim.campaign.designs",),
     ("cosim.campaign.runs",),

@@ -33,7 +33,7 @@ from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
-from bayesftc.cosim.stepping.written import function_from_text
+from bayesftc.cosim.stepping.source.written import function_from_text
 from bayesftc.cosim.types import Floats
 
 Law = ControlLaw | Block | Callable[..., None]

@@ -11,7 +11,7 @@ from bayesftc.controllers.switching import mode_kernels, sensor_kernels as kerne
 from bayesftc.controllers.switching.bank.layout import Layout
 from bayesftc.controllers.switching.bank.samples import report_actuators, report_process
 from bayesftc.cosim import ops
-from bayesftc.cosim.stepping.written import function_from_text
+from bayesftc.cosim.stepping.source.written import function_from_text
 from bayesftc.cosim.types import argument_names
 
 _PASS_TIME = """

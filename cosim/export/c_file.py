@@ -13,10 +13,8 @@ from bayesftc.cosim.diagram.schedule import Call
 from bayesftc.cosim.export.layout import Layout, member
 from bayesftc.cosim.export.program import Program
 from bayesftc.cosim.export.signals import Signal, Tunable
-from bayesftc.cosim.export.translate.functions import Functions, Written, words, wrapped
-from bayesftc.cosim.export.translate.kinds import FLOAT, NATURAL, Array
-from bayesftc.cosim.export.translate.values import literal
-from bayesftc.cosim.types import argument_names
+from bayesftc.cosim.stepping.translate.functions import Functions, Written, words, wrapped
+from bayesftc.cosim.stepping.translate.values import literal
 
 _PARTS = ("inputs", "outputs", "parameters", "init", "step", "evaluate", "advance")
 _VARIABLES = ("c", "u", "y", "m", "k", "t", "i", "j", "initial")
@@ -209,9 +207,7 @@ def _written(program: Program, functions: Functions, call: Call) -> Written | No
     if kernel is None:
         return None
     assert isinstance(kernel, FunctionType)
-    sections = program.schedule.slots[call.node].sections
-    kinds = [FLOAT if n == "t" else NATURAL if n == "k" else Array(sections[n][2]) for n in argument_names(kernel)]
-    return functions.require(kernel, kinds)
+    return functions.step(kernel, program.schedule.slots[call.node].sections)
 
 
 def _phase(program: Program, layout: Layout, functions: Functions, calls: Iterable[Call]) -> list[str]:

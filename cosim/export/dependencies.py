@@ -6,8 +6,8 @@ import numpy as np
 
 from bayesftc.cosim.diagram.opening import OUTSIDE
 from bayesftc.cosim.export.program import Program
+from bayesftc.cosim.export.sets import Memory, Origins, origins, run
 from bayesftc.cosim.export.signals import Signal, Tunable
-from bayesftc.cosim.export.translate.sets import Memory, Origins, origins, run
 from bayesftc.cosim.ports import labels
 
 Elements = dict[str, tuple[frozenset[str], ...]]

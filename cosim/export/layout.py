@@ -11,8 +11,8 @@ from bayesftc.cosim.diagram.opening import OUTSIDE
 from bayesftc.cosim.export.names import in_c
 from bayesftc.cosim.export.program import Program
 from bayesftc.cosim.export.signals import Signal, Tunable
-from bayesftc.cosim.export.translate.functions import Functions, table_text
-from bayesftc.cosim.export.translate.kinds import same
+from bayesftc.cosim.stepping.translate.functions import Functions, table_text
+from bayesftc.cosim.stepping.translate.kinds import same
 from bayesftc.cosim.types import Floats
 
 

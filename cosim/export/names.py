@@ -7,8 +7,8 @@ import unicodedata
 from collections.abc import Iterable
 
 from bayesftc.cosim.errors import ModelError, brief
-from bayesftc.cosim.export.translate.functions import Functions
 from bayesftc.cosim.ports import labels
+from bayesftc.cosim.stepping.translate.functions import Functions
 
 _LEGAL = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*|\[[0-9]+(,[0-9]+)*\])*")
 _INDEX = re.compile(r"(\[[0-9]+(?:,[0-9]+)*\])")

@@ -125,7 +125,7 @@ class Online:
 
     def _compiled(self, kernel: Kernel) -> Callable[[float, int], Any]:
         import_engine()
-        from bayesftc.cosim.stepping.compiler import compile_kernel
+        from bayesftc.cosim.stepping.machine.steps import compile_kernel
 
         address = [ctypes.c_int64(self._memory.ctypes.data + 8 * start) for start in self._slots.start.values()]
         i64 = ctypes.c_int64

@@ -1,9 +1,8 @@
-"""Compiles step functions to C functions with one signature, once per machine.
+"""Compiles the engine's own functions with numba, once per machine, and the step functions that C is not written for.
 
-Every compiled block is ``int32 f(state, parameters, inputs, outputs, t, k)``: four addresses of float64 arrays, the time in
-seconds and the block's integer step count. numba's own disk cache neither notices edits in other files nor hits for closures,
-so each block gets a small wrapper module in the user's cache directory whose *name* is a hash of everything its code depends
-on (:mod:`bayesftc.cosim.stepping.fingerprint`); numba then caches that module's compiled form beside it.
+numba's own disk cache neither notices edits in other files nor hits for closures, so each function gets a small wrapper module
+in the user's cache directory whose *name* is a hash of everything its code depends on
+(:mod:`bayesftc.cosim.stepping.fingerprint`); numba then caches that module's compiled form beside it.
 """
 
 from __future__ import annotations
@@ -11,9 +10,7 @@ from __future__ import annotations
 import builtins
 import gc
 import operator
-import os
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -32,33 +29,24 @@ from bayesftc.cosim.base.cache import cache_directory, is_own
 from bayesftc.cosim.errors import BayesFTCError, KernelError
 from bayesftc.cosim.stepping import numba_ops as _numba_ops
 from bayesftc.cosim.stepping.fingerprint import (
-    depends_on,
+    environment,
     fingerprint,
     functions_called,
     references,
     service_fingerprint,
     where,
 )
-from bayesftc.cosim.types import Kernel
+from bayesftc.cosim.stepping.kept import STATISTICS, unwritable, write_whole
+from bayesftc.cosim.stepping.source.tree import NoText, parameters
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
 """(state, parameters, inputs, outputs, t, k) -> status; the four addresses travel as integers."""
-
-KERNEL_SIGNATURE = types.int32(*[types.CPointer(types.float64)] * 4, types.float64, types.int64)
-"""The same for what is compiled from a step function: to whoever calls it by address, a pointer is an integer."""
-
-LARGE = 16
-"""Rows and columns of a matrix from which vector instructions gain more than what LLVM finds out about aliases."""
-
-STATISTICS = {"compiled": 0, "loaded": 0}
-"""How many functions this process has compiled, and how many came ready from the disk."""
 
 # Older versions of numba take the time stamp of a source file for its version; here the file's name says it all.
 _STAMP = 1_000_000_000.0
 
 _lock = threading.RLock()
 _modules: dict[str, ModuleType] = {}
-_kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], int]]] = WeakKeyDictionary()
 _latest_twin: WeakKeyDictionary[FunctionType, tuple[list[Any], FunctionType]] = WeakKeyDictionary()
 _registered: set[FunctionType] = set()
 
@@ -73,49 +61,26 @@ def as_floats(typingctx, address):
     return types.CPointer(types.float64)(types.int64), codegen
 
 
-@intrinsic
-def floats(typingctx, section, offset):
-    """Return the float64 array that begins at a place in a section of memory: LLVM then knows what lies beside it."""
+def compile_by_numba(
+    kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]], why: KernelError
+) -> int:
+    """Compile a step function as `compile_kernel` does, but by numba, or load it from the disk.
 
-    def codegen(context, builder, signature, args):
-        return builder.gep(args[0], [args[1]])
-
-    return section(section, types.int64), codegen
-
-
-def compile_kernel(kernel: Kernel, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> int:
-    """Compile `kernel` for the given sizes, or load it from the disk.
-
-    Parameters
-    ----------
-    kernel : function
-        A step function that keeps the block contract.
-    sections : dict
-        For each of its arguments except ``t`` and ``k``: the section it lies in (state, parameters, inputs, outputs), its
-        offset there in elements, and its shape.
-
-    Returns
-    -------
-    int
-        The address that the engine calls; the code behind it lives as long as the process.
+    Raises
+    ------
+    KernelError
+        If numba cannot compile it: `why`, what C is not written for.
     """
-    if not isinstance(kernel, FunctionType):
-        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
     body = _entry_text(kernel, sections)
+    name = f"block_{kernel.__name__.strip('<>')[:40]}_{fingerprint(kernel, f'{environment()} {body}')}"
     with _lock:
-        known = _kernels.setdefault(kernel, {})
-        if body in known:
-            seen, address = known[body]
-            if all(map(operator.is_, seen, depends_on(kernel))):
-                return address
-        seen = depends_on(kernel)
-        name = f"block_{kernel.__name__.strip('<>')[:40]}_{fingerprint(kernel, body)}"
         if name not in _modules:
             twins = _twins(functions_called(kernel))
-            _load(name, body, {"kernel": twins[-1]}, twins)
-        address = int(_modules[name].entry.address)
-        known[body] = seen, address
-    return address
+            try:
+                _load(name, body, {"kernel": twins[-1]}, twins)
+            except NumbaError as error:
+                raise (_refusal(kernel, error) if isinstance(why, NoText) else why) from None
+        return int(_modules[name].entry.address)
 
 
 def _twins(functions: list[FunctionType]) -> list[FunctionType]:
@@ -154,7 +119,7 @@ def compile_function(function: Any, signature: str, calls: Sequence[Any] = ()) -
     calls : sequence of functions
         Plain functions that it calls, and that these call, such as those of `controllers._linalg`.
     """
-    arguments = ", ".join(_arguments(function))
+    arguments = ", ".join(parameters(function))
     # Without numba's reference counts (_nrt): such functions borrow their arrays and allocate none, and counting atomically
     # around each call by address took 70 ns a step of the loop, five times what the rest of it takes.
     text = (
@@ -177,7 +142,7 @@ def compile_raw(function: FunctionType) -> CFunc:
     numba CFunc
         Its ``address`` is what the engine calls; keep it alive as long as the address is used.
     """
-    arguments = ", ".join(_arguments(function))
+    arguments = ", ".join(parameters(function))
     text = (
         "from numba import cfunc\nfrom bayesftc.cosim.stepping.compiler import SIGNATURE\n\n"
         f'@cfunc(SIGNATURE, error_model="numpy", cache=True)\ndef entry({arguments}):\n    return kernel({arguments})\n'
@@ -201,7 +166,7 @@ def compile_callback(function: FunctionType, signature: str) -> CFunc:
     numba CFunc
         Its ``address`` is what the library gets; keep it alive as long as that is used.
     """
-    arguments = ", ".join(_arguments(function))
+    arguments = ", ".join(parameters(function))
     text = (
         f'from numba import cfunc\n\n@cfunc({signature!r}, error_model="numpy", cache=True)\n'
         f"def entry({arguments}):\n    return kernel({arguments})\n"
@@ -215,30 +180,19 @@ def _load_service(function: FunctionType, text: str, calls: Sequence[FunctionTyp
     return _load(name, text, {"kernel": function}, [*calls, function])
 
 
-def _arguments(function: FunctionType) -> tuple[str, ...]:
-    return function.__code__.co_varnames[: function.__code__.co_argcount]
-
-
 def _entry_text(kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> str:
-    names = _arguments(kernel)
-    # Loops over matrices of one section LLVM does not turn into vector instructions, for it cannot prove them apart; where it
-    # knows nothing of two addresses, it has that checked before the loop. Small ones are unrolled, and need no check.
-    shapes = [sections[name][2] for name in names if name not in {"t", "k"}]
-    apart = any(len(shape) > 1 and min(shape[-2:]) >= LARGE for shape in shapes)
-    signature, array = ("SIGNATURE", "as_floats") if apart else ("KERNEL_SIGNATURE", "floats")
+    names = parameters(kernel)
     arguments = []
     for name in names:
         if name in {"t", "k"}:
             arguments.append(name)
         else:
             section, offset, shape = sections[name]
-            place = f"{section} + {8 * offset}" if apart else f"{section}, {offset}"
-            arguments.append(f"carray({array}({place}), {shape!r})")
+            arguments.append(f"carray(as_floats({section} + {8 * offset}), {shape!r})")
     return (
         "from numba import carray, cfunc\n"
-        f"from bayesftc.cosim.stepping.compiler import {signature}, {array}\n"
-        "from bayesftc.cosim.stepping.numba_ops import ENTRY_OPTIONS\n\n"
-        f"@cfunc({signature}, cache=True, **ENTRY_OPTIONS)\n"
+        "from bayesftc.cosim.stepping.compiler import SIGNATURE, as_floats\n\n"
+        '@cfunc(SIGNATURE, cache=True, error_model="numpy")\n'
         "def entry(state, parameters, inputs, outputs, t, k):\n"
         f"    kernel({', '.join(arguments)})\n"
         "    return 0\n"
@@ -256,14 +210,11 @@ def _load(name: str, text: str, namespace: dict[str, Any], functions: list[Funct
                 module = _execute(path, text, namespace)
             except OSError as error:
                 _forget(path)
-                raise _unwritable(path, error) from None
-            except Exception as error:
+                raise unwritable(path, error) from None
+            except Exception:
                 if not _forget(path):
-                    raise _refusal(namespace["kernel"], error) from error
-                try:  # what another run has left in the cache may have been damaged
-                    module = _execute(path, text, namespace)
-                except Exception as again:
-                    raise _refusal(namespace["kernel"], again) from again
+                    raise
+                module = _execute(path, text, namespace)  # what another run has left in the cache may have been damaged
             hits = _cache_hits(module.entry)
             STATISTICS["loaded" if hits else "compiled"] += 1
             _modules[name] = module
@@ -321,10 +272,8 @@ def _forget(path: Path) -> bool:
     return bool(files)
 
 
-def _refusal(kernel: FunctionType, error: Exception) -> Exception:
-    """Return what to raise for an error of numba's compiler: a sentence, where it is about the user's step function."""
-    if not isinstance(error, NumbaError):
-        return error
+def _refusal(kernel: FunctionType, error: NumbaError) -> KernelError:
+    """Return numba's reason as a sentence."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.startswith("Failed in")]
     return KernelError(
         f"Step function {where(kernel)} cannot be compiled: {' '.join(lines[:3])} Write plain loops over float64 numbers, or set "
@@ -349,28 +298,11 @@ def _register(functions: list[FunctionType]) -> None:
 
 
 def _write_once(path: Path, text: str) -> None:
-    """Bring the file that numba's cache belongs to into being, whole, and with the same time stamp whoever writes it."""
+    """Bring the file that numba's cache belongs to into being."""
     try:
         stat = path.stat()
         if (stat.st_size, stat.st_mtime) == (len(text.encode()), _STAMP):
             return
     except FileNotFoundError:
         pass
-    temporary = None
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        os.utime(temporary, (_STAMP, _STAMP))
-        os.replace(temporary, path)
-    except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise _unwritable(path, error) from None
-
-
-def _unwritable(path: Path, error: OSError) -> BayesFTCError:
-    return BayesFTCError(
-        f"The cache folder {path.parent} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be, "
-        "or make room there."
-    )
+    write_whole(path, text.encode(), _STAMP)

@@ -22,8 +22,8 @@ import numpy as np
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.fingerprint import depends_on, functions_called
+from bayesftc.cosim.stepping.source.written import function_from_text
 from bayesftc.cosim.stepping.tracing import rebound
-from bayesftc.cosim.stepping.written import function_from_text
 from bayesftc.cosim.types import Kernel, argument_names
 
 Shape = int | tuple[int, ...]

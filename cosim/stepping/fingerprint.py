@@ -38,7 +38,7 @@ _FORBIDDEN = {
 
 @cache
 def environment() -> str:
-    """Return what else compiled code depends on: versions, the processor, and this package's compiling modules."""
+    """Return what else depends on what numba compiles: versions, the processor, and this package's compiling modules."""
     import platform
 
     import llvmlite
@@ -49,10 +49,10 @@ def environment() -> str:
 
     features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
     # The code that this process has loaded, not the files, which may have been edited since.
-    options = _numba_ops.OPTIONS, _numba_ops.ENTRY_OPTIONS
-    sources = [str(options), *(_code_text(f._defn.__code__) for f in (_compiler.as_floats, _compiler.floats))]
+    options = _numba_ops.OPTIONS
+    sources = [str(options), _code_text(_compiler.as_floats._defn.__code__)]
     sources += [_code_text(f.__code__) for _, f in sorted(vars(_numba_ops).items()) if isinstance(f, FunctionType)]
-    for pipeline in (o["pipeline_class"] for o in options if "pipeline_class" in o):
+    for pipeline in (options["pipeline_class"],) if "pipeline_class" in options else ():
         classes = [c for _, c in sorted(vars(sys.modules[pipeline.__module__]).items()) if isinstance(c, type)]
         methods = [f for c in classes if c.__module__ == pipeline.__module__ for _, f in sorted(vars(c).items())]
         sources += [_code_text(f.__code__) for f in methods if isinstance(f, FunctionType)]
@@ -89,7 +89,8 @@ def _visit(
                 f"({', '.join(ops.NAMES)})."
                 f"{instead_of(function, name, value)}"
             )
-    _check_code(function, function.__code__, fields)
+    if not hasattr(function, "tree"):  # else it was made from one that keeps the contract
+        _check_code(function, function.__code__, fields)
     ordered.append(function)
 
 
@@ -205,8 +206,8 @@ def _describe(value: Any) -> str:
 
 
 def fingerprint(function: FunctionType, specialisation: str) -> str:
-    """Return a hexadecimal hash of `function`, all it calls, the sizes it is compiled for, and the environment."""
-    digest = hashlib.sha256(f"{environment()}\n{specialisation}\n".encode())
+    """Return a hexadecimal hash of `function`, all it calls, and what it is compiled for."""
+    digest = hashlib.sha256(f"{specialisation}\n".encode())
     called = functions_called(function)
     number = {reached: f"function {i}" for i, reached in enumerate(called)}
     for reached in called:

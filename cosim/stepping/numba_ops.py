@@ -78,9 +78,6 @@ def _square(x):
 OPTIONS = {"error_model": "numpy", "forceinline": True}
 """How every function called from a step function is compiled: 1/0 is infinite, and calls cost nothing."""
 
-ENTRY_OPTIONS: dict[str, Any] = {"error_model": "numpy", "forceinline": True}
-"""How the function around a step function is compiled, which the engine calls by its address."""
-
 KNOWN = (0, 69)
 """The first version of numba whose inside nobody has compared with what our pipelines expect of it."""
 
@@ -102,9 +99,6 @@ def _pipeline(module: str, name: str) -> Any:
 
 if callee := _pipeline("numba_callee", "Callee"):
     OPTIONS |= {"pipeline_class": callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    # Before 0.62, LLVM's passes were ordered otherwise.
-    if numba.version_info.short >= (0, 62) and (entry := _pipeline("numba_entry", "Entry")):
-        ENTRY_OPTIONS |= {"pipeline_class": entry}
 
 extending.register_jitable(**OPTIONS)(_select)
 _IMPLEMENTATIONS = {name: value for name, value in globals().items() if name[1:] in ops.NAMES}

@@ -13,7 +13,7 @@ from keyword import iskeyword
 from typing import Any
 
 from bayesftc.cosim.errors import KernelError
-from bayesftc.cosim.stepping.written import function_from_text
+from bayesftc.cosim.stepping.source.written import function_from_text
 from bayesftc.cosim.types import Kernel, argument_names
 
 MOST_FIELDS = 30
@@ -51,12 +51,6 @@ def with_arrays(kernel: Kernel | None, records: Mapping[str, Any]) -> Kernel | N
 def as_written(kernel: Kernel) -> Kernel:
     """Return the step function as its author wrote it, with records: whose file and lines are named where something is wrong."""
     found: Kernel = getattr(kernel, "written", kernel)
-    return found
-
-
-def given_to(kernel: Kernel) -> tuple[Any, ...]:
-    """Return what `as_written` is given for each of its arguments: names of arrays, and ``(class, fields)`` of records."""
-    found: tuple[Any, ...] = getattr(kernel, "given", ())
     return found
 
 
@@ -109,5 +103,5 @@ def _flat(kernel: Kernel, arguments: tuple[str, ...], records: tuple[tuple[str, 
     names = {name: cls for cls, name in classes.items()} | {"with_records": kernel}
     made = function_from_text("of_arrays", arrays, [f"with_records({', '.join(given)})"], names)
     made.__name__ = kernel.__name__
-    made.__dict__.update(written=kernel, given=tuple(known.get(name, name) for name in arguments))
+    made.__dict__["written"] = kernel
     return made

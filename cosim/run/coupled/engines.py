@@ -116,7 +116,7 @@ def address_of(run: Run, i: int, kind: str) -> int:
     instance = run.instances.get(i)
     if instance is not None:
         return instance.update_address if kind == "update" else instance.output_address
-    from bayesftc.cosim.stepping.compiler import compile_kernel
+    from bayesftc.cosim.stepping.machine.steps import compile_kernel
 
     return compile_kernel(_kernel(run, i, kind), run.schedule.slots[i].sections)
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from bayesftc import cosim
 from bayesftc.cosim.export.dependencies import feeding, feeding_elements
 from bayesftc.cosim.export.program import program_of
-from bayesftc.cosim.export.translate.sets import MOST
+from bayesftc.cosim.export.sets import MOST
 from bayesftc.cosim.ports import labels
 
 

@@ -22,6 +22,8 @@ from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import both, exp, select, sqrt, square
 from bayesftc.cosim.stepping import compiler as _compiler
 from bayesftc.cosim.stepping.fingerprint import fingerprint, service_fingerprint
+from bayesftc.cosim.stepping.kept import STATISTICS
+from bayesftc.cosim.stepping.machine import steps as _steps
 
 # --- the contract ---------------------------------------------------------------------------------------------------------------
 
@@ -143,7 +145,7 @@ REFUSED = {
     writes_global: r"writes a global variable; declare a state",
     calls_default: r"'helper_with_default' .* (has a default that is no number|uses)",
     make_unfilled(): r"uses 'late', which has no value yet",
-    changes_type: r"'changes_type' .* cannot be compiled: .*Write plain loops over float64 numbers",
+    changes_type: r"'changes_type' .*line \d+\) keeps values of different kinds in 'x'; take two names",
 }
 
 
@@ -249,7 +251,8 @@ def module(tmp_path, monkeypatch):
     """Write a module, import it anew, and return it."""
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(_compiler, "_modules", {})  # as in a process of its own
-    monkeypatch.setattr(_compiler, "_kernels", WeakKeyDictionary())
+    monkeypatch.setattr(_steps, "_addresses", {})
+    monkeypatch.setattr(_steps, "_kernels", WeakKeyDictionary())
 
     def load(text=MODULE, **changes):
         for key, value in {**PLAIN, **changes}.items():
@@ -269,9 +272,9 @@ def evaluate(make_block):
     """Return a kernel's y and how many functions were compiled for it."""
 
     def run(kernel):
-        before = dict(_compiler.STATISTICS)
+        before = dict(STATISTICS)
         y = make_block(outputs=[Port("y")], output=kernel).online(1)().y
-        return y, _compiler.STATISTICS["compiled"] - before["compiled"]
+        return y, STATISTICS["compiled"] - before["compiled"]
 
     return run
 
@@ -307,14 +310,41 @@ def test_a_changed_global_is_noticed_in_the_same_function(module, evaluate):
     assert evaluate(kernel) == (6.5, 0)
 
 
-def test_what_two_blocks_call_is_compiled_once(module, evaluate):
-    written, shared = module(), []
-    one, two = written.make(3.0), written.make(4.0)
-    for kernel in (one, two):
-        evaluate(kernel)
-        shared.append(_compiler._latest_twin[written.helper])
+WITHOUT_TEXT = """
+def helper(x):
+    return 3.0 * x
+
+def one(y):
+    y[0] = helper(2.0)
+
+def two(y):
+    y[0] = helper(3.0)
+
+def wrong(y):
+    y[0] = y[0, 0]
+"""
+
+
+def test_functions_without_a_text_are_compiled_by_numba_and_what_they_call_once(module, evaluate):
+    written, shared = {}, []
+    exec(WITHOUT_TEXT, written)  # as in Python's own prompt
+    for name, y in (("one", 6.0), ("two", 9.0)):
+        assert evaluate(written[name]) == (y, 1)
+        shared.append(_compiler._latest_twin[written["helper"]])
     assert shared[0] is shared[1]
-    assert _compiler._latest_twin[one][1] is not _compiler._latest_twin[two][1]
+    with pytest.raises(KernelError, match=r"'wrong' .* cannot be compiled: .*Write plain loops over float64 numbers"):
+        evaluate(written["wrong"])
+
+
+def takes_a_slice(y):
+    for value in y[:1]:
+        y[0] = 2.0 + 0.0 * (value == value)
+
+
+def test_what_c_is_not_written_for_is_compiled_by_numba(evaluate):
+    with pytest.raises(KernelError, match="loops over what is no range"):
+        _steps.text_of(takes_a_slice, {"y": ("outputs", 0, (1,))}, "entry")
+    assert evaluate(takes_a_slice)[0] == 2.0
 
 
 @pytest.mark.parametrize("on", [True, False])
@@ -481,7 +511,7 @@ TWO_FILES = """
 import json, sys
 sys.path.insert(0, sys.argv[1])
 from bayesftc import cosim
-from bayesftc.cosim import Port; from bayesftc.cosim.stepping import compiler as _compiler
+from bayesftc.cosim import Port; from bayesftc.cosim.stepping.kept import STATISTICS
 from other import helper
 SHIFT = 1.0
 class B(cosim.Block):
@@ -492,7 +522,7 @@ class B(cosim.Block):
 def kernel(y, z):
     y[0] = helper(z[0]) + SHIFT
 d = cosim.Diagram(1); d.add(B(), "b"); r = d.simulate(3, record=["b.y", "b.z"])
-print(json.dumps([_compiler.STATISTICS, (r["b.y"] / r["b.z"]).tolist(), r["b.y"].tolist()]))
+print(json.dumps([STATISTICS, (r["b.y"] / r["b.z"]).tolist(), r["b.y"].tolist()]))
 """
 
 
@@ -531,7 +561,7 @@ def test_across_processes(python, tmp_path):
 SMALL = textwrap.dedent("""
     import json, sys
     from bayesftc import cosim
-    from bayesftc.cosim.stepping import compiler as _compiler
+    from bayesftc.cosim.stepping.kept import STATISTICS
     space = {}
     exec("def kernel(t, y):\\n    y[0] = 2.0 * t + 1.0", space)
     class B(cosim.Block):
@@ -539,7 +569,7 @@ SMALL = textwrap.dedent("""
         def define(self, step):
             return cosim.Definition(space["kernel"])
     step = B().online(1)
-    print(json.dumps([_compiler.STATISTICS, [step().y for _ in range(3)]]))
+    print(json.dumps([STATISTICS, [step().y for _ in range(3)]]))
 """)
 
 
@@ -710,7 +740,7 @@ import json, resource
 from bayesftc import cosim
 diagram = cosim.Diagram(dt=0.1)
 diagram.add(cosim.Sine(1.0, 1.0), "wave")
-resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 try:
     diagram.simulate(1.0, engine="compiled")
 except cosim.BayesFTCError as error:
@@ -729,5 +759,5 @@ def test_a_second_run_of_a_built_diagram_does_not_hash_again(monkeypatch):
     diagram = cosim.Diagram(1)
     diagram.add(cosim.Ramp(1.0))
     diagram.simulate(1)
-    monkeypatch.setattr(_compiler, "fingerprint", lambda *a: pytest.fail("hashed again"))
+    monkeypatch.setattr(_steps, "fingerprint", lambda *a: pytest.fail("hashed again"))
     assert diagram.simulate(2)["ramp.y"].tolist() == [0, 1, 2]

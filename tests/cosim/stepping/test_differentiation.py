@@ -11,9 +11,9 @@ from hypothesis import given, settings, strategies as st
 from bayesftc.cosim import jacobian, ops
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import cos, maximum, select, sin
-from bayesftc.cosim.stepping.compiler import compile_kernel
 from bayesftc.cosim.stepping.fingerprint import fingerprint
-from bayesftc.cosim.stepping.written import function_from_text
+from bayesftc.cosim.stepping.machine.steps import compile_kernel
+from bayesftc.cosim.stepping.source.written import function_from_text
 
 SCALE = 0.1
 

@@ -119,7 +119,7 @@ def test_select_has_no_negative_zero():
 
 
 def test_one_compiled_call(plain):
-    from bayesftc.cosim.stepping.compiler import compile_kernel
+    from bayesftc.cosim.stepping.machine.steps import compile_kernel
 
     y = np.empty_like(plain)
     parameters = np.concatenate([A, B])

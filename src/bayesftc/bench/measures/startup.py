@@ -12,7 +12,7 @@ from bayesftc.bench._figures import Figure, Section
 
 _REPORT = """
 import json
-from bayesftc.cosim.stepping.compiler import STATISTICS
+from bayesftc.cosim.stepping.kept import STATISTICS
 print(json.dumps(STATISTICS))
 """
 

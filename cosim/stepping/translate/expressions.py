@@ -5,11 +5,10 @@ from __future__ import annotations
 import ast
 from types import FunctionType
 
-from bayesftc.cosim.export.translate.conditions import Conditions
-from bayesftc.cosim.export.translate.context import OPERATIONS
-from bayesftc.cosim.export.translate.kinds import Array, Constant, Fields
-from bayesftc.cosim.export.translate.values import Value, constant, passed_kind
-from bayesftc.cosim.stepping.records import is_record_class
+from bayesftc.cosim.stepping.translate.conditions import Conditions
+from bayesftc.cosim.stepping.translate.context import OPERATIONS
+from bayesftc.cosim.stepping.translate.kinds import Array, Constant, as_number
+from bayesftc.cosim.stepping.translate.values import Value, constant
 
 
 class Expressions(Conditions):
@@ -33,17 +32,13 @@ class Expressions(Conditions):
                 return constant(len(owner.value))
         if callable(function) and function in OPERATIONS:
             return self.operation(node, OPERATIONS[function])
-        if isinstance(function, type) and is_record_class(function):
-            fields = tuple(self._kept(value) for value in self.in_order(node, function))
-            return Value("", Fields(function, tuple(value.kind for value in fields)), fields=fields)
         if not isinstance(function, FunctionType):
             self.refuse(node, f"calls {ast.unparse(node.func)!r}, which is no step function")
         arguments = self.in_order(node, function)
-        written = self.functions.require(function, [passed_kind(a) for a in arguments])
+        written = self.functions.require(function, [as_number(a.kind) or a.kind for a in arguments])
         self.called.add(written.name)
         texts = []
-        leaves = [leaf for argument in arguments for leaf in argument.leaves]
-        for argument, name in zip(leaves, written.arguments, strict=True):
+        for argument, name in zip(arguments, written.arguments, strict=True):
             if name in written.passed:
                 texts.append(argument.text)
             if name in written.stored:
@@ -53,9 +48,3 @@ class Expressions(Conditions):
             self.emit(f"{text};")
             return None
         return self.temporary(Value(text, written.returns))
-
-    def _kept(self, value: Value) -> Value:
-        """Return a value as a record keeps it, whatever becomes of the variables that it was computed from."""
-        unchanged = self.arguments.keys() - self.assigned
-        whole = isinstance(value.kind, Constant | Fields) or value.text in map(self.local, unchanged)
-        return value if whole else self.temporary(value)

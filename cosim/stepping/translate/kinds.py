@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
@@ -55,20 +54,6 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Fields:
-    """A record of arrays and numbers, as a step function takes it; C knows only its fields, one by one."""
-
-    record: type
-    items: tuple[Kind, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What its fields are called."""
-        found: tuple[str, ...] = self.record._fields  # type: ignore[attr-defined]
-        return found
-
-
-@dataclass(frozen=True)
 class Constant:
     """What is known when the C is written: a number, a tuple of such, a function, a module."""
 
@@ -90,7 +75,7 @@ def same(a: Any, b: Any) -> bool:
     return type(a) is type(b) and repr(a) == repr(b)
 
 
-Kind = Number | Array | Record | Fields | Constant
+Kind = Number | Array | Record | Constant
 
 FLOAT, INT, BOOL, NATURAL = Number("float"), Number("int"), Number("bool"), Number("int", natural=True)
 
@@ -104,15 +89,6 @@ def number_of(value: Any) -> Number | None:
     if isinstance(value, int):
         return NATURAL if value >= 0 else INT
     return FLOAT if isinstance(value, float) else None
-
-
-def leaves(name: str, kind: Kind) -> Iterator[tuple[str, Kind]]:
-    """Yield the arguments that C has for one of Python: itself, or each field of a record."""
-    if not isinstance(kind, Fields):
-        yield name, kind
-        return
-    for field, item in zip(kind.names, kind.items, strict=True):
-        yield from leaves(f"{name}.{field}", item)
 
 
 def as_number(kind: Kind) -> Number | None:

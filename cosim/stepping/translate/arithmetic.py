@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim import ops
-from bayesftc.cosim.export.translate.context import Context
-from bayesftc.cosim.export.translate.kinds import (
+from bayesftc.cosim.stepping.translate.context import Context
+from bayesftc.cosim.stepping.translate.kinds import (
     BOOL,
     FLOAT,
     INT,
     NATURAL,
     Array,
     Constant,
-    Fields,
     Kind,
     Number,
     joined,
 )
-from bayesftc.cosim.export.translate.values import (
+from bayesftc.cosim.stepping.translate.values import (
     ATOM,
     PRODUCT,
     SUM,
@@ -66,7 +65,7 @@ class Arithmetic(Context):
         name = node.id
         if name in self.constants:
             return self.constants[name]
-        kind = self.kinds.get(name, self.given.get(name))
+        kind = self.kinds.get(name, self.arguments.get(name))
         if kind is not None:
             return self._variable(name, kind)
         if name in self.names:
@@ -77,17 +76,12 @@ class Arithmetic(Context):
         """Return a variable, or an argument."""
         if isinstance(kind, Constant):
             return constant(kind.value)
-        if isinstance(kind, Fields):
-            fields = zip(kind.names, kind.items, strict=True)
-            return Value("", kind, fields=tuple(self._variable(f"{name}.{field}", item) for field, item in fields))
         if isinstance(kind, Array):
             return Value(self.local(name), kind, roots=self.roots.get(name, frozenset({name})))
         return Value(self.local(name), kind)
 
     def get_Attribute(self, node: ast.Attribute) -> Value:
         owner = self.value(node.value)
-        if isinstance(owner.kind, Fields) and node.attr in owner.kind.names:
-            return owner.fields[owner.kind.names.index(node.attr)]
         if isinstance(owner.kind, Constant) and node.attr in getattr(owner.kind.value, "_fields", ()):
             return constant(getattr(owner.kind.value, node.attr))
         if isinstance(owner.kind, Array) and node.attr in {"shape", "size", "ndim"}:

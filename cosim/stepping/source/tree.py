@@ -1,19 +1,22 @@
-"""The text of a step function as a syntax tree, with the lines that a user knows, and what can be told from it at a glance."""
+"""The text of a step function as a syntax tree, with the lines that a user knows."""
 
 from __future__ import annotations
 
 import ast
+import copy
 import dis
 import inspect
 import textwrap
-from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.fingerprint import where
+
+
+class NoText(KernelError):
+    """The text of a function is not at hand."""
 
 
 def tree_of(function: FunctionType) -> ast.FunctionDef:
@@ -24,11 +27,13 @@ def tree_of(function: FunctionType) -> ast.FunctionDef:
     KernelError
         If there is no text of it, the text is not that of the function any more, or it was not made by ``def``.
     """
+    if hasattr(function, "tree"):  # made from another one
+        return copy.deepcopy(function.tree)  # type: ignore[no-any-return]
     try:
         lines, first = inspect.getsourcelines(function)
         tree = ast.parse(textwrap.dedent("".join(lines)))
     except (OSError, TypeError, SyntaxError):
-        raise KernelError(
+        raise NoText(
             f"The text of step function {where(function)} is not at hand, so that no C can be written from it; define it with "
             "def in a file or a notebook."
         ) from None
@@ -82,6 +87,11 @@ def _find(code: CodeType, name: str) -> CodeType | None:
     return None
 
 
+def parameters(function: FunctionType) -> tuple[str, ...]:
+    """Return the names of a function's arguments, those with a default too."""
+    return function.__code__.co_varnames[: function.__code__.co_argcount]
+
+
 def place(function: FunctionType, node: ast.AST) -> str:
     """Return a readable place in a function, as ``'f' (file.py, line 3)``."""
     return f"{function.__name__!r} ({Path(function.__code__.co_filename).name}, line {getattr(node, 'lineno', '?')})"
@@ -90,64 +100,3 @@ def place(function: FunctionType, node: ast.AST) -> str:
 def stores(tree: ast.AST) -> list[str]:
     """Return the names of the variables that are assigned to, as often as they are."""
     return [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
-
-
-def counters(tree: ast.FunctionDef) -> set[str]:
-    """Return the loop variables that are neither assigned otherwise nor read outside of their loops."""
-    loops = [n for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)]
-    found = {_counter(loop) for loop in loops} - {a.arg for a in tree.args.args}
-    for name in list(found):
-        own = [loop for loop in loops if _counter(loop) == name]
-        inside = {id(n) for loop in own for part in loop.body for n in _named(part, name)} | {id(o.target) for o in own}
-        begun_within = any(
-            _counter(n) == name for loop in own for part in loop.body for n in ast.walk(part) if n in own
-        )
-        assigned = stores(tree).count(name) > len(own)
-        if begun_within or assigned or any(id(n) not in inside for n in _named(tree, name)):
-            found.discard(name)
-    return found
-
-
-def _counter(loop: ast.AST) -> str:
-    target = getattr(loop, "target", None)
-    return target.id if isinstance(target, ast.Name) else ""
-
-
-def _named(tree: ast.AST, name: str) -> list[ast.Name]:
-    return [n for n in ast.walk(tree) if isinstance(n, ast.Name) and n.id == name]
-
-
-def within_block(tree: ast.FunctionDef) -> set[str]:
-    """Return the variables that are assigned in one statement and read only by those that follow it in the same block."""
-    found, reads = set(), _reads(tree)
-    for node in ast.walk(tree):
-        for body in (getattr(node, "body", None), getattr(node, "orelse", None)):
-            later: Counter[str] = Counter()
-            for statement in reversed(body if isinstance(body, list) else []):
-                if isinstance(statement, ast.Assign | ast.AnnAssign):
-                    found |= {name for name in stores(statement) if later[name] == reads[name]}
-                later += _reads(statement)
-    return found
-
-
-def _reads(tree: ast.AST) -> Counter[str]:
-    """Return how often each variable is read."""
-    return Counter(n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Store))
-
-
-def ends(body: Sequence[ast.stmt]) -> bool:
-    """Return whether every way through some statements ends in a return."""
-    last = body[-1]
-    if isinstance(last, ast.If):
-        return ends(last.body) and bool(last.orelse) and ends(last.orelse)
-    return isinstance(last, ast.Return)
-
-
-def jumps(body: Sequence[ast.stmt]) -> bool:
-    """Return whether statements leave the loop that they are the body of, or begin its next round."""
-    for statement in body:
-        if isinstance(statement, ast.Break | ast.Continue):
-            return True
-        if isinstance(statement, ast.If) and (jumps(statement.body) or jumps(statement.orelse)):
-            return True
-    return False

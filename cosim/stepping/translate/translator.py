@@ -13,25 +13,25 @@ from dataclasses import replace
 from types import FunctionType
 from typing import TYPE_CHECKING
 
-from bayesftc.cosim.export.translate.expressions import Expressions
-from bayesftc.cosim.export.translate.kinds import (
+from bayesftc.cosim.stepping.fingerprint import references
+from bayesftc.cosim.stepping.source.tree import stores, tree_of
+from bayesftc.cosim.stepping.translate.expressions import Expressions
+from bayesftc.cosim.stepping.translate.kinds import (
     INT,
     NATURAL,
     Array,
     Constant,
-    Fields,
     Kind,
     Number,
     Record,
     as_number,
     joined,
 )
-from bayesftc.cosim.export.translate.source import counters, ends, jumps, stores, tree_of, within_block
-from bayesftc.cosim.export.translate.values import Value, as_float, as_kind, as_whole, constant
-from bayesftc.cosim.stepping.fingerprint import references
+from bayesftc.cosim.stepping.translate.source import counters, ends, jumps, within_block
+from bayesftc.cosim.stepping.translate.values import Value, as_float, as_kind, as_whole, constant
 
 if TYPE_CHECKING:
-    from bayesftc.cosim.export.translate.functions import Functions
+    from bayesftc.cosim.stepping.translate.functions import Functions
 
 
 class Translator(Expressions):
@@ -177,8 +177,6 @@ class Translator(Expressions):
             whole = self.value(node.value)
             if isinstance(whole.kind, Record):
                 values = [Value(f"{whole.text}.v{i}", kind) for i, kind in enumerate(whole.kind.items)]
-            elif isinstance(whole.kind, Fields):
-                values = list(whole.fields)
             elif isinstance(whole.kind, Constant) and isinstance(whole.kind.value, tuple):
                 values = [constant(item) for item in whole.kind.value]
             else:
@@ -205,11 +203,6 @@ class Translator(Expressions):
             self.refuse(target, "assigns to what is neither a name nor an element of an array")
         name = target.id
         if isinstance(value.kind, Constant) and name in self.once:
-            self.constants[name] = value
-            return
-        if isinstance(value.kind, Fields):
-            if name not in self.once:
-                self.refuse(target, f"assigns the record {name!r} more than once; take two names")
             self.constants[name] = value
             return
         if isinstance(value.kind, Constant) and as_number(value.kind) is None:

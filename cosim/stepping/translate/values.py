@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from bayesftc.cosim.export.translate.kinds import BOOL, FLOAT, NATURAL, Constant, Fields, Kind, Number, as_number
+from bayesftc.cosim.stepping.translate.kinds import BOOL, FLOAT, NATURAL, Constant, Kind, Number, as_number
 
 ATOM, UNARY, PRODUCT, SUM, ORDER, EQUAL, AND, OR, CHOICE = range(9)
 """How tightly an operator binds, as C has it."""
@@ -26,22 +26,12 @@ class Value:
         How tightly its outermost operator binds.
     roots : frozenset of str
         Of an array, the arguments whose numbers it may be part of.
-    fields : tuple of Value
-        Of a record, what it consists of.
     """
 
     text: str
     kind: Kind
     level: int = ATOM
     roots: frozenset[str] = frozenset()
-    fields: tuple[Value, ...] = ()
-
-    @property
-    def leaves(self) -> tuple[Value, ...]:
-        """What C has for it as an argument: itself, or each field of a record."""
-        if not isinstance(self.kind, Fields):
-            return (self,)
-        return tuple(leaf for field in self.fields for leaf in field.leaves)
 
 
 def literal(value: Any) -> str:
@@ -63,13 +53,6 @@ def constant(value: Any) -> Value:
         return Value("", kind)
     text = literal(value)
     return Value(text, kind, UNARY if text.startswith(("-", "(")) else ATOM)
-
-
-def passed_kind(value: Value) -> Kind:
-    """Return what a function is written for where it gets this value as an argument."""
-    if isinstance(value.kind, Fields):
-        return Fields(value.kind.record, tuple(map(passed_kind, value.fields)))
-    return as_number(value.kind) or value.kind
 
 
 def as_float(value: Value) -> Value:

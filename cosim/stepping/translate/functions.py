@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from inspect import getdoc
 from types import FunctionType
 from typing import Any
 
-from bayesftc.cosim.export.translate.kinds import FLOAT, Array, Constant, Fields, Kind, Number, Record
-from bayesftc.cosim.export.translate.translator import Translator
-from bayesftc.cosim.export.translate.values import literal
 from bayesftc.cosim.stepping.fingerprint import functions_called
-from bayesftc.cosim.stepping.records import as_written, given_to
-from bayesftc.cosim.types import argument_names
+from bayesftc.cosim.stepping.source.flat import without_records
+from bayesftc.cosim.stepping.source.tree import parameters
+from bayesftc.cosim.stepping.translate.kinds import FLOAT, NATURAL, Array, Constant, Kind, Number, Record
+from bayesftc.cosim.stepping.translate.translator import Translator
+from bayesftc.cosim.stepping.translate.values import literal
 
 _ASSIGNMENT = re.compile(r"( *)(?:const \w+ \*?(?:const )?|double \*const )?(\w+) = (.*)")
+
+Sections = Mapping[str, tuple[str, int, tuple[int, ...]]]
+"""For each argument but ``t`` and ``k``: the section of memory it lies in, its offset there in elements, and its shape."""
 
 WIDTH = 120
 """Lines of C are broken behind this column."""
@@ -107,44 +110,29 @@ class Functions:
         self._written: dict[tuple[FunctionType, tuple[Kind, ...]], Written] = {}
         self._tables: dict[Constant, tuple[str, str]] = {}
         self._names = set(taken)
-        self._checked: set[FunctionType] = set()
         self._named: dict[tuple[str, ...], str] = {}
         self._texts: dict[str, str] = {}
 
+    def step(self, kernel: FunctionType, sections: Sections) -> Written:
+        """Return the C function for a step function whose arguments lie there.
+
+        Raises
+        ------
+        KernelError
+            If it breaks one of the rules of step functions, or does something that C is not written for.
+        """
+        functions_called(kernel)
+        kinds = [FLOAT if n == "t" else NATURAL if n == "k" else Array(sections[n][2]) for n in parameters(kernel)]
+        return self.require(without_records(kernel), kinds)
+
     def require(self, function: FunctionType, kinds: Sequence[Kind]) -> Written:
         """Return the C function for arguments of these kinds; it stands before the one that asks for it."""
-        if function not in self._checked:
-            # This raises where one of the rules of step functions is broken, with a sentence for each.
-            self._checked.update(functions_called(function))
         key = function, tuple(kinds)
-        if key not in self._written and as_written(function) is not function:
-            self._written[key] = self._of_records(function, dict(zip(argument_names(function), kinds, strict=True)))
         if key not in self._written:
             translator = Translator(self, function, kinds)
             translator.translate()
             self._written[key] = self._finished(translator)
         return self._written[key]
-
-    def _of_records(self, function: FunctionType, kinds: dict[str, Kind]) -> Written:
-        """Return the C function that its author wrote with records, as one of arrays: C calls it with these at once."""
-
-        def kind(given: Any) -> Kind:
-            return kinds[given] if isinstance(given, str) else Fields(given[0], tuple(map(kind, given[1])))
-
-        def arrays(given: Any) -> Iterator[str]:
-            if isinstance(given, str):
-                yield given
-            else:
-                for field in given[1]:
-                    yield from arrays(field)
-
-        given = given_to(function)
-        inner = self.require(as_written(function), [kind(one) for one in given])  # type: ignore[arg-type]
-        called = [name for one in given for name in arrays(one)]
-        passed = [(n, own) for n, own in zip(called, inner.arguments, strict=True) if own in inner.passed]
-        stored = frozenset(n for n, own in passed if own in inner.stored)
-        names = tuple(n for n, _ in passed)
-        return Written(inner.name, names, frozenset(names), stored, inner.returns)
 
     def name(self, wanted: str) -> str:
         """Return a name for something of the file, like this one and not taken, and take it."""

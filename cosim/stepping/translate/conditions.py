@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from bayesftc.cosim import ops
-from bayesftc.cosim.export.translate.arithmetic import Arithmetic
-from bayesftc.cosim.export.translate.kinds import BOOL, FLOAT, Constant, Number, joined
-from bayesftc.cosim.export.translate.values import (
+from bayesftc.cosim.stepping.translate.arithmetic import Arithmetic
+from bayesftc.cosim.stepping.translate.kinds import BOOL, FLOAT, Constant, Number, joined
+from bayesftc.cosim.stepping.translate.values import (
     AND,
     ATOM,
     CHOICE,

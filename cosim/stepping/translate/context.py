@@ -10,10 +10,9 @@ from typing import Any, NoReturn, Protocol
 
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
-from bayesftc.cosim.export.translate.kinds import Array, Constant, Fields, Kind, Number, as_number, leaves
-from bayesftc.cosim.export.translate.source import place
-from bayesftc.cosim.export.translate.values import ATOM, Value, constant
-from bayesftc.cosim.stepping.records import is_record_class
+from bayesftc.cosim.stepping.source.tree import parameters, place
+from bayesftc.cosim.stepping.translate.kinds import Array, Constant, Kind, Number, as_number
+from bayesftc.cosim.stepping.translate.values import ATOM, Value, constant
 
 OPERATIONS = {getattr(ops, name): name for name in ops.NAMES}
 """The name of each operation of step functions."""
@@ -54,8 +53,7 @@ class Context:
         self, functions: Functions, function: FunctionType, arguments: Mapping[str, Kind], names: Mapping[str, Any]
     ):
         self.functions, self.function, self.names = functions, function, names
-        self.given = arguments  # as Python has them; as C has them, each field of a record by itself:
-        self.arguments = dict(leaf for name, kind in arguments.items() for leaf in leaves(name, kind))
+        self.arguments = arguments
         self.kinds: dict[str, Kind] = {}  # of variables that C has, too
         self.constants: dict[str, Value] = {}  # variables that are known now
         self.roots: dict[str, frozenset[str]] = {}
@@ -100,8 +98,8 @@ class Context:
 
     def temporary(self, value: Value) -> Value:
         """Return the value kept in a variable of its own, so that what comes later does not change it."""
-        if isinstance(value.kind, Constant | Fields):
-            return value  # of a record, what it consists of was kept when it was made
+        if isinstance(value.kind, Constant):
+            return value
         name = self.new("t")
         if isinstance(value.kind, Array):
             self.emit(f"{self.pointer(value.roots)}{name} = {value.text};")
@@ -147,11 +145,10 @@ class Context:
             self.refuse(node, f"counts with what is no whole number ({ast.unparse(node)})")
         return value
 
-    def in_order(self, node: ast.Call, function: FunctionType | type) -> list[Value]:
+    def in_order(self, node: ast.Call, function: FunctionType) -> list[Value]:
         """Return the arguments of a call in the function's own order, defaults filled in, computed in the order of the call."""
-        code = getattr(function, "__code__", None)
-        names = list(code.co_varnames[: code.co_argcount] if code else function._fields)  # type: ignore[union-attr]
-        defaults = getattr(function, "__defaults__", None) or ()
+        names = parameters(function)
+        defaults = function.__defaults__ or ()
         if any(isinstance(a, ast.Starred) for a in node.args) or any(k.arg is None for k in node.keywords):
             self.refuse(node, "calls with a star; write the arguments one by one")
         named = [*names[: len(node.args)], *(str(keyword.arg) for keyword in node.keywords)]
@@ -169,4 +166,4 @@ class Context:
         if isinstance(node, ast.Attribute):
             return node.attr in ops.NAMES
         value = self.names.get(node.id) if isinstance(node, ast.Name) else None
-        return value in (len, range) or is_record_class(value) or (callable(value) and value in OPERATIONS)
+        return value in (len, range) or (callable(value) and value in OPERATIONS)

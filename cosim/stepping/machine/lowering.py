@@ -1,0 +1,464 @@
+"""From C to the text that LLVM reads: just the C that `bayesftc.cosim.stepping.translate` writes.
+
+That C is the one definition of what a compiled step function computes: it is exported, and here it becomes machine code. Its
+types are double, int64_t, int (which is only ever a truth value), pointers to double, structs of numbers that functions return,
+and constant tables. Each variable is a place in memory here; LLVM makes registers of them.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from pycparser import c_ast
+from pycparser.c_parser import CParser
+
+DOUBLE, WHOLE, TRUTH, POINTER, LITERAL = "double", "i64", "i1", "ptr", "literal"
+_RANKS = (TRUTH, LITERAL, WHOLE, DOUBLE)
+"""Of two operands, the one of the lower rank is turned into the other's type."""
+
+_TYPES = {"double": DOUBLE, "int64_t": WHOLE, "int": TRUTH, "void": "void"}
+_LIBRARY = {name: f"llvm.{name}.f64" for name in ("cos", "exp", "fabs", "floor", "log", "sin", "sqrt")}
+_NUMBERS = {"NAN": float("nan"), "HUGE_VAL": float("inf")}
+_FLOATING = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
+_COUNTING = {"+": "add", "-": "sub", "*": "mul", "/": "sdiv", "%": "srem"}
+_ORDERED = {"<": "lt", "<=": "le", ">": "gt", ">=": "ge"}
+
+_SELECT = """define internal double @op_select(i1 %c, double %a, double %b) alwaysinline {
+  %chosen = select i1 %c, double %a, double %b
+  %sum = fadd double %chosen, 0.0
+  ret double %sum
+}"""
+"""The same number as from C's two terms, in half the operations."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A value: its type, and how it stands in LLVM's text; of a literal, the number."""
+
+    type: str
+    text: Any
+
+
+@dataclass(frozen=True)
+class Table:
+    """A constant table: its elements' type, and how many there are."""
+
+    type: str
+    name: str
+    count: int
+
+
+@dataclass
+class Signature:
+    """What a function returns and takes."""
+
+    returns: str
+    arguments: list[str]
+
+
+@dataclass
+class Unit:
+    """What a file of C declares."""
+
+    records: dict[str, str] = field(default_factory=dict)
+    tables: dict[str, Table] = field(default_factory=dict)
+    functions: dict[str, Signature] = field(default_factory=dict)
+
+    def type_of(self, node: c_ast.Node) -> str:
+        """Return the type of a declaration."""
+        if isinstance(node, c_ast.PtrDecl | c_ast.ArrayDecl):
+            return POINTER
+        name = node.type.names[-1]
+        return _TYPES.get(name) or f"%{name}"
+
+
+def lowered(c: str, apart: Iterable[str] = ()) -> str:
+    """Return LLVM's text for a file of C.
+
+    Parameters
+    ----------
+    c : str
+        Definitions of types, tables and static functions, and one function that is not static.
+    apart : iterable of str
+        Functions whose pointers lead to memory that does not overlap.
+    """
+    unit, parts = Unit(), [f"declare double @{name}(double)" for name in _LIBRARY.values()]
+    for node in CParser().parse(_plain(c)).ext:
+        if isinstance(node, c_ast.Typedef):
+            parts += _record(unit, node)
+        elif isinstance(node, c_ast.Decl):
+            parts.append(_table(unit, node))
+        else:
+            parts.append(_Function(unit, node, apart=node.decl.name in apart).text())
+    return "\n".join(parts) + "\n"
+
+
+def _plain(c: str) -> str:
+    """Return C without comments and macros."""
+    text = re.sub(r"/\*.*?\*/", "", c, flags=re.DOTALL)
+    return "typedef long int64_t;\n" + re.sub(r"INT64_C\((-?\d+)\)", r"\1", text)
+
+
+def _record(unit: Unit, node: c_ast.Typedef) -> list[str]:
+    if not isinstance(node.type.type, c_ast.Struct):
+        return []
+    types = ", ".join(unit.type_of(item.type) for item in node.type.type.decls)
+    unit.records[f"%{node.name}"] = types
+    return [f"%{node.name} = type {{ {types} }}"]
+
+
+def _table(unit: Unit, node: c_ast.Decl) -> str:
+    kind = unit.type_of(node.type.type)
+    values = ", ".join(f"{kind} {_number(kind, _literal(value))}" for value in node.init.exprs)
+    count = len(node.init.exprs)
+    unit.tables[node.name] = Table(kind, f"@{node.name}", count)
+    return f"@{node.name} = internal constant [{count} x {kind}] [{values}]"
+
+
+def _literal(node: c_ast.Node) -> int | float:
+    """Return a number as it stands in C."""
+    if isinstance(node, c_ast.Cast):
+        return _literal(node.expr)
+    if isinstance(node, c_ast.UnaryOp):
+        return -_literal(node.expr)
+    if isinstance(node, c_ast.ID):
+        return _NUMBERS[node.name]
+    return float(node.value) if node.type == "double" else int(node.value)
+
+
+def _number(kind: str, value: float) -> str:
+    """Return a number of a type as LLVM reads it back, to the last bit."""
+    if kind == DOUBLE:
+        return "0x" + struct.pack(">d", float(value)).hex().upper()
+    return str(int(bool(value)) if kind == TRUTH else int(value))
+
+
+class _Function:
+    """One function of C."""
+
+    def __init__(self, unit: Unit, node: c_ast.FuncDef, *, apart: bool):
+        self.unit, self.node = unit, node
+        self.name, declared = node.decl.name, node.decl.type
+        self.parameters = [p for p in declared.args.params if p.name] if declared.args else []
+        signature = Signature(unit.type_of(declared.type), [unit.type_of(p.type) for p in self.parameters])
+        unit.functions[self.name] = signature
+        self.signature, self.apart = signature, apart
+        self.places: list[str] = []  # of its variables, at its beginning
+        self.lines: list[str] = []
+        self.scopes: list[dict[str, Term]] = [{}]
+        self.loops: list[tuple[str, str]] = []  # where `continue` and `break` lead
+        self.count = 0
+        self.open = True  # whether control can come to the next line
+
+    def text(self) -> str:
+        """Return it as LLVM's text."""
+        if self.name == "op_select":
+            return _SELECT
+        for i, (parameter, kind) in enumerate(zip(self.parameters, self.signature.arguments, strict=True)):
+            self.emit(f"store {kind} %a{i}, ptr {self.variable(parameter.name, kind).text}")
+        self.block(self.node.body)
+        if self.open:
+            self.emit("ret void" if self.signature.returns == "void" else "unreachable")
+        mark = " noalias" if self.apart else ""
+        taken = ", ".join(
+            f"{kind}{mark if kind == POINTER else ''} %a{i}" for i, kind in enumerate(self.signature.arguments)
+        )
+        own = "static" in self.node.decl.storage
+        returns = "i32" if not own else self.signature.returns
+        head = f"define {'internal ' if own else ''}{returns} @{self.name}({taken}) {'alwaysinline ' if own else ''}{{"
+        return "\n".join([head, *self.places, *self.lines, "}"])
+
+    # Lines
+
+    def emit(self, line: str) -> None:
+        """Add an instruction."""
+        if not self.open:  # no way leads here; LLVM wants a block of its own for it
+            self.begin(self.label())
+        self.lines.append(f"  {line}")
+
+    def end(self, line: str) -> None:
+        """Add the last instruction of a block."""
+        self.emit(line)
+        self.open = False
+
+    def begin(self, label: str) -> None:
+        """Begin a block."""
+        if self.open:
+            self.lines.append(f"  br label %{label}")
+        self.lines.append(f"{label}:")
+        self.open = True
+
+    def label(self) -> str:
+        """Return a name for a block."""
+        self.count += 1
+        return f"b{self.count}"
+
+    def result(self, kind: str, line: str) -> Term:
+        """Add an instruction that has a result, and return that."""
+        self.count += 1
+        self.emit(f"%r{self.count} = {line}")
+        return Term(kind, f"%r{self.count}")
+
+    def variable(self, name: str, kind: str) -> Term:
+        """Make a place in memory for a variable."""
+        self.count += 1
+        place = Term(kind, f"%v{self.count}")
+        self.places.append(f"  {place.text} = alloca {kind}")
+        self.scopes[-1][name] = place
+        return place
+
+    # Statements
+
+    def block(self, node: c_ast.Node | None) -> None:
+        """Add statements."""
+        self.scopes.append({})
+        for statement in (node.block_items or []) if isinstance(node, c_ast.Compound) else [node]:
+            if statement is not None:
+                getattr(self, f"do_{type(statement).__name__}")(statement)
+        self.scopes.pop()
+
+    def do_Compound(self, node: c_ast.Compound) -> None:
+        self.block(node)
+
+    def do_Decl(self, node: c_ast.Decl) -> None:
+        kind = self.unit.type_of(node.type)
+        if isinstance(node.init, c_ast.InitList):
+            place = self.variable(node.name, kind)
+            kinds = self.unit.records[kind].split(", ")
+            values = [self.value(item) for item in node.init.exprs]
+            values += [Term(LITERAL, 0)] * (len(kinds) - len(values))
+            for i, (inner, value) in enumerate(zip(kinds, values, strict=True)):
+                at = self.result(POINTER, f"getelementptr inbounds {kind}, ptr {place.text}, i32 0, i32 {i}")
+                self.emit(f"store {inner} {self.turned(value, inner)}, ptr {at.text}")
+            return
+        value = self.turned(self.value(node.init), kind)  # before its name hides another
+        self.emit(f"store {kind} {value}, ptr {self.variable(node.name, kind).text}")
+
+    def do_Assignment(self, node: c_ast.Assignment) -> None:
+        value = self.value(node.rvalue)
+        place = self.place(node.lvalue)
+        if node.op != "=":
+            value = self.combined(node.op[:-1], self.loaded(place), value)
+        self.emit(f"store {place.type} {self.turned(value, place.type)}, ptr {place.text}")
+
+    def do_UnaryOp(self, node: c_ast.UnaryOp) -> None:
+        place = self.place(node.expr)
+        step = "1" if node.op == "++" else "-1"
+        after = self.result(WHOLE, f"add nsw i64 {self.loaded(place).text}, {step}")
+        self.emit(f"store i64 {after.text}, ptr {place.text}")
+
+    def do_FuncCall(self, node: c_ast.FuncCall) -> None:
+        self.called(node)
+
+    def do_Return(self, node: c_ast.Return) -> None:
+        if node.expr is None:
+            self.end("ret void")
+            return
+        kind = self.signature.returns if "static" in self.node.decl.storage else "i32"
+        self.end(f"ret {kind} {self.turned(self.value(node.expr), kind)}")
+
+    def do_Break(self, _: c_ast.Break) -> None:
+        self.end(f"br label %{self.loops[-1][1]}")
+
+    def do_Continue(self, _: c_ast.Continue) -> None:
+        self.end(f"br label %{self.loops[-1][0]}")
+
+    def do_If(self, node: c_ast.If) -> None:
+        then, other, after = self.label(), self.label(), self.label()
+        self.branch(node.cond, then, other)
+        self.begin(then)
+        self.block(node.iftrue)
+        if self.open:
+            self.end(f"br label %{after}")
+        self.begin(other)
+        self.block(node.iffalse)
+        self.begin(after)
+
+    def do_While(self, node: c_ast.While) -> None:
+        self.loop(node.cond, None, node.stmt)
+
+    def do_For(self, node: c_ast.For) -> None:
+        self.scopes.append({})
+        for declaration in node.init.decls if node.init else []:
+            self.do_Decl(declaration)
+        self.loop(node.cond, node.next, node.stmt)
+        self.scopes.pop()
+
+    def loop(self, condition: c_ast.Node | None, turn: c_ast.Node | None, body: c_ast.Node) -> None:
+        """Add a loop."""
+        test, inside, following, after = (self.label() for _ in range(4))
+        self.begin(test)
+        if condition is None:
+            self.end(f"br label %{inside}")
+        else:
+            self.branch(condition, inside, after)
+        self.begin(inside)
+        self.loops.append((following, after))
+        self.block(body)
+        self.loops.pop()
+        self.begin(following)
+        self.block(turn)
+        self.end(f"br label %{test}")
+        self.begin(after)
+
+    def branch(self, condition: c_ast.Node, then: str, other: str) -> None:
+        """End a block by a choice of where to go on."""
+        self.end(f"br i1 {self.turned(self.value(condition), TRUTH)}, label %{then}, label %{other}")
+
+    # Expressions
+
+    def value(self, node: c_ast.Node) -> Term:
+        """Return the value of an expression."""
+        found: Term = getattr(self, f"get_{type(node).__name__}")(node)
+        return found
+
+    def get_Constant(self, node: c_ast.Constant) -> Term:
+        return Term(LITERAL, _literal(node))
+
+    def get_ID(self, node: c_ast.ID) -> Term:
+        if node.name in _NUMBERS:
+            return Term(LITERAL, _NUMBERS[node.name])
+        if node.name in self.unit.tables and not any(node.name in scope for scope in self.scopes):
+            return Term(POINTER, self.unit.tables[node.name].name)
+        return self.loaded(self.place(node))
+
+    def get_ArrayRef(self, node: c_ast.ArrayRef) -> Term:
+        return self.loaded(self.place(node))
+
+    def get_StructRef(self, node: c_ast.StructRef) -> Term:
+        return self.loaded(self.place(node))
+
+    def get_FuncCall(self, node: c_ast.FuncCall) -> Term:
+        return self.called(node)
+
+    def get_Cast(self, node: c_ast.Cast) -> Term:
+        kind = self.unit.type_of(node.to_type.type)
+        value = self.value(node.expr)
+        if value.type == LITERAL:
+            return Term(LITERAL, float(value.text) if kind == DOUBLE else int(value.text))
+        return Term(kind, self.turned(value, kind))
+
+    def get_UnaryOp(self, node: c_ast.UnaryOp) -> Term:
+        value = self.value(node.expr)
+        if node.op == "!":
+            return self.result(TRUTH, f"xor i1 {self.turned(value, TRUTH)}, true")
+        if value.type == LITERAL:
+            return Term(LITERAL, -value.text)
+        if value.type == DOUBLE:
+            return self.result(DOUBLE, f"fneg double {value.text}")
+        return self.result(WHOLE, f"sub i64 0, {self.turned(value, WHOLE)}")
+
+    def get_BinaryOp(self, node: c_ast.BinaryOp) -> Term:
+        if node.op in {"&&", "||"}:
+            return self.logic(node)
+        left = self.value(node.left)
+        return self.combined(node.op, left, self.value(node.right))
+
+    def get_TernaryOp(self, node: c_ast.TernaryOp) -> Term:
+        then, other, after = self.label(), self.label(), self.label()
+        self.branch(node.cond, then, other)
+        found = []
+        for label, part in ((then, node.iftrue), (other, node.iffalse)):
+            self.begin(label)
+            found.append((self.value(part), self.label()))
+            self.begin(found[-1][1])  # where it ends, so that what it is turned into stands there, too
+            self.open = False  # until both types are known
+        kind = max((value.type for value, _ in found), key=_RANKS.index)
+        if kind == LITERAL:
+            kind = DOUBLE if any(isinstance(value.text, float) for value, _ in found) else WHOLE
+        place = self.variable("", kind)
+        for value, label in found:
+            kept, self.lines, self.open = self.lines, [], True
+            self.emit(f"store {kind} {self.turned(value, kind)}, ptr {place.text}")
+            self.end(f"br label %{after}")
+            at = kept.index(f"{label}:") + 1
+            self.lines = [*kept[:at], *self.lines, *kept[at:]]
+        self.begin(after)
+        return self.loaded(place)
+
+    def logic(self, node: c_ast.BinaryOp) -> Term:
+        """Return what && and || make of truth values: the second one is computed only if the first does not tell."""
+        place, further, after = self.variable("", TRUTH), self.label(), self.label()
+        first = self.turned(self.value(node.left), TRUTH)
+        self.emit(f"store i1 {first}, ptr {place.text}")
+        ways = (further, after) if node.op == "&&" else (after, further)
+        self.end(f"br i1 {first}, label %{ways[0]}, label %{ways[1]}")
+        self.begin(further)
+        self.emit(f"store i1 {self.turned(self.value(node.right), TRUTH)}, ptr {place.text}")
+        self.begin(after)
+        return self.loaded(place)
+
+    def combined(self, op: str, left: Term, right: Term) -> Term:
+        """Return what an operator makes of two values."""
+        if POINTER in {left.type, right.type}:  # a row of an array
+            return self.result(
+                POINTER, f"getelementptr inbounds double, ptr {left.text}, i64 {self.turned(right, WHOLE)}"
+            )
+        kind = max((left.type, right.type), key=_RANKS.index)
+        if kind == LITERAL:
+            kind = DOUBLE if isinstance(left.text, float) or isinstance(right.text, float) else WHOLE
+        if kind == WHOLE and float in {type(left.text), type(right.text)}:
+            kind = DOUBLE
+        comparing = op in _ORDERED or op in {"==", "!="}
+        if kind == TRUTH and not comparing:
+            kind = WHOLE
+        a, b = self.turned(left, kind), self.turned(right, kind)
+        if not comparing:
+            return self.result(kind, f"{(_FLOATING if kind == DOUBLE else _COUNTING)[op]} {kind} {a}, {b}")
+        if kind == DOUBLE:
+            order = {"==": "oeq", "!=": "une"}.get(op) or f"o{_ORDERED[op]}"
+            return self.result(TRUTH, f"fcmp {order} double {a}, {b}")
+        order = {"==": "eq", "!=": "ne"}.get(op) or f"{'u' if kind == TRUTH else 's'}{_ORDERED[op]}"
+        return self.result(TRUTH, f"icmp {order} {kind} {a}, {b}")
+
+    def called(self, node: c_ast.FuncCall) -> Term:
+        """Return what a call returns."""
+        values = [self.value(argument) for argument in node.args.exprs] if node.args else []
+        name = node.name.name
+        if name in _LIBRARY:
+            return self.result(DOUBLE, f"call double @{_LIBRARY[name]}(double {self.turned(values[0], DOUBLE)})")
+        signature = self.unit.functions[name]
+        given = ", ".join(f"{k} {self.turned(v, k)}" for k, v in zip(signature.arguments, values, strict=True))
+        line = f"call {signature.returns} @{name}({given})"
+        if signature.returns == "void":
+            self.emit(line)
+            return Term("void", "")
+        return self.result(signature.returns, line)
+
+    def place(self, node: c_ast.Node) -> Term:
+        """Return the place in memory that an expression names: its type is that of what is there."""
+        if isinstance(node, c_ast.ID):
+            return next(scope[node.name] for scope in reversed(self.scopes) if node.name in scope)
+        if isinstance(node, c_ast.StructRef):
+            owner = self.place(node.name)
+            i = int(node.field.name[1:])
+            at = self.result(POINTER, f"getelementptr inbounds {owner.type}, ptr {owner.text}, i32 0, i32 {i}")
+            return Term(self.unit.records[owner.type].split(", ")[i], at.text)
+        owner = self.value(node.name)
+        tables = {table.name: table.type for table in self.unit.tables.values()}
+        kind = tables.get(owner.text, DOUBLE)
+        index = self.turned(self.value(node.subscript), WHOLE)
+        return Term(kind, self.result(POINTER, f"getelementptr inbounds {kind}, ptr {owner.text}, i64 {index}").text)
+
+    def loaded(self, place: Term) -> Term:
+        """Return what is at a place."""
+        return self.result(place.type, f"load {place.type}, ptr {place.text}")
+
+    def turned(self, value: Term, kind: str) -> str:
+        """Return a value as another type has it."""
+        if value.type == LITERAL:
+            return _number(kind, value.text)
+        if value.type == kind:
+            return str(value.text)
+        if kind == TRUTH:
+            compare = "fcmp une double" if value.type == DOUBLE else f"icmp ne {value.type}"
+            return str(self.result(TRUTH, f"{compare} {value.text}, {_number(value.type, 0)}").text)
+        if kind == DOUBLE:
+            turn = "uitofp" if value.type == TRUTH else "sitofp"
+        else:
+            turn = "zext" if value.type == TRUTH else "fptosi"
+        return str(self.result(kind, f"{turn} {value.type} {value.text} to {kind}").text)

@@ -1,0 +1,124 @@
+"""Compiles step functions to C functions with one signature, once per machine.
+
+Every compiled block is ``int32 f(state, parameters, inputs, outputs, t, k)``: four addresses of float64 arrays, the time in
+seconds and the block's integer step count. A step function becomes the C that exports are made of, and LLVM makes machine code
+of it. That is kept in the user's cache folder, in a file whose *name* is a hash of everything it depends on
+(:mod:`bayesftc.cosim.stepping.fingerprint`). What C is not written for, numba compiles, which knows more of Python and takes ten
+times as long.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import operator
+import platform
+import threading
+from functools import cache
+from importlib import resources
+from types import FunctionType
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import llvmlite
+import llvmlite.binding as llvm
+
+from bayesftc.cosim.base.cache import cache_directory
+from bayesftc.cosim.errors import KernelError
+from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint
+from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
+from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, sealed
+from bayesftc.cosim.stepping.machine.lowering import lowered
+from bayesftc.cosim.stepping.translate.functions import Functions, Sections
+from bayesftc.cosim.types import Kernel, argument_names
+
+_lock = threading.RLock()
+_addresses: dict[str, int] = {}
+_kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], int]]] = WeakKeyDictionary()
+
+
+def _own_text() -> str:
+    """Return a hash of the files that compile, as they are when they are loaded: they may be edited later."""
+    digest = hashlib.sha256()
+    for part in ("machine", "source", "translate"):
+        folder = resources.files(f"bayesftc.cosim.stepping.{part}")
+        for file in sorted(folder.iterdir(), key=lambda f: f.name):
+            if file.name.endswith(".py"):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+_OWN_TEXT = _own_text()
+
+
+def compile_kernel(kernel: Kernel, sections: Sections) -> int:
+    """Compile `kernel` for the given sizes, or load it from the disk.
+
+    Parameters
+    ----------
+    kernel : function
+        A step function that keeps the block contract.
+    sections : dict
+        For each of its arguments except ``t`` and ``k``: the section it lies in (state, parameters, inputs, outputs), its
+        offset there in elements, and its shape.
+
+    Returns
+    -------
+    int
+        The address that the engine calls; the code behind it lives as long as the process.
+    """
+    if not isinstance(kernel, FunctionType):
+        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
+    places = repr([(name, sections.get(name)) for name in argument_names(kernel)])
+    with _lock:
+        known = _kernels.setdefault(kernel, {})
+        if places in known:
+            seen, address = known[places]
+            if all(map(operator.is_, seen, depends_on(kernel))):
+                return address
+        seen = depends_on(kernel)
+        name = f"step_{Functions.allowed(kernel.__name__)[:40]}_{fingerprint(kernel, f'{environment()} {places}')}"
+        if name not in _addresses:
+            _addresses[name] = _address(kernel, sections, name)
+        known[places] = seen, _addresses[name]
+    return _addresses[name]
+
+
+def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
+    path = cache_directory("compiled") / f"{name}.o"
+    kept = read_own(path)
+    code = None if kept is None else opened(kept)
+    if code is None:
+        try:
+            code = machine_code(lowered(text_of(kernel, sections, name), apart=[name]))
+        except KernelError as refused:
+            from bayesftc.cosim.stepping.compiler import compile_by_numba
+
+            return compile_by_numba(kernel, sections, refused)
+        write_whole(path, sealed(code))
+        STATISTICS["compiled"] += 1
+    else:
+        STATISTICS["loaded"] += 1
+    return load(code, name)
+
+
+def text_of(kernel: FunctionType, sections: Sections, name: str) -> str:
+    """Return the C of a step function and all that it calls, with a function of the engine's signature around it.
+
+    Raises
+    ------
+    KernelError
+        If it does something that C is not written for.
+    """
+    functions = Functions([name])
+    written = functions.step(kernel, sections)
+    given = [n if n in {"t", "k"} else "{} + {}".format(*sections[n]) for n in written.arguments if n in written.passed]
+    call = f"{written.name}({', '.join(given)});"
+    head = f"int {name}(double *state, double *parameters, double *inputs, double *outputs, double t, int64_t k)"
+    return "\n".join([functions.text([call]), head, "{", f"    {call}", "    return 0;", "}", ""])
+
+
+@cache
+def environment() -> str:
+    """Return what else machine code depends on: versions, the processor, and what compiles."""
+    parts = [platform.python_version(), llvmlite.__version__, llvm.get_host_cpu_name(), features(), _OWN_TEXT]
+    return "|".join(parts)

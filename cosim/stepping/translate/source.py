@@ -1,0 +1,70 @@
+"""What can be told from the syntax tree of a step function at a glance."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Sequence
+
+from bayesftc.cosim.stepping.source.tree import stores
+
+
+def counters(tree: ast.FunctionDef) -> set[str]:
+    """Return the loop variables that are neither assigned otherwise nor read outside of their loops."""
+    loops = [n for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)]
+    found = {_counter(loop) for loop in loops} - {a.arg for a in tree.args.args}
+    for name in list(found):
+        own = [loop for loop in loops if _counter(loop) == name]
+        inside = {id(n) for loop in own for part in loop.body for n in _named(part, name)} | {id(o.target) for o in own}
+        begun_within = any(
+            _counter(n) == name for loop in own for part in loop.body for n in ast.walk(part) if n in own
+        )
+        assigned = stores(tree).count(name) > len(own)
+        if begun_within or assigned or any(id(n) not in inside for n in _named(tree, name)):
+            found.discard(name)
+    return found
+
+
+def _counter(loop: ast.AST) -> str:
+    target = getattr(loop, "target", None)
+    return target.id if isinstance(target, ast.Name) else ""
+
+
+def _named(tree: ast.AST, name: str) -> list[ast.Name]:
+    return [n for n in ast.walk(tree) if isinstance(n, ast.Name) and n.id == name]
+
+
+def within_block(tree: ast.FunctionDef) -> set[str]:
+    """Return the variables that are assigned in one statement and read only by those that follow it in the same block."""
+    found, reads = set(), _reads(tree)
+    for node in ast.walk(tree):
+        for body in (getattr(node, "body", None), getattr(node, "orelse", None)):
+            later: Counter[str] = Counter()
+            for statement in reversed(body if isinstance(body, list) else []):
+                if isinstance(statement, ast.Assign | ast.AnnAssign):
+                    found |= {name for name in stores(statement) if later[name] == reads[name]}
+                later += _reads(statement)
+    return found
+
+
+def _reads(tree: ast.AST) -> Counter[str]:
+    """Return how often each variable is read."""
+    return Counter(n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Store))
+
+
+def ends(body: Sequence[ast.stmt]) -> bool:
+    """Return whether every way through some statements ends in a return."""
+    last = body[-1]
+    if isinstance(last, ast.If):
+        return ends(last.body) and bool(last.orelse) and ends(last.orelse)
+    return isinstance(last, ast.Return)
+
+
+def jumps(body: Sequence[ast.stmt]) -> bool:
+    """Return whether statements leave the loop that they are the body of, or begin its next round."""
+    for statement in body:
+        if isinstance(statement, ast.Break | ast.Continue):
+            return True
+        if isinstance(statement, ast.If) and (jumps(statement.body) or jumps(statement.orelse)):
+            return True
+    return False
