@@ -37,7 +37,7 @@ from bayesftc.cosim.stepping.fingerprint import (
     where,
 )
 from bayesftc.cosim.stepping.kept import STATISTICS, unwritable, write_whole
-from bayesftc.cosim.stepping.source.tree import NoText, parameters
+from bayesftc.cosim.stepping.source.tree import NoText, Sections, parameters
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
 """(state, parameters, inputs, outputs, t, k) -> status; the four addresses travel as integers."""
@@ -61,9 +61,7 @@ def as_floats(typingctx, address):
     return types.CPointer(types.float64)(types.int64), codegen
 
 
-def compile_by_numba(
-    kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]], why: KernelError
-) -> int:
+def compile_by_numba(kernel: FunctionType, sections: Sections, why: KernelError) -> int:
     """Compile a step function as `compile_kernel` does, but by numba, or load it from the disk.
 
     Raises
@@ -180,7 +178,7 @@ def _load_service(function: FunctionType, text: str, calls: Sequence[FunctionTyp
     return _load(name, text, {"kernel": function}, [*calls, function])
 
 
-def _entry_text(kernel: FunctionType, sections: dict[str, tuple[str, int, tuple[int, ...]]]) -> str:
+def _entry_text(kernel: FunctionType, sections: Sections) -> str:
     names = parameters(kernel)
     arguments = []
     for name in names:

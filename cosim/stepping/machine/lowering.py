@@ -16,12 +16,14 @@ from typing import Any
 from pycparser import c_ast
 from pycparser.c_parser import CParser
 
+from bayesftc.cosim.stepping.translate.conditions import OF_LIBRARY
+
 DOUBLE, WHOLE, TRUTH, POINTER, LITERAL = "double", "i64", "i1", "ptr", "literal"
 _RANKS = (TRUTH, LITERAL, WHOLE, DOUBLE)
 """Of two operands, the one of the lower rank is turned into the other's type."""
 
 _TYPES = {"double": DOUBLE, "int64_t": WHOLE, "int": TRUTH, "void": "void"}
-_LIBRARY = {name: f"llvm.{name}.f64" for name in ("cos", "exp", "fabs", "floor", "log", "sin", "sqrt")}
+_LIBRARY = {name: f"llvm.{name}.f64" for name in OF_LIBRARY.values()}
 _NUMBERS = {"NAN": float("nan"), "HUGE_VAL": float("inf")}
 _FLOATING = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
 _COUNTING = {"+": "add", "-": "sub", "*": "mul", "/": "sdiv", "%": "srem"}
@@ -235,8 +237,8 @@ class _Function:
                 at = self.result(POINTER, f"getelementptr inbounds {kind}, ptr {place.text}, i32 0, i32 {i}")
                 self.emit(f"store {inner} {self.turned(value, inner)}, ptr {at.text}")
             return
-        value = self.turned(self.value(node.init), kind)  # before its name hides another
-        self.emit(f"store {kind} {value}, ptr {self.variable(node.name, kind).text}")
+        start = self.turned(self.value(node.init), kind)  # before its name hides another
+        self.emit(f"store {kind} {start}, ptr {self.variable(node.name, kind).text}")
 
     def do_Assignment(self, node: c_ast.Assignment) -> None:
         value = self.value(node.rvalue)

@@ -28,7 +28,8 @@ from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
 from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, sealed
 from bayesftc.cosim.stepping.machine.lowering import lowered
-from bayesftc.cosim.stepping.translate.functions import Functions, Sections
+from bayesftc.cosim.stepping.source.tree import Sections
+from bayesftc.cosim.stepping.translate.functions import Functions
 from bayesftc.cosim.types import Kernel, argument_names
 
 _lock = threading.RLock()

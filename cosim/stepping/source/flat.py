@@ -204,6 +204,9 @@ class _Flattening(ast.NodeTransformer):
         return self._blocks(node)
 
     def visit_Assign(self, node: ast.Assign) -> ast.stmt | list[ast.stmt]:
+        first = node.targets[0]
+        if isinstance(first, ast.Tuple) and isinstance(node.value, ast.Tuple) and len(node.targets) == 1:
+            return self._one_by_one(node, first, node.value)
         self.copying = True
         record = self.record(node.value)
         self.copying = False
@@ -226,6 +229,28 @@ class _Flattening(ast.NodeTransformer):
             elif not (isinstance(element, ast.Name) and element.id == "_"):  # whom nobody reads
                 parts.append(ast.copy_location(ast.Assign([self.visit(element)], _load(field, node)), node))
         return parts
+
+    def _one_by_one(self, node: ast.Assign, targets: ast.Tuple, values: ast.Tuple) -> list[ast.stmt]:
+        """Name the records among several values that are assigned at once; the others stay as they are."""
+        if len(targets.elts) != len(values.elts):
+            self.refuse(node, f"takes {len(targets.elts)} values out of {len(values.elts)}")
+        left: list[tuple[ast.expr, ast.expr]] = []
+        for target, value in zip(targets.elts, values.elts, strict=True):
+            record = self.record(value)
+            if record is None:
+                left.append((self.visit(target), self.visit(value)))
+            elif isinstance(target, ast.Name):
+                self._name(target, record)
+            else:
+                self.refuse(node, "assigns a record to what is no single name")
+        if not left:
+            return []
+        if len(left) == 1:
+            ((one, other),) = left
+        else:
+            one = ast.Tuple([target for target, _ in left], ast.Store())
+            other = ast.Tuple([value for _, value in left], ast.Load())
+        return [ast.copy_location(ast.Assign([one], other), node)]
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> Any:
         if node.value is None:
@@ -251,8 +276,7 @@ class _Flattening(ast.NodeTransformer):
         if isinstance(node, ast.Attribute):
             found = self._field(node)
             return found if isinstance(found, _Record) else None
-        made = self._called(node) if isinstance(node, ast.Call) else None
-        if not is_record_class(made):
+        if not isinstance(node, ast.Call) or not is_record_class(made := self._called(node)):
             return None
         if id(node) not in self.seen:  # it is made once, however often it is asked for
             self.seen[id(node)] = node, self._made(node, made)
@@ -273,7 +297,8 @@ class _Flattening(ast.NodeTransformer):
             return None
         if node.attr not in owner.record._fields:
             self.refuse(node, f"uses the attribute {node.attr!r}; the record has {', '.join(owner.record._fields)}")
-        return owner.fields[owner.record._fields.index(node.attr)]
+        found: str | _Record = owner.fields[owner.record._fields.index(node.attr)]
+        return found
 
     def _made(self, node: ast.Call, made: Any) -> _Record:
         """Return the record that a call makes, its fields kept as they are now."""

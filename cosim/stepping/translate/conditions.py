@@ -34,7 +34,7 @@ _COMPARISONS: dict[type[ast.cmpop], tuple[str, int, Callable[[Any, Any], Any]]] 
     ast.Eq: ("==", EQUAL, operator.eq),
     ast.NotEq: ("!=", EQUAL, operator.ne),
 }
-_OF_LIBRARY = {
+OF_LIBRARY = {
     "absolute": "fabs",
     "cos": "cos",
     "exp": "exp",
@@ -43,6 +43,7 @@ _OF_LIBRARY = {
     "sin": "sin",
     "sqrt": "sqrt",
 }
+"""Operations of `bayesftc.cosim.ops` that are functions of C's library."""
 
 
 class Conditions(Arithmetic):
@@ -129,7 +130,7 @@ class Conditions(Arithmetic):
             return _all(values) if name == "both" else _any(values)
         if name == "negate":
             return Value(f"!{enclosed(values[0], ATOM)}", BOOL, UNARY)
-        called = _OF_LIBRARY.get(name, f"op_{name}")
+        called = OF_LIBRARY.get(name, f"op_{name}")
         return Value(f"{called}({', '.join(value.text for value in values)})", BOOL if name == "isnan" else FLOAT)
 
 

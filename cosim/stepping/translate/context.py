@@ -57,7 +57,6 @@ class Context:
         self.kinds: dict[str, Kind] = {}  # of variables that C has, too
         self.constants: dict[str, Value] = {}  # variables that are known now
         self.roots: dict[str, frozenset[str]] = {}
-        self.assigned: set[str] = set()  # names that are assigned to
         self.stored: set[str] = set()  # arguments whose elements are assigned
         self.called: set[str] = set()  # names of the file that no variable may hide
         self.spelled: dict[str, str] = {}  # what its names are called in C

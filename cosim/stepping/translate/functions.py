@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from inspect import getdoc
 from types import FunctionType
@@ -12,15 +12,12 @@ from typing import Any
 
 from bayesftc.cosim.stepping.fingerprint import functions_called
 from bayesftc.cosim.stepping.source.flat import without_records
-from bayesftc.cosim.stepping.source.tree import parameters
+from bayesftc.cosim.stepping.source.tree import Sections, parameters
 from bayesftc.cosim.stepping.translate.kinds import FLOAT, NATURAL, Array, Constant, Kind, Number, Record
 from bayesftc.cosim.stepping.translate.translator import Translator
 from bayesftc.cosim.stepping.translate.values import literal
 
 _ASSIGNMENT = re.compile(r"( *)(?:const \w+ \*?(?:const )?|double \*const )?(\w+) = (.*)")
-
-Sections = Mapping[str, tuple[str, int, tuple[int, ...]]]
-"""For each argument but ``t`` and ``k``: the section of memory it lies in, its offset there in elements, and its shape."""
 
 WIDTH = 120
 """Lines of C are broken behind this column."""

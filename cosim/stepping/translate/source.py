@@ -5,8 +5,53 @@ from __future__ import annotations
 import ast
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import FunctionType
+from weakref import WeakKeyDictionary
 
-from bayesftc.cosim.stepping.source.tree import stores
+from bayesftc.cosim.stepping.source.tree import stores, tree_of
+
+_read: WeakKeyDictionary[FunctionType, Source] = WeakKeyDictionary()
+
+
+@dataclass
+class Source:
+    """The syntax tree of a function, and what can be told from it; found once, for however many kinds of arguments."""
+
+    tree: ast.FunctionDef
+
+    @cached_property
+    def arguments(self) -> tuple[str, ...]:
+        """The names of its arguments."""
+        return tuple(a.arg for a in self.tree.args.posonlyargs + self.tree.args.args)
+
+    @cached_property
+    def assigned(self) -> Counter[str]:
+        """How often each variable is assigned to."""
+        return Counter(stores(self.tree))
+
+    @cached_property
+    def counters(self) -> set[str]:
+        """The loop variables that are neither assigned otherwise nor read outside of their loops."""
+        return counters(self.tree)
+
+    @cached_property
+    def once(self) -> set[str]:
+        """Variables that are assigned to in one place, and no counters."""
+        return {name for name, times in self.assigned.items() if times == 1} - set(self.arguments) - self.counters
+
+    @cached_property
+    def fresh(self) -> set[str]:
+        """Those that are read only by the statements behind that one in the same block."""
+        return within_block(self.tree) & self.once
+
+
+def source_of(function: FunctionType) -> Source:
+    """Return the source of a function."""
+    if function not in _read:
+        _read[function] = Source(tree_of(function))
+    return _read[function]
 
 
 def counters(tree: ast.FunctionDef) -> set[str]:

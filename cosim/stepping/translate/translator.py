@@ -14,7 +14,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING
 
 from bayesftc.cosim.stepping.fingerprint import references
-from bayesftc.cosim.stepping.source.tree import stores, tree_of
+from bayesftc.cosim.stepping.source.tree import stores
 from bayesftc.cosim.stepping.translate.expressions import Expressions
 from bayesftc.cosim.stepping.translate.kinds import (
     INT,
@@ -27,7 +27,7 @@ from bayesftc.cosim.stepping.translate.kinds import (
     as_number,
     joined,
 )
-from bayesftc.cosim.stepping.translate.source import counters, ends, jumps, within_block
+from bayesftc.cosim.stepping.translate.source import ends, jumps, source_of
 from bayesftc.cosim.stepping.translate.values import Value, as_float, as_kind, as_whole, constant
 
 if TYPE_CHECKING:
@@ -42,17 +42,13 @@ class Translator(Expressions):
     """
 
     def __init__(self, functions: Functions, function: FunctionType, kinds: Sequence[Kind]):
-        self.tree = tree_of(function)
-        listed = self.tree.args.posonlyargs + self.tree.args.args
-        arguments = dict(zip((a.arg for a in listed), kinds, strict=True))
+        source = source_of(function)
+        self.tree = source.tree
+        arguments = dict(zip(source.arguments, kinds, strict=True))
         super().__init__(functions, function, arguments, dict(references(function)))
-        assigned = stores(self.tree)
-        self.assigned = set(assigned)
-        self.counters = counters(self.tree)
-        self.once = {name for name in assigned if assigned.count(name) == 1} - set(arguments) - self.counters
+        self.counters, self.once, self.fresh = source.counters, source.once, source.fresh
         #: Names whose values do not change while a loop runs whose bounds they stand in.
-        self.steady = self.counters | self.once | (set(arguments) - set(assigned))
-        self.fresh = within_block(self.tree) & self.once
+        self.steady = self.counters | self.once | (set(arguments) - set(source.assigned))
         self.declared: dict[str, Kind] = {}
         self.returns: Kind | None = None
         self.nothing = False
