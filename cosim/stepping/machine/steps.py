@@ -90,7 +90,7 @@ def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
     code = None if kept is None else opened(kept)
     if code is None:
         try:
-            code = machine_code(lowered(text_of(kernel, sections, name), apart=[name]))
+            code = machine_code(lowered(*text_of(kernel, sections, name)))
         except KernelError as refused:
             from bayesftc.cosim.stepping.compiler import compile_by_numba
 
@@ -102,8 +102,10 @@ def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
     return load(code, name)
 
 
-def text_of(kernel: FunctionType, sections: Sections, name: str) -> str:
-    """Return the C of a step function and all that it calls, with a function of the engine's signature around it.
+def text_of(kernel: FunctionType, sections: Sections, name: str) -> tuple[str, list[str]]:
+    """Return the C of a step function, with a function of the engine's signature around it.
+
+    Of these two, no arrays overlap; their names come second.
 
     Raises
     ------
@@ -115,7 +117,8 @@ def text_of(kernel: FunctionType, sections: Sections, name: str) -> str:
     given = [n if n in {"t", "k"} else "{} + {}".format(*sections[n]) for n in written.arguments if n in written.passed]
     call = f"{written.name}({', '.join(given)});"
     head = f"int {name}(double *state, double *parameters, double *inputs, double *outputs, double t, int64_t k)"
-    return "\n".join([functions.text([call]), head, "{", f"    {call}", "    return 0;", "}", ""])
+    text = "\n".join([functions.text([call]), head, "{", f"    {call}", "    return 0;", "}", ""])
+    return text, [name, written.name]
 
 
 @cache
