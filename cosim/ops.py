@@ -115,4 +115,15 @@ NAMES = (
 )
 """Names of all operations, in alphabetical order."""
 
+OF_LIBRARY = {
+    "absolute": "fabs",
+    "cos": "cos",
+    "exp": "exp",
+    "floor": "floor",
+    "log": "log",
+    "sin": "sin",
+    "sqrt": "sqrt",
+}
+"""Those that are functions of C's library, with the names that they have there; in NumPy they are called as here."""
+
 __all__ = list(NAMES)

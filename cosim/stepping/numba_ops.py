@@ -1,6 +1,5 @@
 """What numba puts in place of each function of :mod:`bayesftc.cosim.ops`; imported only when something is compiled."""
 
-import math
 from importlib import import_module
 from typing import Any
 
@@ -11,8 +10,11 @@ from numba import extending
 from bayesftc.cosim import ops
 from bayesftc.cosim.base.warnings_shown import warn_user
 
-# numba compiles math.sqrt and friends to the C library's functions (or the correctly rounded instruction), which is what
-# CPython's math module calls too. Where CPython raises, these return what IEEE 754 says.
+
+def _of_library(name: str) -> Any:
+    """Return a function of C's library, which CPython calls too; where that raises, this returns what IEEE 754 says."""
+    function = getattr(np, name)
+    return lambda x: function(x)
 
 
 def _select(condition, a, b):
@@ -41,34 +43,6 @@ def _negate(a):
 
 def _isnan(x):
     return x != x
-
-
-def _sqrt(x):
-    return math.sqrt(x)
-
-
-def _exp(x):
-    return math.exp(x)
-
-
-def _log(x):
-    return math.log(x)
-
-
-def _sin(x):
-    return math.sin(x)
-
-
-def _cos(x):
-    return math.cos(x)
-
-
-def _floor(x):
-    return np.floor(x)
-
-
-def _absolute(x):
-    return math.fabs(x)
 
 
 def _square(x):
@@ -101,8 +75,9 @@ if callee := _pipeline("numba_callee", "Callee"):
     OPTIONS |= {"pipeline_class": callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 extending.register_jitable(**OPTIONS)(_select)
-_IMPLEMENTATIONS = {name: value for name, value in globals().items() if name[1:] in ops.NAMES}
+_IMPLEMENTATIONS = {name[1:]: value for name, value in globals().items() if name[1:] in ops.NAMES}
+_IMPLEMENTATIONS |= {name: _of_library(name) for name in ops.OF_LIBRARY}
 for _name in ops.NAMES:
     extending.overload(getattr(ops, _name), jit_options=OPTIONS, strict=False)(
-        lambda *arguments, implementation=_IMPLEMENTATIONS[f"_{_name}"]: implementation
+        lambda *arguments, implementation=_IMPLEMENTATIONS[_name]: implementation
     )

@@ -16,14 +16,14 @@ from typing import Any
 from pycparser import c_ast
 from pycparser.c_parser import CParser
 
-from bayesftc.cosim.stepping.translate.conditions import OF_LIBRARY
+from bayesftc.cosim import ops
 
 DOUBLE, WHOLE, TRUTH, POINTER, LITERAL = "double", "i64", "i1", "ptr", "literal"
 _RANKS = (TRUTH, LITERAL, WHOLE, DOUBLE)
 """Of two operands, the one of the lower rank is turned into the other's type."""
 
 _TYPES = {"double": DOUBLE, "int64_t": WHOLE, "int": TRUTH, "void": "void"}
-_LIBRARY = {name: f"llvm.{name}.f64" for name in OF_LIBRARY.values()}
+_LIBRARY = {name: f"llvm.{name}.f64" for name in ops.OF_LIBRARY.values()}
 _NUMBERS = {"NAN": float("nan"), "HUGE_VAL": float("inf")}
 _FLOATING = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
 _COUNTING = {"+": "add", "-": "sub", "*": "mul", "/": "sdiv", "%": "srem"}

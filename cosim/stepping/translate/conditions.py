@@ -34,16 +34,6 @@ _COMPARISONS: dict[type[ast.cmpop], tuple[str, int, Callable[[Any, Any], Any]]] 
     ast.Eq: ("==", EQUAL, operator.eq),
     ast.NotEq: ("!=", EQUAL, operator.ne),
 }
-OF_LIBRARY = {
-    "absolute": "fabs",
-    "cos": "cos",
-    "exp": "exp",
-    "floor": "floor",
-    "log": "log",
-    "sin": "sin",
-    "sqrt": "sqrt",
-}
-"""Operations of `bayesftc.cosim.ops` that are functions of C's library."""
 
 
 class Conditions(Arithmetic):
@@ -130,7 +120,7 @@ class Conditions(Arithmetic):
             return _all(values) if name == "both" else _any(values)
         if name == "negate":
             return Value(f"!{enclosed(values[0], ATOM)}", BOOL, UNARY)
-        called = OF_LIBRARY.get(name, f"op_{name}")
+        called = ops.OF_LIBRARY.get(name, f"op_{name}")
         return Value(f"{called}({', '.join(value.text for value in values)})", BOOL if name == "isnan" else FLOAT)
 
 

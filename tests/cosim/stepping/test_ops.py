@@ -12,6 +12,7 @@ from hypothesis import given, strategies as st
 from numpy.testing import assert_array_equal
 
 from bayesftc.cosim import Block, Definition, Diagram, Port, ops
+from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.ops import (
     absolute,
     both,
@@ -118,13 +119,25 @@ def test_select_has_no_negative_zero():
         assert not np.signbit(select(condition, -0.0, -0.0))
 
 
-def test_one_compiled_call(plain):
-    from bayesftc.cosim.stepping.machine.steps import compile_kernel
+def by_numba(kernel, sections):
+    from bayesftc.cosim.stepping.compiler import compile_by_numba
 
+    return compile_by_numba(kernel, sections, KernelError())
+
+
+def by_c(kernel, sections):
+    from bayesftc.cosim.stepping.machine.steps import compile_kernel, text_of
+
+    assert "op_select(" in text_of(kernel, sections, "entry")[0]  # which raises where C is not written for something
+    return compile_kernel(kernel, sections)
+
+
+@pytest.mark.parametrize("compiled", [by_c, by_numba])
+def test_one_compiled_call(plain, compiled):
     y = np.empty_like(plain)
     parameters = np.concatenate([A, B])
     sections = {"a": ("parameters", 0, A.shape), "b": ("parameters", len(A), B.shape), "y": ("outputs", 0, y.shape)}
-    address = compile_kernel(all_operations, sections)
+    address = compiled(all_operations, sections)
     call = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)(address)
     assert call(0, parameters.ctypes.data, 0, y.ctypes.data, 0.0, 0) == 0
     assert_same_bits(y, plain)
