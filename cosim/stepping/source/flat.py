@@ -356,9 +356,9 @@ class _Flattening(ast.NodeTransformer):
         if not self._is_step(node):
             return self.generic_visit(node)  # type: ignore[return-value]
         names = parameters(called)
-        self.copying = self.calls == 1
+        before, self.copying = self.copying, self.copying or self.calls == 1
         records = {name: self.record(value) for name, value in self._in_order(node, called, names).items()}
-        self.copying = False
+        self.copying = before
         shapes = tuple(record.shape if (record := records.get(name)) else None for name in names)
         found = _flat(called, shapes, self.callers)
         if found.function is called:
