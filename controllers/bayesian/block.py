@@ -124,6 +124,11 @@ class BayesianBlock(Block, ABC):
         return extended_mean(self.model, values, mean)
 
     @property
+    def fault_kinds(self) -> tuple[str, ...]:
+        """Names of the kinds of sensor faults that the precision learner tells."""
+        return self.precision.fault_kinds
+
+    @property
     def goal_matrix(self) -> Floats:
         """What each element of the goal is of the state (g x n)."""
         n = self.model.states

@@ -169,6 +169,11 @@ class PrecisionLearner:
         return self
 
     @property
+    def fault_kinds(self) -> tuple[str, ...]:
+        """Names of the kinds of sensor faults that it tells, as ``fault_kind`` numbers them from 1 on; none by default."""
+        return ()
+
+    @property
     def actuator_modes(self) -> Sequence[Any]:
         """The ways in which actuators can fail that it tells; none, unless a learner says so."""
         return ()

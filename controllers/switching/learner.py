@@ -304,6 +304,11 @@ class SwitchingPrecision(PrecisionLearner):
         return replace(self, noise_factor=1.0)
 
     @property
+    def fault_kinds(self) -> tuple[str, ...]:
+        """See `PrecisionLearner.fault_kinds`."""
+        return tuple(type(mode).__name__ for mode in self.modes)
+
+    @property
     def _usual_process(self) -> bool:
         """Whether the modes of the process are the default ones, at whatever pace: these are left out where they cannot act."""
         return [(m.scale, m.fading) for m in self.process_modes] == [(m.scale, m.fading) for m in PROCESS_MODES]

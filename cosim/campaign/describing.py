@@ -8,8 +8,7 @@ from typing import Any
 from bayesftc.cosim.campaign.runs.job import Job
 from bayesftc.cosim.campaign.runs.metrics import Metric
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.wiring import faults_before, find_controller, find_sensors
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.diagram.roles import known_roles
 
 
 def described(job: Job) -> dict[str, Any]:
@@ -41,13 +40,10 @@ def _setting(value: Any) -> Any:
 
 def _roles(diagram: Diagram) -> dict[str, Any]:
     """Return which block is the controller of a closed loop, and for each of its sensors the faults on the way; else nothing."""
-    try:
-        find_sensors(diagram)
-        controller = find_controller(diagram)
-    except ModelError:
+    found = known_roles(diagram)
+    if found is None:
         return {}
-    sensors = [faults_before(diagram, controller, i) for i in range(controller.block.port("y").size)]
-    return {"controller": controller.name, "faults_of_sensors": sensors}
+    return {"controller": found.controller, "faults_of_sensors": [list(sensor.faults) for sensor in found.sensors]}
 
 
 def _said(thing: Any) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.types import Floats
@@ -18,17 +18,44 @@ MOST_ROWS = 3
 LETTER = 0.0115
 """Width of a letter of those names, as a share of the panel's."""
 WIDTH, PANEL = 8.0, 2.1
-"""Width of a figure and height of a panel in inches."""
+"""Width of a figure and usual height of a panel in inches."""
 
 
-def make_panels(count: int) -> tuple[Figure, list[Axes]]:
-    """Return an empty figure with so many panels, from above, which share their time."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def shown_figure() -> Figure:
+    """Return an empty figure for a user: a notebook shows it where it is returned, a script with ``pyplot.show()``.
 
-    figure = Figure(figsize=(WIDTH, 0.6 + PANEL * count), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    pyplot keeps no list of a notebook's figures: else it would show each of them a second time.
+    """
+    import matplotlib
+
+    from bayesftc.cosim.judging.notebook import NotebookFigure
+
+    if "inline" in str(matplotlib.get_backend()):
+        return NotebookFigure()
+    from matplotlib import pyplot
+
+    return pyplot.figure()
+
+
+def make_panels(heights: Sequence[float], figure: Figure | None = None) -> tuple[Figure, list[Axes]]:
+    """Return a figure with panels of these heights in inches, from above, which share their time.
+
+    Parameters
+    ----------
+    heights : sequence of float
+        One for each panel.
+    figure : Figure, optional
+        An empty one to draw on; by default one that pyplot does not know.
+    """
+    if figure is None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure()
+        FigureCanvasAgg(figure)
+    figure.set_size_inches(WIDTH, 0.6 + sum(heights))
+    figure.set_layout_engine("constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axis in axes:
         axis.grid(True, color="0.9", lw=0.6)
         axis.set_axisbelow(True)
@@ -43,6 +70,11 @@ def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return a line with no more points than a print shows."""
     stride = -(-len(time) // MOST_POINTS)
     return time[::stride], values[::stride]
+
+
+def with_unit(name: str, unit: str | None) -> str:
+    """Return what an axis is called: a name and, if there is one, its unit."""
+    return f"{name} ({unit})" if unit else name
 
 
 def name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str) -> None:
@@ -68,11 +100,13 @@ def name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str
 
 
 def legend(axis: Axes) -> None:
-    """Put the legend beside a panel, if it has anything to name; its colours are as if nothing were transparent."""
+    """Put the legend beside a panel, if it has anything to name; lines and dots are there as if not transparent."""
+    from matplotlib.lines import Line2D
+
     if axis.get_legend_handles_labels()[0]:
         made = axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8, borderaxespad=0)
         for handle in made.legend_handles:
-            if handle is not None:
+            if isinstance(handle, Line2D):
                 handle.set_alpha(1.0)
 
 

@@ -37,6 +37,12 @@ class SensorSignals:
         The controller's outputs for this sensor.
     detected : array of bool or None
         Whether the controller says that it has detected a fault (`ExplicitDetection` does).
+    kind : array or None
+        The most probable kind of fault by its number (0: healthy); None if there is none, or if it was not recorded.
+    kinds : tuple of str
+        Names of the kinds, from number 1 on.
+    unit : str or None
+        The unit of the samples.
     """
 
     index: int
@@ -46,6 +52,9 @@ class SensorSignals:
     beta: Floats | None
     probability: Floats | None
     detected: Flags | None = None
+    kind: Floats | None = None
+    kinds: tuple[str, ...] = ()
+    unit: str | None = None
 
     @property
     def missing(self) -> Flags | None:
@@ -88,6 +97,8 @@ class QuantitySignals:
         Whether there is an element of the goal for it.
     has_belief : bool
         Whether the controller says what linear function of ``x_hat`` it is.
+    spread : array or None
+        Standard deviation of the belief; None if the controller has no covariance ``P``, or if it was not recorded.
     """
 
     name: str
@@ -98,6 +109,7 @@ class QuantitySignals:
     belief: Floats | None
     has_goal: bool
     has_belief: bool
+    spread: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +126,8 @@ class InputSignals:
         What the controller (or a noise) has sent, and what the plant was given; None if that was not recorded.
     faults : mapping of str to array of bool or None
         For each fault on the way when it was present; None if that was not recorded.
+    control : int or None
+        The number of the control that is sent; None if it is another signal.
     """
 
     name: str
@@ -121,6 +135,7 @@ class InputSignals:
     sent: Floats | None
     received: Floats | None
     faults: Mapping[str, Flags | None]
+    control: int | None = None
 
     @property
     def faulty(self) -> Flags | None:
@@ -158,11 +173,22 @@ class ActuatorSignals:
 
 
 @dataclass(frozen=True, eq=False)
+class ControlSignals:
+    """One control over time: what was sent to the plant's input of this name, and its limits (None: unlimited)."""
+
+    name: str
+    unit: str | None
+    sent: Floats
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, eq=False)
 class LoopSignals:
     """A run of a closed loop: time in seconds, the measured quantities, the sensors, the inputs with a fault on their way.
 
     ``faults`` has for each fault of a sensor that was recorded the number of that sensor and when it was present;
-    ``actuators`` are those that the controller says something of.
+    ``actuators`` are those that the controller says something of, ``controls`` those that were recorded.
     """
 
     time: Floats
@@ -171,6 +197,7 @@ class LoopSignals:
     faults: Mapping[str, tuple[int, Flags]]
     inputs: tuple[InputSignals, ...] = ()
     actuators: tuple[ActuatorSignals, ...] = ()
+    controls: tuple[ControlSignals, ...] = ()
 
     @property
     def faulty(self) -> Flags | None:
@@ -178,4 +205,6 @@ class LoopSignals:
         return any_of([*(s.faulty for s in self.sensors), *(i.faulty for i in self.inputs)])
 
 
-__all__ = ["ALARM", "ActuatorSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals"]
+__all__ = [
+    "ALARM", "ActuatorSignals", "ControlSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals",
+]  # fmt: skip

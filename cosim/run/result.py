@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.paths import is_file
+from bayesftc.cosim.diagram.roles import LoopRoles, known_roles
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
+
+    from bayesftc.cosim.diagram.diagram import Diagram
 
 FORMAT = "bayesftc-result-1"
 
@@ -57,6 +60,8 @@ class Result(Mapping[str, Floats]):
         Base steps between two rows.
     before : int
         How many rows of the whole run come before the first row here: none, unless it is a piece of a live run.
+    parts : LoopRoles or Diagram, optional
+        Which signals have which part in a closed loop, for `plot`; of a diagram they are found when they are needed.
     units, metadata, stopped
         See below.
 
@@ -78,6 +83,7 @@ class Result(Mapping[str, Floats]):
         *,
         decimation: int = 1,
         before: int = 0,
+        parts: LoopRoles | Diagram | None = None,
         units: Mapping[str, str] | None = None,
         metadata: Mapping[str, Any] | None = None,
         stopped: str | None = None,
@@ -85,6 +91,17 @@ class Result(Mapping[str, Floats]):
         self._recording, self._columns = recording, dict(columns)
         self.step, self.decimation, self.before = step, decimation, before
         self.units, self.metadata, self.stopped = dict(units or {}), dict(metadata or {}), stopped
+        self._parts = parts
+
+    @property
+    def roles(self) -> LoopRoles | None:
+        """Which signals have which part in a closed loop; None if the diagram is none, or is not known."""
+        if self._parts is not None and not isinstance(self._parts, LoopRoles):
+            self._parts = known_roles(self._parts)
+        return self._parts
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_parts": self.roles}  # a copy in another process needs no blocks
 
     @property
     def time(self) -> Floats:
@@ -181,16 +198,43 @@ class Result(Mapping[str, Floats]):
         return np.hstack([np.empty((len(self._recording), 0)), *columns]).T, names
 
     def plot(self, signals: Iterable[str] | None = None) -> Figure:
-        """Return a figure with one panel for each unit and kind of signal.
+        """Return the figure of a closed loop: signals, belief, control, expected noise and faults of its sensors.
+
+        Of a diagram that is no closed loop, or of a run without any signal of its controller, it is that of `plot_signals`. A
+        notebook shows the figure; a script shows it with ``matplotlib.pyplot.show()``.
 
         Parameters
         ----------
         signals : iterable of str, optional
-            Which signals; by default all scalars and vectors.
+            Names of signals: then the figure is ``plot_signals(signals)``.
         """
+        from bayesftc.cosim.judging.loop_figure import plot_run
+        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.roles import signals_of
+
+        roles = self.roles if signals is None else None
+        if roles is None or not any(name.startswith(f"{roles.controller}.") for name in self):
+            return self.plot_signals(signals)
+        title = "stopped early" if self.stopped else None
+        return plot_run(signals_of(roles, self), title, shown_figure())
+
+    def plot_signals(self, signals: Iterable[str] | None = None) -> Figure:
+        """Return a figure with one panel for each unit, and one for each signal without a unit.
+
+        Parameters
+        ----------
+        signals : iterable of str, optional
+            Names of signals; by default all scalars and vectors.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no signal of that name.
+        """
+        from bayesftc.cosim.judging.panels import shown_figure
         from bayesftc.cosim.judging.plotting import plot_signals
 
-        return plot_signals(self, signals)
+        return plot_signals(self, signals, shown_figure())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the result to one file (a zip of NumPy arrays); it appears under its name only when it is whole.
@@ -210,6 +254,7 @@ class Result(Mapping[str, Floats]):
             "units": self.units,
             "metadata": self.metadata,
             "stopped": self.stopped,
+            "roles": self.roles and self.roles.to_dict(),
         }
         temporary = path.with_name(f"{path.name[:100]}.{secrets.token_hex(4)}.tmp")
         try:
@@ -251,7 +296,8 @@ class Result(Mapping[str, Floats]):
                 columns,
                 Fraction(header["step"]),
                 decimation=header["decimation"],
-                before=header.get("before", 0),  # files of earlier versions hold whole runs
+                before=header.get("before", 0),  # files of earlier versions hold whole runs,
+                parts=(roles := header.get("roles")) and LoopRoles.from_dict(roles),  # and no roles
                 units=header["units"],
                 metadata=header["metadata"],
                 stopped=header["stopped"],

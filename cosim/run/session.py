@@ -9,6 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack, closing, nullcontext
+from copy import copy
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import prod
@@ -115,6 +116,7 @@ class Session:
             record = list(record)
             diagram = diagram.watching(record)
         self._schedule: Schedule = diagram.schedule
+        self._parts = copy(diagram)  # without its live run: a result that is kept keeps no FMU open
         self._decimation = whole_number(decimation, "decimation is ")
         self._selection = select_signals(self._schedule, record)
         self._free = _settable(self._schedule)
@@ -211,6 +213,7 @@ class Session:
             self._schedule.step,
             decimation=run.decimation,
             before=run.before,
+            parts=self._parts,
             units=self._selection.units,
             metadata=metadata,
             stopped=stopped,

@@ -247,7 +247,7 @@ class LoopFigures(Metric):
     def signals(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.signals`."""
         asked = _Asked(diagram)
-        loop_signals(diagram, asked)
+        loop_signals(diagram, asked, drawn=False)
         return tuple(dict.fromkeys(asked.names))
 
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
@@ -268,7 +268,7 @@ class LoopFigures(Metric):
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
     def _numbers(self, diagram: Diagram, result: Result) -> dict[str, float]:
-        numbers = dict(_flat(figures(loop_signals(diagram, result))))
+        numbers = dict(_flat(figures(loop_signals(diagram, result, drawn=False))))
         if self.only is None:
             return numbers
         return {name: n for name, n in numbers.items() if any(fnmatchcase(name, pattern) for pattern in self.only)}

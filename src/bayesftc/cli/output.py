@@ -95,7 +95,7 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
     ResultFileError
         If one of them cannot be written.
     """
-    from bayesftc.cosim.judging.plotting import plot_run
+    from bayesftc.cosim.judging.loop_figure import plot_run
 
     text = as_json(numbers) + "\n"
     title = f"{Path(numbers['scenario']).stem}, seed {numbers['seed']}" + (" (stopped early)" if result.stopped else "")

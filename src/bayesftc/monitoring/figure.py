@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import finish, legend, make_panels, name_spans, thin
+from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, name_spans, thin
 from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, SENSOR_COLOURS
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def plot_monitored(found: Monitored) -> Figure:
     plant = found.model.states - found.model.disturbances
     rows = found.model.quantities[:, :plant]
     quantities, of = np.unique(rows, axis=0, return_inverse=True)
-    figure, axes = make_panels(len(quantities) + 2)
+    figure, axes = make_panels([PANEL] * (len(quantities) + 2))
     believed = found.x_hat[:, :plant] @ rows.T
     units = found.recording.units
     for q, axis in enumerate(axes[: len(quantities)]):

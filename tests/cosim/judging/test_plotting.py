@@ -1,15 +1,19 @@
 """Figures: that they have the panels, lines and names that they should; how they look was judged by eye."""
 
+import pickle
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib import pyplot
 from matplotlib.image import imread
 
 from bayesftc import cosim
 from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision
 from bayesftc.cosim.errors import UnknownNameError
-from bayesftc.cosim.judging.plotting import plot_run, plot_signals
+from bayesftc.cosim.judging.loop_figure import plot_run
+from bayesftc.cosim.judging.plotting import plot_signals
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 from bayesftc.scenario import load_scenario
@@ -23,28 +27,55 @@ def names(axis):
     return axis.get_legend_handles_labels()[1]
 
 
+@pytest.fixture(autouse=True)
+def closed():
+    """Leave no figure in pyplot's list."""
+    yield
+    pyplot.close("all")
+
+
 @pytest.fixture(scope="module")
 def signals():
     return run_of(load_scenario("cruise_control").loop())
 
 
+def panel(figure, beginning):
+    """The only panel whose label begins so."""
+    (found,) = [axis for axis in figure.axes if axis.get_ylabel().startswith(beginning)]
+    return found
+
+
 def test_the_panels_of_a_run(signals, tmp_path):
     figure = plot_run(signals, "a title")
-    quantity, deviation, detection = figure.axes
-    assert quantity.get_ylabel() == "v (m/s)"
-    assert names(quantity) == ["sensor 0", "sensor 1", "reference", "true value", "belief"]
-    assert "standard" in deviation.get_ylabel()
+    labels = [axis.get_ylabel() for axis in figure.axes]
+    assert labels == [
+        "v (m/s)", "sensor 0\n(m/s)", "sensor 1\n(m/s)", "force (N)", "expected standard\ndeviation (m/s)", "fault probability",
+    ]  # fmt: skip
+    quantity, first, second, control, deviation, detection = figure.axes
+    assert names(quantity) == [
+        "reference", "true value", "belief: mean", "belief: 95 % interval", "shaded: a fault is present",
+    ]  # fmt: skip
+    assert (names(first), names(second), names(control)) == (["belief: mean", "samples"], [], ["control"])
     assert deviation.get_yscale() == "log"
-    assert names(deviation) == ["sensor 0", "sensor 1"]
-    assert detection.get_ylabel() == "fault probability"
+    assert names(deviation) == ["sensor 0", "sensor 0 ignored", "sensor 1"]
     assert detection.get_xlabel() == "time (s)"
     assert [t.get_text() for t in quantity.texts] == ["sensor 0: freeze"]
     lines = {line.get_label(): line.get_ydata() for line in quantity.lines}
     np.testing.assert_array_equal(lines["true value"], signals.quantities[0].truth)
-    np.testing.assert_array_equal(lines["sensor 1"], signals.sensors[1].samples)
+    np.testing.assert_array_equal(second.lines[-1].get_ydata(), signals.sensors[1].samples)
+    spread = signals.quantities[0].spread
+    assert 0 < spread[-1] < 1
+    low, high = np.quantile(quantity.collections[0].get_paths()[0].vertices[:, 1], [0, 1])
+    belief = signals.quantities[0].belief
+    np.testing.assert_allclose([low, high], [(belief - 1.96 * spread).min(), (belief + 1.96 * spread).max()])
     shown = deviation.lines[0].get_ydata()
-    np.testing.assert_allclose(shown, 1 / np.sqrt(signals.sensors[0].precision))
-    for axis in figure.axes:  # the frozen sensor is shaded in every panel
+    expected = 1 / np.sqrt(signals.sensors[0].precision)
+    ignored = np.isnan(shown)
+    np.testing.assert_allclose(shown[~ignored], expected[~ignored])
+    assert expected[ignored].min() > 50 > np.nanmax(shown)  # a line at a million says less than the word
+    assert [t.get_text() for t in deviation.texts] == ["ignored"]
+    assert [t.get_text() for t in detection.texts] == ["frozen"]
+    for axis in figure.axes[1:5]:  # the frozen sensor is shaded in every panel
         assert len(axis.collections) == 1
         assert len(axis.collections[0].get_paths()) == 1
     with warnings.catch_warnings():
@@ -52,13 +83,15 @@ def test_the_panels_of_a_run(signals, tmp_path):
         warnings.simplefilter("ignore", DeprecationWarning)  # older versions of matplotlib call what pyparsing renames
         figure.savefig(tmp_path / "run.png", dpi=80)
     height, width, _ = imread(tmp_path / "run.png").shape
-    assert (width, height) == (640, round(80 * figure.get_figheight()))
+    assert (width, height) == (640, int(80 * figure.get_figheight()))
 
 
 def test_no_legend_covers_anything(signals):
     figure = plot_run(signals)
     figure.canvas.draw()
     for axis in figure.axes:
+        if axis.get_legend() is None:
+            continue
         assert axis.get_legend().get_window_extent().x0 >= axis.get_window_extent().x1
         assert axis.get_legend().get_window_extent().x1 <= figure.bbox.x1
 
@@ -66,7 +99,7 @@ def test_no_legend_covers_anything(signals):
 def test_no_state_of_pyplot_is_touched(python):
     code = (
         "import json, sys\nfrom bayesftc.scenario import load_scenario\nfrom bayesftc.cosim.judging.roles import loop_signals\n"
-        "from bayesftc.cosim.judging.plotting import plot_run\nloop = load_scenario('cruise_control').loop()\n"
+        "from bayesftc.cosim.judging.loop_figure import plot_run\nloop = load_scenario('cruise_control').loop()\n"
         "plot_run(loop_signals(loop, loop.simulate(0.2, engine='interpreted'))).savefig('/dev/null', format='png')\n"
         "print(json.dumps('matplotlib.pyplot' in sys.modules))"
     )
@@ -75,18 +108,19 @@ def test_no_state_of_pyplot_is_touched(python):
 
 def test_beta_stands_in_for_a_missing_probability():
     figure = plot_run(run_of(cruise_control(GammaPrecision())))
-    assert figure.axes[2].get_ylabel() == "beta"
-    assert names(figure.axes[2]) == ["sensor 0", "sensor 1"]
+    beta = panel(figure, "beta")
+    assert beta.get_ylabel() == "beta ((m/s)²)"
+    assert names(beta) == ["sensor 0", "sensor 1"]
 
 
 def test_neither_beta_nor_probability():
     figure = plot_run(run_of(cruise_control(FixedPrecision()), 1.0))
-    assert [t.get_text() for t in figure.axes[2].texts] == ["no fault probability and no beta in this run"]
+    assert [t.get_text() for t in panel(figure, "fault").texts] == ["no fault probability and no beta in this run"]
 
 
 def test_ignored_samples_are_marked():
     signals = run_of(cruise_control(SERFDI(threshold=2.0)))
-    deviation = plot_run(signals).axes[1]
+    deviation = panel(plot_run(signals), "expected")
     marks = {line.get_label(): line.get_xdata() for line in deviation.lines}
     np.testing.assert_array_equal(marks["sensor 0 ignored"], signals.time[signals.sensors[0].precision == 0])
     assert len(marks["sensor 0 ignored"]) > 5
@@ -102,11 +136,13 @@ def test_missing_samples_are_gaps_and_marks():
         faults=[cosim.Dropout(sensor=0, start=2.0, stop=3.0)],
         reference=1.0,
     )
-    _, deviation, detection = plot_run(run_of(loop, 4.0)).axes
+    figure = plot_run(run_of(loop, 4.0))
+    deviation, detection = panel(figure, "expected"), panel(figure, "fault")
     assert np.isnan(detection.lines[0].get_ydata()).sum() == 50
     marks = {line.get_label(): line.get_xdata() for line in deviation.lines}
     assert len(marks["sensor 0 missing"]) == 50
     assert "sensor 1 missing" not in marks
+    assert "dropped out" in [t.get_text() for t in detection.texts]
 
 
 def test_many_faults_are_not_named_one_by_one():
@@ -144,7 +180,7 @@ def test_signals_by_unit():
     assert names(figure.axes[0]) == ["plant.v", "reference.y"]
     assert names(figure.axes[2]) == ["controller.precision[0]", "controller.precision[1]"]
     assert len(result.plot("plant.v").axes) == 1
-    assert sum(len(axis.lines) for axis in result.plot().axes) == sum(
+    assert sum(len(axis.lines) for axis in result.plot_signals().axes) == sum(
         result[name].size // len(result.time)
         for name in result
         if result[name].ndim < 3 and np.isfinite(result[name]).any()
@@ -166,6 +202,60 @@ def test_signals_without_a_number_long_names_and_small_changes():
     assert all(label < 1.1 * panel for label, panel in heights)
     (panel,) = result.plot("a.none").axes
     assert [t.get_text() for t in panel.texts] == ["no value"]
+
+
+def test_a_result_knows_its_loop_in_every_copy(tmp_path):
+    result = load_scenario("cruise_control").simulate(duration=0.4, engine="interpreted")
+    shown = [axis.get_ylabel() for axis in result.plot().axes]
+    assert shown[-1] == "fault probability"
+    for copy in (pickle.loads(pickle.dumps(result)), cosim.Result.load(result.save(tmp_path / "run.npz"))):
+        assert copy.roles == result.roles
+        assert [axis.get_ylabel() for axis in copy.plot().axes] == shown
+
+
+def test_what_is_no_loop_has_the_figure_of_its_signals():
+    diagram = cosim.Diagram(0.1)
+    diagram.add(cosim.Constant(1.0), "one")
+    result = diagram.simulate(0.5, engine="interpreted")
+    assert result.roles is None
+    assert [axis.get_ylabel() for axis in result.plot().axes] == ["one.y"]
+    without = load_scenario("cruise_control").simulate(duration=0.4, engine="interpreted", record=["plant.v"])
+    assert [axis.get_ylabel() for axis in without.plot().axes] == ["m/s"]
+
+
+def test_the_limits_of_a_control_and_what_the_plant_received():
+    controller = replace(load_scenario("cruise_control").controller, u_min=-800.0, u_max=900.0)
+    limited = cosim.closed_loop(
+        plant=cosim.StateSpace(_integrator()),
+        controller=controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        input_faults={"u": cosim.GainFault(factor=0.5, start=1.0)},
+        reference=1.0,
+    )
+    signals = run_of(limited, 2.0)
+    control = panel(plot_run(signals), "u")
+    assert names(control) == ["control", "received by u", "limits of the control"]
+    assert [line.get_ydata()[0] for line in control.lines[2:]] == [-800.0, 900.0]
+    sent, received = (line.get_ydata() for line in control.lines[:2])
+    np.testing.assert_array_equal(received[60:], 0.5 * sent[60:])
+
+
+def test_samples_of_many_sensors_leave_room_for_the_rest():
+    controller = load_scenario("cruise_control").controller
+    model = replace(controller.model, C=np.ones((14, 1)), sensor_covariance=1.0)
+    loop = cosim.closed_loop(
+        plant=cosim.StateSpace(_integrator()),
+        controller=replace(controller, model=model, precision=FixedPrecision()),
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=14, std=1.0),
+        reference=1.0,
+    )
+    figure = plot_run(run_of(loop, 0.2))
+    assert sum(axis.get_ylabel().startswith("sensor ") for axis in figure.axes) == 12
+    assert names(figure.axes[1])[-1] == "samples\n(2 more sensors are not drawn)"
 
 
 def _integrator():

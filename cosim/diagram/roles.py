@@ -1,0 +1,250 @@
+"""Which signals of a diagram have which part in a closed loop: plain data, which a result keeps and saves."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.wiring import (
+    element_name,
+    elements,
+    faults_before,
+    faults_right_before,
+    find_controller,
+    find_sensors,
+    label_of,
+)
+from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Floats
+
+Place = tuple[str, int]
+"""A signal and one of its elements, a matrix row by row."""
+
+
+@dataclass(frozen=True)
+class SensorRole:
+    """One sensor: what the controller gets of it, its unit, and the names of the faults on the way in their order."""
+
+    samples: Place | None
+    unit: str | None
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class QuantityRole:
+    """One quantity that sensors measure.
+
+    Attributes
+    ----------
+    name : str
+        The plant's variable, or ``sensor i`` where a sensor measures a mixture of several.
+    unit : str or None
+        Its unit.
+    sensors : tuple of int
+        The sensors that measure it.
+    truth : tuple of (float, Place), or None
+        What an ideal sensor reads: weights and signals; None if a signal is missing.
+    reference : Place or None
+        The element of the goal for it.
+    belief : tuple of float, or None
+        Weights of the controller's ``x_hat``; None if it is no linear function of it.
+    has_goal : bool
+        Whether an element of the goal is for it.
+    """
+
+    name: str
+    unit: str | None
+    sensors: tuple[int, ...]
+    truth: tuple[tuple[float, Place], ...] | None
+    reference: Place | None
+    belief: tuple[float, ...] | None
+    has_goal: bool
+
+
+@dataclass(frozen=True)
+class InputRole:
+    """One input of the plant on whose way there are faults: what is sent, what is received, the names of the faults.
+
+    ``control`` is the number of the control that is sent; None if it is another signal, such as a noise.
+    """
+
+    name: str
+    unit: str | None
+    sent: Place | None
+    received: Place | None
+    faults: tuple[str, ...]
+    control: int | None
+
+
+@dataclass(frozen=True)
+class ControlRole:
+    """One control: the plant's input that it drives first, its limits (None: unlimited), the faults on the way there."""
+
+    name: str
+    unit: str | None
+    low: float | None
+    high: float | None
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LoopRoles:
+    """The parts of a closed loop: names of blocks and signals, without any numbers of a run.
+
+    ``fault_kinds`` and ``actuator_kinds`` name the kinds of faults that the controller tells, from number 1 on.
+    """
+
+    controller: str
+    sensors: tuple[SensorRole, ...]
+    quantities: tuple[QuantityRole, ...]
+    inputs: tuple[InputRole, ...]
+    controls: tuple[ControlRole, ...]
+    fault_kinds: tuple[str, ...] = ()
+    actuator_kinds: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for a JSON file."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> LoopRoles:
+        """Return what `to_dict` made, after a way through JSON, which has lists in place of tuples."""
+        parts = {"sensors": SensorRole, "quantities": QuantityRole, "inputs": InputRole, "controls": ControlRole}
+        frozen = {name: _frozen(value) for name, value in plain.items() if name not in parts}
+        made: dict[str, Any] = {
+            name: tuple(part(**{key: _frozen(value) for key, value in each.items()}) for each in plain[name])
+            for name, part in parts.items()
+        }
+        return cls(**frozen, **made)
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
+
+
+def find_roles(diagram: Diagram) -> LoopRoles:
+    """Find the parts of a closed loop by the blocks' kinds and connections.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        With one `Sensors` block and one controller, a block with inputs ``y`` and ``goal`` and the output ``u``: as
+        `closed_loop` makes it, or put together by hand in the same way.
+
+    Raises
+    ------
+    ModelError
+        If the diagram is no such loop.
+    """
+    seen, controller = find_sensors(diagram), find_controller(diagram)
+    y = controller.port("y")
+    quantities = _quantities(diagram, seen, controller)
+    units = {i: quantity.unit for quantity in quantities for i in quantity.sensors}
+    unit = seen.port("y").unit
+    sensors = tuple(
+        SensorRole(_source(diagram, controller, y, i), units.get(i, unit), tuple(faults_before(diagram, controller, i)))
+        for i in range(y.size)
+    )
+    inputs = _inputs(diagram, {seen.name, controller.name}, controller)
+    kinds = (tuple(getattr(controller.block, f"{of}_kinds", ())) for of in ("fault", "actuator"))
+    return LoopRoles(controller.name, sensors, quantities, inputs, _controls(diagram, controller), *kinds)
+
+
+def known_roles(diagram: Diagram) -> LoopRoles | None:
+    """Return what `find_roles` finds; None if the diagram is no closed loop."""
+    try:
+        return find_roles(diagram)
+    except BayesFTCError:
+        return None
+
+
+def _source(diagram: Diagram, node: Node, port: Port, element: int) -> Place | None:
+    """Return what feeds one element of an input."""
+    found = diagram.source_of(node, port, element)
+    return None if found is None else (f"{found[0].node.name}.{found[0].port.name}", found[1])
+
+
+def _inputs(diagram: Diagram, others: Container[str], controller: Node) -> tuple[InputRole, ...]:
+    """Return the inputs that are fed through faults, but for those of the named blocks."""
+    found = []
+    for node, port, i in elements(diagram, others):
+        if chain := faults_right_before(diagram, node, port, i):
+            first, element = chain[0]
+            sent = _source(diagram, first, first.port("u"), element)
+            received = _source(diagram, node, port, i)
+            control = sent[1] if sent and sent[0] == f"{controller.name}.u" else None
+            names = tuple(fault.name for fault, _ in chain)
+            found.append(InputRole(element_name(port, i), port.unit, sent, received, names, control))
+    return tuple(found)
+
+
+def _controls(diagram: Diagram, controller: Node) -> tuple[ControlRole, ...]:
+    count = controller.port("u").size
+    low, high = (_limits(controller, name, count) for name in ("u_min", "u_max"))
+    led: dict[int, tuple[str, str | None, tuple[str, ...]]] = {}
+    for node, port, i in elements(diagram, {controller.name}):
+        chain = faults_right_before(diagram, node, port, i)
+        sent = (
+            _source(diagram, chain[0][0], chain[0][0].port("u"), chain[0][1])
+            if chain
+            else _source(diagram, node, port, i)
+        )
+        if sent is not None and sent[0] == f"{controller.name}.u":
+            led.setdefault(sent[1], (element_name(port, i), port.unit, tuple(fault.name for fault, _ in chain)))
+    controls = []
+    for j in range(count):
+        name, unit, faults = led.get(j, (f"control {j}", None, ()))
+        controls.append(ControlRole(name, unit, low[j], high[j], faults))
+    return tuple(controls)
+
+
+def _limits(controller: Node, name: str, count: int) -> list[float | None]:
+    """Return a limit of each control; None where there is none or the controller does not say."""
+    given = getattr(controller.block, name, None)
+    if given is None:
+        return [None] * count
+    values = np.broadcast_to(np.asarray(given, dtype=np.float64), (count,))
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _quantities(diagram: Diagram, seen: Node, controller: Node) -> tuple[QuantityRole, ...]:
+    block: Any = seen.block
+    if block.function is not None:  # what it measures is not linear, and is not kept
+        return ()
+    # A controller may say what its sensors read of its estimate x_hat (a row of NaN: nothing linear), and what its goal is of it.
+    C: Floats | None
+    G: Floats | None
+    C, G = (getattr(controller.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
+    rows = (
+        np.eye(block.signals)[np.arange(block.count) % block.signals]
+        if block.matrix is None
+        else np.asarray(block.matrix)
+    )
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for i, row in enumerate(rows):
+        groups.setdefault(tuple(map(float, row)), []).append(i)
+    inputs = [_source(diagram, seen, seen.port("u"), j) for j in range(block.signals)]
+    goals = controller.port("goal").size
+    found = []
+    for number, (row, members) in enumerate(groups.items()):
+        used = [(weight, place) for weight, place in zip(row, inputs, strict=True) if weight and place is not None]
+        truth = tuple(used) if used and len(used) == np.count_nonzero(row) else None
+        name, unit = label_of(diagram, seen, row, members[0])
+        # Sensors of one quantity read the same; a controller may know one of them by a function that is not linear.
+        read = next((C[i] for i in members if np.isfinite(C[i]).all()), None) if C is not None else None
+        goal = number if goals == len(groups) and (C is None or G is None) else None  # unless said otherwise, in order
+        if read is not None and G is not None:
+            goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, read)), None)
+        reference = None if goal is None else _source(diagram, controller, controller.port("goal"), goal)
+        belief = None if read is None else tuple(map(float, read))
+        found.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal is not None))
+    return tuple(found)
+
+
+__all__ = ["ControlRole", "InputRole", "LoopRoles", "Place", "QuantityRole", "SensorRole", "find_roles", "known_roles"]

@@ -1,0 +1,251 @@
+"""Panels of a closed loop's figure that are about faults: expected noise, fault probabilities, and which faults were present."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.judging.metrics import periods
+from bayesftc.cosim.judging.panels import LETTER, name_spans, thin, with_unit
+from bayesftc.cosim.judging.plotting import BLACK, LINES, colour_of
+from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+IGNORED = 100.0
+"""A sensor whose expected standard deviation is this many times the smallest one has less than 1/10,000 of that one's weight."""
+SMALLEST = 0.01
+"""Quantile of the expected standard deviations that stands for the smallest: the very smallest may last for a sample only."""
+LANE, FIRST_LANE = 0.11, 1.10
+"""Height of a row of kinds and the middle of the lowest, in units of the probability."""
+ROW = 0.09
+"""Height of a row of marks, as a share of the panel's."""
+
+
+def deviation_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes], None]]]:
+    """Return a panel of expected standard deviations for each unit of sensors."""
+    units: dict[str | None, list[SensorSignals]] = {}
+    for sensor in signals.sensors:
+        if sensor.precision is not None:
+            units.setdefault(sensor.unit, []).append(sensor)
+    return [(1.8, partial(_draw_deviation, signals=signals, sensors=own, unit=unit)) for unit, own in units.items()]
+
+
+def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSignals], unit: str | None) -> None:
+    expected = {sensor.index: _expected(sensor) for sensor in sensors}
+    known = np.concatenate([values[np.isfinite(values)] for values in expected.values()])
+    most = IGNORED * float(np.quantile(known, SMALLEST)) if len(known) else np.inf
+    drawn, row = [], 0
+    for sensor in sensors:
+        values = expected[sensor.index]
+        shown = np.where(values > most, np.nan, values)
+        drawn.append(shown)
+        axis.plot(*thin(signals.time, shown), **_line(sensor))
+        missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
+        ignored = (~missing & (sensor.precision == 0)) | (values > most)
+        row += _mark(axis, signals.time, sensor, "ignored", row, ignored)
+        row += _mark(axis, signals.time, sensor, "missing", row, missing)
+    axis.set_ylabel("expected standard\n" + with_unit("deviation", unit))
+    _logarithmic(axis, drawn, (row + 0.5) * ROW if row else 0.0)
+
+
+def _expected(sensor: SensorSignals) -> Floats:
+    """Return the standard deviation that the controller expects; NaN where the sensor has no sample or no precision."""
+    assert sensor.precision is not None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = np.where(sensor.precision > 0, 1.0 / np.sqrt(sensor.precision), np.nan)
+    return _given(sensor, expected)
+
+
+def _mark(axis: Axes, time: Floats, sensor: SensorSignals, what: str, row: int, where: Flags) -> int:
+    """Mark times of a sensor in a row at the top of an axis, and write there what they are; return how many rows that took."""
+    if not where.any():
+        return 0
+    height = axis.get_xaxis_transform()
+    style: dict[str, Any] = {"ls": "none", "marker": "|" if what == "ignored" else "x", "ms": 5, "transform": height}
+    style |= {"ms": 2.5} if what == "missing" else {}
+    top = 0.97 - ROW * row
+    label = f"sensor {sensor.index} {what}"
+    axis.plot(*thin(time[where], np.full(int(where.sum()), top)), color=colour_of(sensor.index), label=label, **style)
+    begin, end = max(periods(where), key=lambda period: period[1] - period[0])
+    width = LETTER * (len(what) + 1) * float(time[-1] - time[0])
+    if time[end - 1] - time[begin] > width:
+        _write(axis, 0.5 * float(time[begin] + time[end - 1]), top, what, colour_of(sensor.index), height)
+    return 1
+
+
+def _write(axis: Axes, x: float, y: float, text: str, colour: str, transform: Any) -> None:
+    """Write a word on a bar."""
+    box = {"fc": "white", "ec": "none", "pad": 0.8}
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7, "zorder": 6}
+    axis.text(x, y, text, color=colour, bbox=box, transform=transform, **style)
+
+
+def _logarithmic(axis: Axes, drawn: list[Floats], margin: float = 0.0) -> None:
+    """Make the axis logarithmic, with ticks in between where powers of ten alone would leave one number or none.
+
+    ``margin`` is the share of its height that stays free at the top.
+    """
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_yscale("log")
+    known = np.concatenate(drawn) if drawn else np.array([])
+    known = known[np.isfinite(known) & (known > 0)]
+    if not len(known):
+        return
+    low, high = 0.8 * known.min(), 1.3 * known.max()
+    axis.set_ylim(low, low * (high / low) ** (1.0 / (1.0 - min(margin, 0.8))))
+    if known.max() < 100 * known.min():
+        few = known.max() < 5 * known.min()
+        axis.yaxis.set_major_locator(LogLocator(subs=tuple(np.arange(1.0, 10.0)) if few else (1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.yaxis.set_minor_formatter(NullFormatter())
+
+
+def height_of_detection(signals: LoopSignals) -> float:
+    """Return the height of the panel of fault probabilities in inches: more with rows of kinds."""
+    return 1.9 + 0.17 * len(_alarmed(signals))
+
+
+def _alarmed(signals: LoopSignals) -> list[SensorSignals | ActuatorSignals]:
+    """Return the sensors and actuators that have an alarm of a known kind."""
+    return [
+        each
+        for each in (*signals.sensors, *signals.actuators)
+        if each.kinds and each.kind is not None and each.probability is not None and (each.probability >= ALARM).any()
+    ]
+
+
+def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
+    """Draw the fault probabilities and the kinds of faults; without a probability beta and what was detected."""
+    known = [s for s in signals.sensors if s.probability is not None and not np.isnan(s.probability).all()]
+    if not known and not signals.actuators:
+        _draw_beta(axis, signals)
+        return
+    for sensor in known:
+        assert sensor.probability is not None
+        axis.plot(*thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
+    for j, actuator in enumerate(signals.actuators):
+        # As those of an input, whose faults are hatched: no colour, for these are the sensors'.
+        style: dict[str, Any] = {"color": BLACK, "ls": LINES[j % len(LINES)], "lw": 1.3, "zorder": 3}
+        axis.plot(*thin(signals.time, actuator.probability), label=f"actuator {actuator.name}", **style)
+    axis.axhline(ALARM, color="0.4", lw=0.8, zorder=0, label=f"alarm from {ALARM:g}")
+    rows = _alarmed(signals)
+    for row, each in enumerate(rows):
+        _draw_kinds(axis, signals.time, each, FIRST_LANE + LANE * row)
+    if rows:
+        axis.plot([], [], color="0.6", lw=5, alpha=0.5, label="bar: most probable kind\nduring an alarm")
+    axis.set_ylim(-0.04, FIRST_LANE + LANE * (len(rows) - 0.4) if rows else 1.04)
+    axis.set_yticks(np.linspace(0.0, 1.0, 6))
+    axis.set_ylabel("fault probability")
+
+
+def _draw_kinds(axis: Axes, time: Floats, each: SensorSignals | ActuatorSignals, y: float) -> None:
+    """Draw a bar for each stretch of an alarm with one kind, and write the kinds on those that are long enough."""
+    assert each.kind is not None
+    assert each.probability is not None
+    colour = colour_of(each.index) if isinstance(each, SensorSignals) else BLACK
+    kind = np.where(each.probability >= ALARM, np.nan_to_num(each.kind), 0.0)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
+    ends = np.append(time, time[-1])
+    stretches = [
+        (float(ends[a]), float(ends[b]), _words(each.kinds, kind[a]))
+        for a, b in pairwise(edges)
+        if kind[a] > 0
+    ]
+    axis.broken_barh([(a, b - a) for a, b, _ in stretches], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
+    letter = 0.8 * LETTER * float(time[-1] - time[0])
+    for a, b, word in stretches:
+        if b - a > letter * (len(word) + 1):
+            _write(axis, 0.5 * (a + b), y, word, colour, axis.transData)
+    if stretches and all(b - a <= letter * (len(word) + 1) for a, b, word in stretches):
+        a, b, word = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+        right = b + letter * (len(word) + 1) < time[-1]
+        side = {"ha": "left" if right else "right", "va": "center", "fontsize": 7, "zorder": 6}
+        axis.text(b + 0.5 * letter if right else a - 0.5 * letter, y, word, color=colour, **side)  # type: ignore[arg-type]
+
+
+def _words(kinds: Sequence[str], number: float) -> str:
+    """Return the name of a kind in words: ``dropped out`` for `DroppedOut`."""
+    name = kinds[int(number) - 1] if number <= len(kinds) else f"kind {number:g}"
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
+
+
+def _draw_beta(axis: Axes, signals: LoopSignals) -> None:
+    rated = [s for s in signals.sensors if s.beta is not None and not np.isnan(s.beta).all()]
+    for sensor in rated:
+        assert sensor.beta is not None
+        axis.plot(*thin(signals.time, _given(sensor, sensor.beta)), **_line(sensor))
+    row = 0
+    for sensor in signals.sensors:
+        if sensor.alarm is not None:
+            row += _mark(axis, signals.time, sensor, "detected", row, sensor.alarm)
+    units = {sensor.unit for sensor in rated}
+    unit = units.pop() if len(units) == 1 else None
+    axis.set_ylabel(with_unit("beta", f"({unit})²" if unit else None))
+    if rated:
+        _logarithmic(axis, [s.beta for s in rated if s.beta is not None], (row + 0.5) * ROW if row else 0.0)
+        return
+    axis.set_yticks([])
+    axis.set_ylabel("fault probability")
+    where: dict[str, Any] = {"transform": axis.transAxes, "ha": "center", "color": "0.35"}
+    axis.text(0.5, 0.5, "no fault probability and no beta in this run", **where)
+
+
+def draw_shades(axis: Axes, signals: LoopSignals) -> None:
+    """Shade the faults of each sensor in its colour, over the whole height; hatch those of inputs."""
+    over: dict[str, Any] = {"transform": axis.get_xaxis_transform(), "lw": 0, "zorder": 0, "step": "post"}
+    for sensor in signals.sensors:
+        if sensor.faulty is not None and sensor.faulty.any():
+            style = {"color": colour_of(sensor.index), "alpha": 0.12, **over}
+            axis.fill_between(signals.time, 0, 1, where=sensor.faulty, **style)
+    for each in signals.inputs:
+        if each.faulty is not None and each.faulty.any():
+            style = {"fc": "none", "ec": "0.8", "hatch": "///", **over}
+            axis.fill_between(signals.time, 0, 1, where=each.faulty, **style)
+
+
+def name_faults(axis: Axes, signals: LoopSignals) -> None:
+    """Write each fault's name above its period, or one note where there are too many."""
+    faults = [
+        (a, b, f"sensor {i}: {_kind(name, '', f'_{i}')}", colour_of(i))
+        for name, (i, active) in signals.faults.items()
+        for a, b in periods(active)
+    ]
+    faults += [
+        (a, b, f"{each.name}: {_kind(name, f'{each.name}_', '_0')}", "0.35")
+        for each in signals.inputs
+        for name, active in each.faults.items()
+        if active is not None
+        for a, b in periods(active)
+    ]
+    named = [(float(signals.time[a]), float(signals.time[b - 1]), text, colour) for a, b, text, colour in faults]
+    name_spans(axis, signals.time, named, "faults")
+    if named:
+        axis.fill_between([], [], color="0.88", lw=0, label="shaded: a fault is present")
+
+
+def _kind(name: str, of: str, number: str) -> str:
+    """Return the kind of fault in a default name such as ``freeze_1``; a name that was given stays as it is."""
+    kind = name.removeprefix(of).removesuffix(number)
+    return name if kind == name else kind.replace("_", " ")
+
+
+def _given(sensor: SensorSignals, values: Floats) -> Floats:
+    """Return a learner's output with a gap where there was no sample to learn from: it only relaxes there, and says nothing."""
+    return values if sensor.missing is None else np.where(sensor.missing, np.nan, values)
+
+
+def _line(sensor: SensorSignals) -> dict[str, Any]:
+    i = sensor.index
+    return {"color": colour_of(i), "ls": LINES[i % len(LINES)], "lw": 1.3, "label": f"sensor {i}"}
+
+
+__all__ = ["deviation_panels", "draw_detection", "draw_shades", "height_of_detection", "name_faults"]

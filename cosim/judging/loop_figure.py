@@ -1,0 +1,154 @@
+"""The figure of a closed loop: signals and belief, samples, control, expected noise, and faults that the controller sees.
+
+Colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart; lines differ in style as well,
+so that they can be told apart in black and white. Legends stand beside the panels and cover nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from bayesftc.cosim.judging.fault_panels import (
+    deviation_panels,
+    draw_detection,
+    draw_shades,
+    height_of_detection,
+    name_faults,
+)
+from bayesftc.cosim.judging.panels import finish, legend, make_panels, thin, with_unit
+from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
+from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MAIN, NARROW, STRIP = 2.1, 1.5, 0.8
+"""Heights of panels in inches: of a quantity, of an input, and of the samples of one sensor."""
+MOST_STRIPS = 12
+"""Samples of more sensors than this are not drawn: the figure would be higher than a page."""
+NORMAL_95 = 1.96
+"""Standard deviations on both sides of the mean within which a normal variable is with a probability of 95 %."""
+
+_Panels = list[tuple[float, Callable[["Axes"], None]]]
+
+
+def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | None = None) -> Figure:
+    """Return the figure of a closed loop.
+
+    From above, with time in seconds:
+
+    - for each measured quantity its true value, its reference, and the belief: mean, and the mean plus and minus 1.96 standard
+      deviations; below it the samples of each of its sensors beside the mean of the belief;
+    - for each control what was sent, its limits, and with a fault on the way what the plant received; the same for other inputs
+      of the plant with a fault on their way;
+    - the standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``). While it is more than a
+      hundred times the smallest one, the sensor counts as ignored: a bar at the top says so. Crosses are missing samples;
+    - the fault probability of each sensor and, in black, of each actuator whose faults the controller tells; above it the most
+      probable kind of fault during an alarm. Without a probability: beta, with marks where a fault is detected.
+
+    Faults that were present are shaded, those of an input hatched, and named at the top. There are gaps where a sensor has no
+    sample. What was not recorded is left out.
+
+    Parameters
+    ----------
+    signals : LoopSignals
+        From `bayesftc.cosim.judging.roles.loop_signals`.
+    title : str, optional
+        Stands above.
+    figure : Figure, optional
+        An empty one to draw on.
+    """
+    panels: _Panels = []
+    for quantity in signals.quantities:
+        panels.append((MAIN, partial(_draw_quantity, time=signals.time, quantity=quantity)))
+        panels += _strips(signals, [signals.sensors[i] for i in quantity.sensors], quantity.belief)
+    if not signals.quantities:
+        panels += _strips(signals, signals.sensors, None)
+    for j, control in enumerate(signals.controls):
+        received = [each for each in signals.inputs if each.control == j]
+        panels.append((NARROW, partial(_draw_control, time=signals.time, control=control, inputs=received)))
+    for each in signals.inputs:
+        if each.control is None or each.control >= len(signals.controls):
+            panels.append((NARROW, partial(_draw_input, time=signals.time, each=each)))
+    panels += deviation_panels(signals)
+    panels.append((height_of_detection(signals), partial(draw_detection, signals=signals)))
+    made, axes = make_panels([height for height, _ in panels], figure)
+    for axis, (_, draw) in zip(axes, panels, strict=True):
+        draw(axis)
+        draw_shades(axis, signals)
+    name_faults(axes[0], signals)
+    for axis in axes:
+        legend(axis)
+    finish(axes, signals.time)
+    if title:
+        made.suptitle(title, fontsize=10, x=0.01, ha="left")
+    return made
+
+
+def _draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None:
+    lines: list[tuple[str, Floats | None, dict[str, Any]]] = [
+        # Broad and light below the others: under a good controller the belief lies on the reference and would hide it.
+        ("reference", quantity.reference, {"color": "0.75", "ls": "-", "lw": 3.0, "zorder": 2}),
+        ("true value", quantity.truth, {"color": BLACK, "ls": "-", "lw": 1.1, "zorder": 4}),
+        ("belief: mean", quantity.belief, {"color": BLUE, "ls": (0, (5, 2)), "lw": 1.3, "zorder": 5}),
+    ]
+    for label, values, look in lines:
+        if values is not None:
+            axis.plot(*thin(time, values), label=label, **look)
+    if quantity.belief is not None and quantity.spread is not None:
+        shown, mean = thin(time, quantity.belief)
+        half = NORMAL_95 * thin(time, quantity.spread)[1]
+        style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
+        axis.fill_between(shown, mean - half, mean + half, label="belief: 95 % interval", **style)
+    axis.set_ylabel(with_unit(quantity.name, quantity.unit))
+
+
+def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panels:
+    """Return a panel for the samples of each sensor: in one panel those of redundant sensors hide each other."""
+    known = [sensor for sensor in sensors if sensor.samples is not None]
+    shown = known[:MOST_STRIPS]
+    panels: _Panels = []
+    for number, sensor in enumerate(shown):
+        rest = f"\n({len(known) - len(shown)} more sensors are not drawn)" if len(known) > len(shown) else ""
+        label = None if number else f"samples{rest}"
+        panels.append((STRIP, partial(_draw_samples, time=signals.time, sensor=sensor, belief=belief, label=label)))
+    return panels
+
+
+def _draw_samples(axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Floats | None, label: str | None) -> None:
+    """Draw samples and belief; with a label for the samples both are in the legend, which the first sensor has for all."""
+    if belief is not None:
+        axis.plot(*thin(time, belief), color=BLUE, lw=0.8, zorder=2, label=label and "belief: mean")
+    style: dict[str, Any] = {"ls": "none", "marker": MARKERS[sensor.index % len(MARKERS)], "ms": 2.0, "mew": 0}
+    axis.plot(*thin(time, sensor.samples), color=colour_of(sensor.index), alpha=0.6, zorder=3, label=label, **style)  # type: ignore[arg-type]
+    axis.set_ylabel(f"sensor {sensor.index}" + (f"\n({sensor.unit})" if sensor.unit else ""), fontsize=8)
+
+
+def _draw_control(axis: Axes, *, time: Floats, control: ControlSignals, inputs: list[InputSignals]) -> None:
+    _draw_sent(axis, time, control.sent, "control")
+    for each in inputs:
+        if each.received is not None:
+            axis.plot(*thin(time, each.received), color=BLACK, lw=0.9, zorder=4, label=f"received by {each.name}")
+    limits = [limit for limit in (control.low, control.high) if limit is not None]
+    for number, limit in enumerate(limits):
+        axis.axhline(limit, color="0.4", lw=0.9, ls=":", zorder=1, label=None if number else "limits of the control")
+    axis.set_ylabel(with_unit(control.name, control.unit))
+
+
+def _draw_input(axis: Axes, *, time: Floats, each: InputSignals) -> None:
+    if each.sent is not None:
+        _draw_sent(axis, time, each.sent, "sent")
+    if each.received is not None:
+        axis.plot(*thin(time, each.received), color=BLACK, lw=0.9, zorder=4, label="received")
+    axis.set_ylabel(with_unit(each.name, each.unit))
+
+
+def _draw_sent(axis: Axes, time: Floats, values: Floats, label: str) -> None:
+    axis.plot(*thin(time, values), color="#6BAED6", lw=1.6, zorder=3, label=label)
+
+
+__all__ = ["plot_run"]
