@@ -89,7 +89,7 @@ DOORS: dict[tuple[str, str], str] = {
     ("cosim.diagram.diagram", "cosim.diagram.schedule"): "Diagram.build",
     ("cosim.diagram.diagram", "cosim.run"): "Diagram.simulate, Diagram.start",
     ("cosim.isolation.worker", "cosim.fmi.fmu"): "FMU(isolate=True): the process of its own makes the block",
-    ("cosim.run.result", "cosim.judging.plotting"): "Result.plot",
+    ("cosim.run.result", "cosim.judging"): "Result.plot, Result.plot_signals",
     ("scenario._files", "examples"): "scenario files by the name of an example",
     ("controllers.models.linear", "controllers.identification.identify"): "LinearModel.identify",
 }

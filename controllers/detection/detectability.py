@@ -129,8 +129,9 @@ class Detectability:
             Results to draw beside this one, by the names for the legend.
         """
         from bayesftc.controllers.detection.figure import draw
+        from bayesftc.cosim.judging.panels import shown_figure
 
-        return draw({self.form: self, **(others or {})})
+        return draw({self.form: self, **(others or {})}, shown_figure())
 
     def __str__(self) -> str:
         rows = [

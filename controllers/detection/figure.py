@@ -32,13 +32,10 @@ AXES = {
 }
 
 
-def draw(results: Mapping[str, Detectability]) -> Figure:
-    """Return the figure of several results: the tail of beta without a fault, and the delay for each kind of fault."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
+def draw(results: Mapping[str, Detectability], figure: Figure) -> Figure:
+    """Draw results on an empty figure: the tail of beta without a fault, and the delay for each kind of fault."""
+    figure.set_size_inches(9.0, 6.4)
+    figure.set_layout_engine("constrained")
     panels = figure.subplots(2, 2)
     _draw_tails(panels[0, 0], results)
     for axis, kind in zip((panels[0, 1], panels[1, 0], panels[1, 1]), AXES, strict=True):

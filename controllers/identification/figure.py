@@ -18,19 +18,16 @@ MOST = 600
 """Samples that are shown: with more, no line is seen beside another."""
 
 
-def draw(found: Identification) -> Figure:
-    """Return the figure: for each output held-out data and the errors' autocorrelation, and what told the order.
+def draw(found: Identification, figure: Figure) -> Figure:
+    """Draw on an empty figure: for each output held-out data and the errors' autocorrelation, and what told the order.
 
     Grey behind the autocorrelations is where 95 % of those of white noise are.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     from bayesftc.controllers.identification.identify import LAGS, autocorrelation
 
     count = len(found.outputs)
-    figure = Figure(figsize=(9.0, 2.2 * count + 2.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure.set_size_inches(9.0, 2.2 * count + 2.4)
+    figure.set_layout_engine("constrained")
     grid = figure.add_gridspec(count + 1, 3)
     shown = slice(0, MOST)
     for i, name in enumerate(found.outputs):

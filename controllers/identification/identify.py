@@ -103,8 +103,9 @@ class Identification:
     def plot(self) -> Figure:
         """Return a figure: held-out data, predictions and residuals of each output, and what told the order."""
         from bayesftc.controllers.identification.figure import draw
+        from bayesftc.cosim.judging.panels import shown_figure
 
-        return draw(self)
+        return draw(self, shown_figure())
 
 
 def identify(

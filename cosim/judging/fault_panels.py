@@ -156,9 +156,7 @@ def _draw_kinds(axis: Axes, time: Floats, each: SensorSignals | ActuatorSignals,
     edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
     ends = np.append(time, time[-1])
     stretches = [
-        (float(ends[a]), float(ends[b]), _words(each.kinds, kind[a]))
-        for a, b in pairwise(edges)
-        if kind[a] > 0
+        (float(ends[a]), float(ends[b]), _words(each.kinds, kind[a])) for a, b in pairwise(edges) if kind[a] > 0
     ]
     axis.broken_barh([(a, b - a) for a, b, _ in stretches], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
     letter = 0.8 * LETTER * float(time[-1] - time[0])

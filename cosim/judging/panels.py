@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -30,11 +31,29 @@ def shown_figure() -> Figure:
 
     from bayesftc.cosim.judging.notebook import NotebookFigure
 
-    if "inline" in str(matplotlib.get_backend()):
+    backend = str(matplotlib.get_backend()).lower()
+    if "inline" in backend or (backend == "agg" and _in_kernel()):
         return NotebookFigure()
     from matplotlib import pyplot
 
     return pyplot.figure()
+
+
+def _in_kernel() -> bool:
+    """Return whether this process runs the cells of a notebook."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython and ipython.get_ipython()
+    return hasattr(shell, "kernel")
+
+
+def bare_figure() -> Figure:
+    """Return an empty figure that pyplot does not know, as for a file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def make_panels(heights: Sequence[float], figure: Figure | None = None) -> tuple[Figure, list[Axes]]:
@@ -47,12 +66,7 @@ def make_panels(heights: Sequence[float], figure: Figure | None = None) -> tuple
     figure : Figure, optional
         An empty one to draw on; by default one that pyplot does not know.
     """
-    if figure is None:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        figure = Figure()
-        FigureCanvasAgg(figure)
+    figure = figure or bare_figure()
     figure.set_size_inches(WIDTH, 0.6 + sum(heights))
     figure.set_layout_engine("constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]

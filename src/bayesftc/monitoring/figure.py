@@ -17,18 +17,20 @@ if TYPE_CHECKING:
     from bayesftc.monitoring.run import Monitored
 
 
-def plot_monitored(found: Monitored) -> Figure:
+def plot_monitored(found: Monitored, figure: Figure | None = None) -> Figure:
     """Return a figure: for each quantity that is measured the samples and the belief, then their distance, then the faults.
 
     Parameters
     ----------
     found : Monitored
         Alarms are shaded in the colour of their sensor; those of actuators are hatched.
+    figure : Figure, optional
+        An empty one to draw on.
     """
     plant = found.model.states - found.model.disturbances
     rows = found.model.quantities[:, :plant]
     quantities, of = np.unique(rows, axis=0, return_inverse=True)
-    figure, axes = make_panels([PANEL] * (len(quantities) + 2))
+    figure, axes = make_panels([PANEL] * (len(quantities) + 2), figure)
     believed = found.x_hat[:, :plant] @ rows.T
     units = found.recording.units
     for q, axis in enumerate(axes[: len(quantities)]):

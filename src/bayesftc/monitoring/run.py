@@ -113,9 +113,10 @@ class Monitored:
 
     def plot(self) -> Figure:
         """Return the figure: samples and belief, the samples' distance from it, and the fault probabilities."""
+        from bayesftc.cosim.judging.panels import shown_figure
         from bayesftc.monitoring.figure import plot_monitored
 
-        return plot_monitored(self)
+        return plot_monitored(self, shown_figure())
 
 
 def monitor_recording(

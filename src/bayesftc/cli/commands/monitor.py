@@ -119,8 +119,10 @@ def summary(found: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
 
 
 def _write(folder: Path, found: Monitored, numbers: dict[str, Any]) -> None:
+    from bayesftc.monitoring.figure import plot_monitored
+
     picture = io.BytesIO()
-    found.plot().savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+    plot_monitored(found).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
     table, text = found.to_pandas(), output.as_json(numbers) + "\n"
     with output.staged(folder) as stage:
         table.to_csv(stage / PROBABILITIES, index=False, float_format="%.9g")

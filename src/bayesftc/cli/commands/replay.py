@@ -86,11 +86,13 @@ def replay(
 
 def _write_signals(folder: Path, result: Result, numbers: Mapping[str, Any]) -> None:
     """Write the signals of a diagram that is no closed loop, and what is known of the run."""
+    from bayesftc.cosim.judging.plotting import plot_signals
+
     with output.staged(folder) as stage:
         result.save(stage / output.RESULT)
         (stage / output.NUMBERS).write_text(output.as_json(numbers) + "\n", encoding="utf-8")
         with suppress(BayesFTCError):  # nothing in it that can be drawn
-            result.plot().savefig(stage / output.FIGURE, dpi=output.DOTS_PER_INCH, format="png")
+            plot_signals(result).savefig(stage / output.FIGURE, dpi=output.DOTS_PER_INCH, format="png")
 
 
 def _same(kept: Any, decimation: int, run: int, result: Any) -> str:
