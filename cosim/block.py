@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesftc.cosim.errors import KernelError, UnknownNameError, did_you_mean
-from bayesftc.cosim.ports import Port
+from bayesftc.cosim.base.html import settings
+from bayesftc.cosim.errors import BayesFTCError, KernelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port, listed
 from bayesftc.cosim.stepping.records import as_written, with_arrays
 from bayesftc.cosim.types import Floats, Kernel
 
@@ -134,6 +135,14 @@ class Block:
         if name not in ports:
             raise UnknownNameError(f"{type(self).__name__} has no port {name!r}; {did_you_mean(name, ports)}")
         return ports[name]
+
+    def _repr_html_(self) -> str:
+        """Return the settings and ports as a table, for notebooks."""
+        try:
+            ports = [("inputs", listed(self.inputs, 30)), ("outputs", listed(self.outputs, 30))]
+        except BayesFTCError:  # as of a fault before it is in a diagram
+            ports = []
+        return settings(self, ports)
 
     def online(self, dt: float | str | Fraction | None = None, *, compiled: bool = True) -> Online:
         """Return the same block for a user's own loop or for hardware: a callable that makes one step.

@@ -12,12 +12,19 @@ from numpy.typing import ArrayLike
 
 from bayesftc.controllers.models.checks import ROWS, Matrix, as_covariance, as_matrix, as_numbers, as_vector, frozen
 from bayesftc.controllers.models.sensor_errors import with_sensor_errors
+from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     from bayesftc.controllers.identification.identify import Identification
+
+
+def sizes_of(model: Any) -> str:
+    """Return how many states, controls and sensors a model has, and its sample time, as a text."""
+    parts = [f"{getattr(model, name)} {name}" for name in ("states", "controls", "sensors")]
+    return f"{', '.join(parts)}, dt = {float(model.step):g} s"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +108,15 @@ class LinearModel:
     def sensors(self) -> int:
         """Number of sensors m."""
         return len(self.matrix("C"))
+
+    @property
+    def sizes(self) -> str:
+        """Numbers of states, controls and sensors, and the sample time, as a text."""
+        return sizes_of(self)
+
+    def _repr_html_(self) -> str:
+        """Return the sizes and matrices as a table, for notebooks."""
+        return settings(self, [("sizes", self.sizes)])
 
     @property
     def step(self) -> Fraction:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number, as_vector
-from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.linear import LinearModel, sizes_of
 from bayesftc.controllers.models.trial import try_out
+from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import KernelError, ModelError
 from bayesftc.cosim.stepping.differentiation import jacobian
@@ -110,6 +111,15 @@ class NonlinearModel:
         """The Jacobians of f and of g as step functions, ``(x, u, F, B)`` and ``(x, C)``: those given, else derived."""
         of_f = self.f_jacobian or _derived("f", self.f, (self.states, self.controls), self.states)
         return of_f, self.g_jacobian or _derived("g", self.g, (self.states,), self.sensors)
+
+    @property
+    def sizes(self) -> str:
+        """Numbers of states, controls and sensors, and the sample time, as a text."""
+        return sizes_of(self)
+
+    def _repr_html_(self) -> str:
+        """Return the settings as a table, for notebooks."""
+        return settings(self, [("sizes", self.sizes)])
 
     @property
     def step(self) -> Fraction:

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -133,6 +134,10 @@ class Learner:
 @dataclass(frozen=True)
 class PrecisionLearner:
     """Base of all precision learners and baselines: the part of a controller that decides how far each sensor is trusted."""
+
+    def _repr_html_(self) -> str:
+        """Return the settings as a table, for notebooks."""
+        return settings(self)
 
     def learner(self, model: LinearModel) -> Learner:
         """Return the learner for a model.

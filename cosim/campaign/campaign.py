@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.base.timebase import whole_number, whole_steps
 from bayesftc.cosim.campaign.designs.design import Design, Grid
@@ -214,6 +215,19 @@ class Campaign:
 
     def __repr__(self) -> str:
         return f"<Campaign: {len(self.labels)} points, {self.runs} runs>"
+
+    def _repr_html_(self) -> str:
+        """Return the factors with their values, and what is kept of each run, for notebooks."""
+        job = self.job
+        factors = {name: list(dict.fromkeys(str(label[name]) for label in self.labels)) for name in self.labels[0]}
+        rows = [(name, ", ".join(values)) for name, values in factors.items()]
+        rows += [
+            ("duration", f"{float(job.steps * job.step):g} s, {job.steps} steps"),
+            ("seeds at each point", str(len(job.plan.seeds[0]))),
+            ("metrics", ", ".join(job.columns) or "none"),
+            ("signals", ", ".join(job.signals) or "none"),
+        ]
+        return table(repr(self)[1:-1], rows)
 
 
 def _piece(job: Job) -> int:

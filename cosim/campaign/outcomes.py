@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,6 +56,11 @@ class CampaignResult:
         table = self.table
         failed = int((table["status"] != "ok").sum())
         return f"<CampaignResult: {len(table)} runs{f', {failed} failed' if failed else ''}>"
+
+    def _repr_html_(self) -> str:
+        """Return the first and the last runs as a table, for notebooks."""
+        shown: str = self.table._repr_html_()  # type: ignore[operator]
+        return f"<p><b>{escape(repr(self)[1:-1])}</b></p>\n{shown}"
 
 
 class InMemory:

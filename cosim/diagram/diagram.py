@@ -425,6 +425,11 @@ class Diagram:
         blocks = ", ".join(self._nodes)
         return f"<Diagram of {len(self._nodes)} blocks at {float(self.step):g} s: {blocks}>"
 
+    def _repr_html_(self) -> str:
+        from bayesftc.cosim.diagram.drawing import drawing
+
+        return drawing(self)
+
     def _refuse_if_built(self, what: str) -> None:
         if self._coupling is not None:
             raise ModelError(f"The diagram is built and frozen; to {what}, do so before build() or simulate().")

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.paths import is_file
 from bayesftc.cosim.diagram.roles import LoopRoles, known_roles
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
@@ -143,6 +144,17 @@ class Result(Mapping[str, Floats]):
         rows = len(self._recording)
         end = float(self.time[-1]) if rows else 0.0
         return f"<Result: {len(self)} signals, {rows} rows to t = {end:g} s{', stopped early' if self.stopped else ''}>"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the signals with their ranges, for notebooks."""
+        rows = []
+        for name in self:
+            values = self[name][np.isfinite(self[name])]
+            ends = (f"{values.min():.4g}", f"{values.max():.4g}") if values.size else ("", "")
+            size = " x ".join(map(str, self._columns[name][1])) or "1"
+            rows.append((name, size, self.units.get(name, ""), *ends))
+        title = repr(self)[1:-1] + (f": {self.stopped}" if self.stopped else "")
+        return table(title, rows, ("signal", "size", "unit", "smallest", "largest"))
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a column for each scalar (``y[0]``, ``y[1]``, ...) and time in seconds as its index."""
