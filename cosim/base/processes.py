@@ -57,6 +57,9 @@ def can_start() -> bool:
     return os.name == "posix" and bool(sys.executable)
 
 
+_is_child = False
+
+
 class Lifeline:
     """The end of a pipe that this process holds as long as another one is to live.
 
@@ -108,8 +111,15 @@ def start(
     return process, lifeline
 
 
+def has_host() -> bool:
+    """Return whether this process is a program that `start` has started."""
+    return _is_child
+
+
 def begin(*descriptors: int) -> None:
     """Begin as a program that `start` has started; the first descriptor is its lifeline, the others are those it inherits."""
+    global _is_child
+    _is_child = True
     for descriptor in descriptors:
         os.set_inheritable(descriptor, False)  # programs that are started from here have no business with them
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, which ends this process as it sees fit

@@ -25,6 +25,7 @@ from numba.core.ccallback import CFunc
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic, overload
 
+from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory, is_own
 from bayesftc.cosim.errors import BayesFTCError, KernelError
 from bayesftc.cosim.stepping import numba_ops as _numba_ops
@@ -225,7 +226,7 @@ def _execute(path: Path, text: str, namespace: dict[str, Any]) -> ModuleType:
     module.__dict__.update(namespace)
     sys.modules[module.__name__] = module  # numba looks the module up by name while it compiles
     try:
-        with _no_collection():
+        with _no_collection(), announced(not _of_numba(path)):
             exec(compile(text, str(path), "exec"), module.__dict__)  # our own text, the same as in the file
     except BaseException:
         del sys.modules[module.__name__]

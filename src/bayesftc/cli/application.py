@@ -6,6 +6,7 @@ To add one, write a function of its name in a module of its name, with its optio
 
 from __future__ import annotations
 
+import logging
 from functools import wraps
 from importlib import import_module
 from inspect import Parameter, signature
@@ -53,8 +54,15 @@ def load(name: str) -> Any:
 
     @wraps(function)
     def run(*, debug: bool, **options: Any) -> None:
-        with guarded(debug):
-            function(**options)
+        logger = logging.getLogger("bayesftc")
+        level = logger.level
+        if options.get("quiet"):
+            logger.setLevel(logging.WARNING)
+        try:
+            with guarded(debug):
+                function(**options)
+        finally:
+            logger.setLevel(level)
 
     run.__signature__ = shown.replace(parameters=[*shown.parameters.values(), debug])  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in (*shown.parameters.values(), debug)}

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import json
 import os
+import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -27,6 +29,8 @@ DASH = "–"
 TRACKING = "Tracking compares with the reference at the same instant; the controller aims at it with the next state, one step on."
 ACTUATORS = "Size: of LostEffect the share that is lost, else in the unit of the control."
 DOTS_PER_INCH = 150
+PERIOD = 10.0
+"""Seconds between two lines that say how far a command is, where there is no terminal for a bar."""
 
 SENSOR_ROWS = (
     ("share of time in fault", "fault_share", "{:.1%}"),
@@ -179,6 +183,35 @@ def progress_bar(
                 bar.update(task, completed=done, total=of, **now)
 
         yield move
+
+
+@contextmanager
+def progress_lines(name: str, *, period: float = PERIOD) -> Iterator[Callable[..., None]]:
+    """Give what is called as ``move(done, of, **fields)``, and print on stderr how far that is, every few seconds.
+
+    It takes the place of a bar where stderr is no terminal, as in the log of a cluster: each line stands for itself.
+    """
+    state: dict[str, Any] = {}
+    ended = threading.Event()
+    begun = time.monotonic()
+
+    def move(done: int, of: int, **now: Any) -> None:
+        state.update(done=done, of=of, now=now)
+
+    def tell() -> None:
+        while not ended.wait(period):
+            texts = [str(state["now"][key]) for key in sorted(state["now"]) if state["now"][key]] if state else []
+            far = ", ".join([f"{state['done']} of {state['of']}", *texts]) if state else "preparing"
+            sys.stderr.write(f"{name}: {far}, after {time.monotonic() - begun:.0f} s\n")
+            sys.stderr.flush()
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        yield move
+    finally:
+        ended.set()
+        thread.join()
 
 
 def say_notes(notes: Iterable[str]) -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from bayesftc import cosim, fmus
 from bayesftc.cosim import DaskCluster, Threads
+from bayesftc.cosim.base.announcing import SENTENCE
 from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
@@ -199,7 +200,7 @@ def test_an_address_of_no_kind_that_dask_knows_leaves_no_client_behind():
     """One that is half made is closed when Python ends: after 20 seconds, with a traceback."""
     done = subprocess.run([sys.executable, "-c", NO_KIND], capture_output=True, text=True, timeout=100, check=True)
     assert "There is no Dask scheduler at 'nonsense://x:1' (unknown address scheme 'nonsense'" in done.stdout
-    assert not done.stderr
+    assert done.stderr in {"", f"{SENTENCE}\n"}  # the first run on a machine compiles, and says so
 
 
 CLIENT = """

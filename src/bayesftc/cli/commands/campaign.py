@@ -66,7 +66,7 @@ def campaign(
     chosen = _executor(executor, jobs, scheduler)
     folder = Path(file.stem) if out is None else out
     began = time.perf_counter()
-    with _progress(file.stem, shown=sys.stderr.isatty() and not quiet and not json) as progress:
+    with _progress(file.stem, shown=not quiet and not json) as progress:
         result = loaded.run(
             folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(file, loaded)
         )
@@ -184,7 +184,11 @@ def _interval(cell: Mapping[str, float] | None) -> str:
 
 @contextmanager
 def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
-    """Give a function that moves a progress bar on stderr, or None."""
+    """Give a function that moves a progress bar on stderr, or has lines printed there if it is no terminal; else None."""
+    if shown and not sys.stderr.isatty():
+        with output.progress_lines(name) as move:
+            yield _mover(move)
+        return
     columns = "count", "{task.fields[rate]}", "remaining", "{task.fields[failed]}"
     with output.progress_bar(name, *columns, shown=shown, breath=BREATH, rate="", failed="") as move:
         yield move and _mover(move)

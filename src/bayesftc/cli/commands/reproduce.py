@@ -79,7 +79,7 @@ def reproduce(
         output.check_folder(out, [name for e in chosen for name in _names(e)])
     reports = {}
     for each in chosen:
-        with _progress(each.name, shown=sys.stderr.isatty() and not quiet and not json) as progress:
+        with _progress(each.name, shown=not quiet and not json) as progress:
             report = each.run(**given, runs=runs, beyond=not paper_only, progress=progress)
         reports[each.name] = report
         written = [] if out is None else _write(out, each, report)
@@ -131,6 +131,10 @@ def _print(experiment: Experiment, report: Report, folder: Path | None, written:
 
 @contextmanager
 def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
-    """Give a function that moves a progress bar on stderr, or None."""
+    """Give a function that moves a progress bar on stderr, or has lines printed there if it is no terminal; else None."""
+    if shown and not sys.stderr.isatty():
+        with output.progress_lines(name) as move:
+            yield lambda what, done, of: move(done, of, what=what)
+        return
     with output.progress_bar(name, "count", "elapsed", shown=shown, breath=BREATH) as move:
         yield move and (lambda what, done, of: move(done, of, description=f"{name}: {what}"))

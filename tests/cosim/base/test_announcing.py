@@ -1,0 +1,69 @@
+"""The sentence about compiling: said once, where nobody listens on stderr, and not for what comes from the disk."""
+
+import logging
+import sys
+import time
+
+import pytest
+
+from bayesftc.cosim.base import announcing
+from bayesftc.cosim.stepping import compiler
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """A process that has compiled nothing yet and is not patient."""
+    monkeypatch.setattr(announcing, "announcement", announcing._Announcement())
+    monkeypatch.setattr(announcing, "PATIENCE", 0.05)
+    logger = logging.getLogger("bayesftc")
+    level, handlers = logger.level, list(logger.handlers)
+    logger.setLevel(logging.NOTSET)
+    yield logger
+    logger.setLevel(level)
+    logger.handlers[:] = handlers
+
+
+def test_it_is_said_once_and_only_if_compiling_takes_long(fresh, caplog):
+    with announcing.announced(True):
+        pass
+    assert not caplog.messages
+    for _ in range(2):
+        with announcing.announced(True):
+            time.sleep(0.2)
+    with announcing.announced(False):
+        time.sleep(0.1)
+    assert caplog.messages == [announcing.SENTENCE]
+
+
+def test_many_short_compilations_add_up(fresh, caplog):
+    for _ in range(5):
+        with announcing.announced(True):
+            time.sleep(0.03)
+    time.sleep(0.05)
+    assert caplog.messages == [announcing.SENTENCE]
+
+
+def test_without_logging_it_is_on_stderr_and_quiet_turns_it_off(fresh, monkeypatch, capsys):
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    with announcing.announced(True):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == f"{announcing.SENTENCE}\n"
+    monkeypatch.setattr(announcing, "announcement", announcing._Announcement())
+    fresh.setLevel(logging.WARNING)
+    with announcing.announced(True):
+        time.sleep(0.2)
+    assert capsys.readouterr().err == ""
+
+
+def test_what_comes_from_the_disk_is_not_announced(fresh, monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiler, "announced", lambda needed: asked.append(needed) or announcing.announced(False))
+    sections = {"u": ("inputs", 0, (1,)), "y": ("outputs", 0, (1,))}
+    for _ in range(2):
+        names = {}
+        exec("def doubled_for_announcing(u, y):\n    y[0] = 2.0 * u[0]", names)
+        compiler.compile_kernel(names["doubled_for_announcing"], sections)
+        for name in [name for name in compiler._modules if "doubled_for_announcing" in name]:
+            sys.modules.pop(compiler._modules.pop(name).__name__)
+    assert asked == [True, False]
