@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.probabilities import reliability
+from bayesftc.cosim.judging.probabilities import Reliability, reliability
 
 if TYPE_CHECKING:
     from bayesftc.controllers.precision.base import PrecisionLearner
@@ -55,6 +55,8 @@ class CalibrationReport:
         Share of samples in fault.
     samples : int
         Number of samples judged.
+    reliability : Reliability or None
+        The probability's reliability in ten bins of equal width; ``report.reliability.plot()`` draws its diagram.
     """
 
     calibration: Calibration | None
@@ -64,6 +66,7 @@ class CalibrationReport:
     calibration_error: float
     fault_share: float
     samples: int
+    reliability: Reliability | None = field(default=None, repr=False, compare=False)
 
 
 def calibrate(
@@ -204,6 +207,7 @@ def _judged(
         calibration_error=found.calibration_error,
         fault_share=float(faulty.mean()),
         samples=len(probability),
+        reliability=reliability(probability, faulty, equal="widths"),
     )
 
 

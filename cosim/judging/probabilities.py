@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import NAN, without_nan
 from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +40,21 @@ class Reliability:
     samples: Floats = field(repr=False)
     predicted: Floats = field(repr=False)
     observed: Floats = field(repr=False)
+
+    def plot(self, title: str | None = None) -> Figure:
+        """Return the reliability diagram: share of faulty samples over mean probability, and the samples of each bin.
+
+        Bins of equal width (``equal="widths"`` of `reliability`) are usual for it.
+
+        Parameters
+        ----------
+        title : str, optional
+            Stands above.
+        """
+        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.reliability_figure import plot_reliability
+
+        return plot_reliability(self, shown_figure(), title)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""

@@ -1,7 +1,7 @@
 """Four faults put into a drive, and what the monitor finds of them.
 
-``python -m bayesftc.examples.redundant_speed_sensors.watch [FOLDER] [--figure FILE]``. FOLDER has the three CSV files; without it
-the made-up drive is taken.
+``python -m bayesftc.examples.redundant_speed_sensors.watch [FOLDER] [--figure FILE] [--write FOLDER]``. FOLDER has the three CSV
+files; without it the made-up drive is taken. ``--write`` keeps the drive with its faults, as it stands in ``faulty``.
 """
 
 import argparse
@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from bayesftc.examples.redundant_speed_sensors.command import sentences
 from bayesftc.examples.redundant_speed_sensors.study import DATA, broken, noise_of
-from bayesftc.monitoring import Monitored, align, load_monitor
+from bayesftc.monitoring import Monitor, Monitored, Signal, align, load_monitor
 
 FAULTS = (
     ("front_left", "noise", 5.0, (5.0, 11.0)),
@@ -23,13 +24,39 @@ FAULTS = (
 """Sensor, kind, size (times its noise; m/s per second), from when to when (s)."""
 
 
-def watch(folder: Path = DATA) -> Monitored:
-    """Put the faults into the drive and return what is found."""
+COLUMNS = {
+    "wheel_speed.csv": {name: name for name in ("front_left", "front_right", "rear_left", "rear_right")},
+    "gnss_speed.csv": {"gnss": "speed"},
+    "imu.csv": {},
+}
+"""The files of a drive, and which sensor has which column."""
+
+
+def put_in(folder: Path) -> tuple[Monitor, dict[str, Signal], dict[str, Signal]]:
+    """Return the monitor, the sensors' signals with the faults, and the inputs."""
     monitor, rng = load_monitor(DATA / "model.toml"), np.random.default_rng(3)
     sensors, inputs = monitor.signals([folder])
     for name, kind, size, span in FAULTS:
         sensors[name] = broken(sensors[name], kind, size, noise_of(monitor, name), span, rng)
+    return monitor, sensors, inputs
+
+
+def watch(folder: Path = DATA) -> Monitored:
+    """Put the faults into the drive and return what is found."""
+    monitor, sensors, inputs = put_in(folder)
     return monitor.run(align(sensors, inputs, monitor.dt))
+
+
+def write(folder: Path, drive: Path = DATA) -> None:
+    """Write the drive with its faults as CSV files; a missing sample is an empty cell."""
+    _, sensors, _ = put_in(drive)
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, columns in COLUMNS.items():
+        table = pd.read_csv(drive / file)
+        for name, column in columns.items():
+            known = pd.Series(sensors[name].values, index=sensors[name].time)
+            table[column] = known.reindex(table["t"]).to_numpy()  # samples that are missing have no row in a signal
+        table.to_csv(folder / file, index=False, float_format="%.4f", lineterminator="\n")
 
 
 def main(argv: Sequence[str] | None = None) -> Monitored:
@@ -37,9 +64,12 @@ def main(argv: Sequence[str] | None = None) -> Monitored:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("folder", nargs="?", type=Path, default=DATA, help="where the CSV files are")
     parser.add_argument("--figure", type=Path, help="file to draw into")
+    parser.add_argument("--write", type=Path, help="folder for the drive with its faults")
     arguments = parser.parse_args(argv)
     with sentences(parser):
         found = watch(arguments.folder)
+        if arguments.write is not None:
+            write(arguments.write, arguments.folder)
         if arguments.figure is not None:
             try:
                 found.plot().savefig(arguments.figure, dpi=150)

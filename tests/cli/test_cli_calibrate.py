@@ -63,3 +63,15 @@ def test_of_a_learner_that_gives_a_probability_it_is_said_how_good_it_is():
     said = " ".join(RUNNER.invoke(app, options).output.split())
     assert f"AUC {report['auc']:.3f}, Brier score {report['brier']:.4f}" in said
     assert "SwitchingPrecision gives a fault probability itself, so there is no map to fit" in said
+
+
+def test_the_diagram_and_the_numbers_are_written(tmp_path):
+    folder = tmp_path / "out"
+    done = RUNNER.invoke(app, ["calibrate", "cruise_control", "--steps", "6000", "--seed", "3", "--out", str(folder)])
+    assert done.exit_code == 0, done.output
+    assert f"Written to {folder}: reliability.png, calibration.json." in done.output
+    assert (folder / "reliability.png").read_bytes().startswith(b"\x89PNG")
+    numbers = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
+    assert sum(numbers["reliability"]["samples"]) == numbers["samples"]
+    (tmp_path / "file").write_text("")
+    assert RUNNER.invoke(app, ["calibrate", "cruise_control", "--out", str(tmp_path / "file")]).exit_code == 12

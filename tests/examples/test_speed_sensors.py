@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bayesftc.examples.redundant_speed_sensors import fit, study, synthetic, watch
-from bayesftc.monitoring import load_monitor
+from bayesftc.monitoring import align, load_monitor
+from bayesftc.monitoring.figure import plot_monitored
 
 FOLDER = Path(study.__file__).parent
 RECORDED = study.recorded()
@@ -32,6 +33,21 @@ def test_the_drives_files_are_what_its_script_writes(tmp_path):
         # Sines and exponentials may differ in the last bit between machines, and so a wheel's sample by one step.
         ours, theirs = (np.loadtxt(f, delimiter=",", skiprows=1) for f in (file, FOLDER / "data" / file.name))
         np.testing.assert_allclose(ours, theirs, atol=0.003)
+
+
+def test_the_drive_with_faults_is_shipped(tmp_path):
+    watch.write(tmp_path)
+    for file in (FOLDER / "faulty").iterdir():
+        ours, theirs = (np.genfromtxt(f, delimiter=",", skip_header=1) for f in (tmp_path / file.name, file))
+        np.testing.assert_allclose(ours, theirs, atol=0.003)
+    gnss = np.genfromtxt(FOLDER / "faulty" / "gnss_speed.csv", delimiter=",", skip_header=1)
+    assert np.isnan(gnss[:, 1]).sum() == 40
+    monitor = load_monitor(FOLDER / "data" / "model.toml")
+    found = monitor.run(align(*monitor.signals([FOLDER / "faulty"]), monitor.dt))
+    assert [event.sensor for event in found.events] == [name for name, *_ in watch.FAULTS]
+    figure = plot_monitored(found)
+    labels = [axis.get_ylabel() for axis in figure.axes]
+    assert labels == ["belief (m/s)", *(f"{s}\n(m/s)" for s in found.recording.sensors), "fault probability"]
 
 
 def test_the_made_up_drive_is_like_the_recorded_one():

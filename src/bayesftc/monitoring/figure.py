@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, name_spans, thin
-from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, SENSOR_COLOURS
+from bayesftc.cosim.judging.panels import finish, legend, make_panels, name_spans, thin, with_unit
+from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, colour_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,8 +17,12 @@ if TYPE_CHECKING:
     from bayesftc.monitoring.run import Monitored
 
 
+MAIN, STRIP = 1.9, 0.85
+"""Heights of panels in inches: of a quantity, and of one sensor's samples."""
+
+
 def plot_monitored(found: Monitored, figure: Figure | None = None) -> Figure:
-    """Return a figure: for each quantity that is measured the samples and the belief, then their distance, then the faults.
+    """Return a figure: belief of each quantity, each sensor's samples minus the belief in a panel of its own, then the faults.
 
     Parameters
     ----------
@@ -30,20 +34,21 @@ def plot_monitored(found: Monitored, figure: Figure | None = None) -> Figure:
     plant = found.model.states - found.model.disturbances
     rows = found.model.quantities[:, :plant]
     quantities, of = np.unique(rows, axis=0, return_inverse=True)
-    figure, axes = make_panels([PANEL] * (len(quantities) + 2), figure)
-    believed = found.x_hat[:, :plant] @ rows.T
     units = found.recording.units
+    heights = [MAIN] * len(quantities) + [STRIP] * len(units) + [MAIN]
+    figure, axes = make_panels(heights, figure)
+    believed = found.x_hat[:, :plant] @ rows.T
     for q, axis in enumerate(axes[: len(quantities)]):
         members = [i for i, quantity in enumerate(of.reshape(-1)) if quantity == q]
-        for i in members:
-            _dots(axis, found, i, found.recording.y[:, i])
         axis.plot(*thin(found.time, believed[:, members[0]]), color=BLACK, lw=1.2, label="belief")
-        axis.set_ylabel("samples" + _of(units[members[0]]))
-    for i in range(len(units)):
-        _dots(axes[-2], found, i, found.recording.y[:, i] - believed[:, i])
-    axes[-2].set_ylabel("sample minus belief" + _of(units[0] if len(set(units)) == 1 else ""))
+        what = found.recording.sensors[members[0]] if len(quantities) > 1 else ""
+        axis.set_ylabel(with_unit("\n".join(["belief", *filter(None, [what])]), units[members[0]]))
+    for i, axis in enumerate(axes[len(quantities) : -1]):
+        _dots(axis, found, i, found.recording.y[:, i] - believed[:, i])
+        axis.axhline(0.0, color="0.4", lw=0.8, zorder=0)
+        axis.set_ylabel(found.recording.sensors[i] + (f"\n({units[i]})" if units[i] else ""), fontsize=8)
     for i, sensor in enumerate(found.recording.sensors):
-        style: dict[str, Any] = {"color": _colour(i), "ls": LINES[i % len(LINES)]}
+        style: dict[str, Any] = {"color": colour_of(i), "ls": LINES[i % len(LINES)]}
         axes[-1].plot(*thin(found.time, found.fault_probability[:, i]), lw=1.3, label=sensor, **style)
     for j, name in enumerate(found.actuators):
         style = {"color": BLACK, "ls": LINES[j % len(LINES)]}
@@ -54,18 +59,21 @@ def plot_monitored(found: Monitored, figure: Figure | None = None) -> Figure:
     for axis in axes:
         for event in found.events:
             axis.axvspan(
-                event.start, event.end, color=_colour(found.recording.sensors.index(event.sensor)), alpha=0.12, lw=0
+                event.start, event.end, color=colour_of(found.recording.sensors.index(event.sensor)), alpha=0.12, lw=0
             )
         for blamed in found.actuator_events:
             axis.axvspan(blamed.start, blamed.end, fc="none", ec="0.8", hatch="///", lw=0, zorder=0)
-    for axis in (*axes[:-2], axes[-1]):
+    if found.events or found.actuator_events:
+        axes[0].fill_between([], [], color="0.88", lw=0, label="shaded: an alarm")
+    axes[len(quantities)].plot([], [], ".", color="0.4", label="samples minus\nbelief")
+    for axis in (*axes[: len(quantities) + 1], axes[-1]):
         legend(axis)
     names = [
         (
             e.start,
             e.end,
             f"{e.sensor}: {e.kind}" if e.kind else e.sensor,
-            _colour(found.recording.sensors.index(e.sensor)),
+            colour_of(found.recording.sensors.index(e.sensor)),
         )
         for e in found.events
     ]
@@ -79,12 +87,4 @@ def _dots(axis: Axes, found: Monitored, i: int, values: Floats) -> None:
     known = np.isfinite(values)
     time, shown = thin(found.time[known], values[known])
     marker = MARKERS[i % len(MARKERS)]
-    axis.plot(time, shown, marker, ms=1.6, mew=0, color=_colour(i), alpha=0.7, label=found.recording.sensors[i])
-
-
-def _colour(i: int) -> str:
-    return SENSOR_COLOURS[i % len(SENSOR_COLOURS)]
-
-
-def _of(unit: str) -> str:
-    return f" ({unit})" if unit else ""
+    axis.plot(time, shown, marker, ms=1.6, mew=0, color=colour_of(i), alpha=0.7)

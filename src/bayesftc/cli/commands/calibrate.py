@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
-from typing import Annotated
+import io
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -13,8 +16,11 @@ from bayesftc.cli.options import AScenario, Json
 from bayesftc.controllers.detection.calibration import judge_own_probability
 from bayesftc.controllers.precision.rate import RateLearner
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.probabilities import Reliability
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._place import Place
+
+DIAGRAM, NUMBERS = "reliability.png", "calibration.json"
 
 
 def calibrate(
@@ -25,6 +31,9 @@ def calibrate(
     drift: Annotated[float | None, typer.Option(help="Drift per second; by default 5 sensor sd.")] = None,
     steps: Annotated[int, typer.Option(help="Length of the simulated run.")] = 80_000,
     seed: Annotated[int, typer.Option(help="Seed of its noise and faults.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help=f"Write {DIAGRAM} and {NUMBERS} there.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Fit the map for a scenario's model, learner, controller and reference, and print it as a line of TOML.
@@ -34,6 +43,8 @@ def calibrate(
     """
     hazards, path = controllers.Hazards(time_to_fault, time_to_recovery), scenario
     magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
+    if out is not None:
+        output.check_folder(out, (DIAGRAM, NUMBERS))
     loaded = load_scenario(path)
     controller = loaded.controller
     if not isinstance(controller, controllers.BayesianController):
@@ -45,8 +56,11 @@ def calibrate(
         report = (judge_own_probability if tells else controllers.calibrate)(
             controller.model, hazards, magnitudes, reference=loaded.reference, steps=steps, seed=seed, **own
         )
+    numbers = asdict(replace(report, reliability=None)) | {"reliability": report.reliability.to_dict()}
+    if out is not None:
+        _write(out, path, report.reliability, numbers)
     if json:
-        typer.echo(output.as_json(asdict(report)))
+        typer.echo(output.as_json(numbers))
         return
     c = report.calibration
     typer.echo(
@@ -54,6 +68,8 @@ def calibrate(
         f"Brier score {report.brier:.4f} (a constant: {report.brier_of_constant:.4f}), calibration error "
         f"{report.calibration_error:.3f}."
     )
+    if out is not None:
+        typer.echo(f"Written to {out}: {DIAGRAM}, {NUMBERS}.")
     if c is None:
         typer.echo(
             f"{type(learner).__name__} gives a fault probability itself, so there is no map to fit. For a map of the residual "
@@ -62,3 +78,16 @@ def calibrate(
         return
     typer.echo("For [controller.precision]:\n")
     typer.echo(f'calibration = {{ slope = {c.slope:.4g}, intercept = {c.intercept:.4g}, feature = "{c.feature}" }}')
+
+
+def _write(folder: Path, scenario: str, found: Reliability, numbers: Mapping[str, Any]) -> None:
+    """Write the reliability diagram and the numbers."""
+    from bayesftc.cosim.judging.panels import bare_figure
+    from bayesftc.cosim.judging.reliability_figure import plot_reliability
+
+    picture = io.BytesIO()
+    title = f"{Path(scenario).stem}: {numbers['samples']} samples of simulated faults"
+    plot_reliability(found, bare_figure(), title).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+    with output.staged(folder) as stage:
+        (stage / DIAGRAM).write_bytes(picture.getbuffer())
+        (stage / NUMBERS).write_text(output.as_json(numbers) + "\n", encoding="utf-8")

@@ -1,0 +1,42 @@
+"""The reliability diagram: of the samples that a probability calls 30 % faulty, 30 % should be."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bayesftc.cosim.judging.plotting import BLUE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from bayesftc.cosim.judging.probabilities import Reliability
+
+
+def plot_reliability(found: Reliability, figure: Figure, title: str | None = None) -> Figure:
+    """Draw the reliability diagram on an empty figure and return it; below, how many samples each bin has.
+
+    There are no intervals: the samples of one run depend on each other, and their number says little.
+    """
+    figure.set_size_inches(5.6, 6.4)
+    figure.set_layout_engine("constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    above.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="as often as the probability says")
+    error = f"bins of samples (calibration error {found.calibration_error:.3f})"
+    above.plot(found.predicted, found.observed, "o-", color=BLUE, lw=1.5, ms=5, label=error)
+    above.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), ylabel="share of samples in fault")
+    above.legend(loc="upper left", frameon=False, fontsize=9)
+    known = found.samples > 0
+    below.bar(found.predicted[known], found.samples[known], width=0.03, color=BLUE)
+    below.set(yscale="log", ylim=(0.8, None), ylabel="samples", xlabel="mean fault probability of a bin")
+    for axis in (above, below):
+        axis.grid(True, color="0.9", lw=0.6)
+        axis.set_axisbelow(True)
+        axis.tick_params(labelsize=9)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    if title:
+        figure.suptitle(title, fontsize=10)
+    return figure
+
+
+__all__ = ["plot_reliability"]
