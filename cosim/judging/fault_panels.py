@@ -116,9 +116,10 @@ def height_of_detection(signals: LoopSignals) -> float:
 
 def _alarmed(signals: LoopSignals) -> list[SensorSignals | ActuatorSignals]:
     """Return the sensors and actuators that have an alarm of a known kind."""
+    all_of_them: list[SensorSignals | ActuatorSignals] = [*signals.sensors, *signals.actuators]
     return [
         each
-        for each in (*signals.sensors, *signals.actuators)
+        for each in all_of_them
         if each.kinds and each.kind is not None and each.probability is not None and (each.probability >= ALARM).any()
     ]
 

@@ -54,7 +54,7 @@ def write(folder: Path, drive: Path = DATA) -> None:
     for file, columns in COLUMNS.items():
         table = pd.read_csv(drive / file)
         for name, column in columns.items():
-            known = pd.Series(sensors[name].values, index=sensors[name].time)
+            known = pd.Series(np.asarray(sensors[name].values), index=np.asarray(sensors[name].time))
             table[column] = known.reindex(table["t"]).to_numpy()  # samples that are missing have no row in a signal
         table.to_csv(folder / file, index=False, float_format="%.4f", lineterminator="\n")
 

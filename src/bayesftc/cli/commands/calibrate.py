@@ -56,6 +56,7 @@ def calibrate(
         report = (judge_own_probability if tells else controllers.calibrate)(
             controller.model, hazards, magnitudes, reference=loaded.reference, steps=steps, seed=seed, **own
         )
+    assert report.reliability is not None
     numbers = asdict(replace(report, reliability=None)) | {"reliability": report.reliability.to_dict()}
     if out is not None:
         _write(out, path, report.reliability, numbers)
