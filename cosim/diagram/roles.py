@@ -160,7 +160,7 @@ def known_roles(diagram: Diagram) -> LoopRoles | None:
     """Return what `find_roles` finds; None if the diagram is no closed loop."""
     try:
         return find_roles(diagram)
-    except BayesFTCError:
+    except (BayesFTCError, RecursionError):  # hundreds of faults, one after the other: a result is saved all the same
         return None
 
 

@@ -213,6 +213,20 @@ def test_a_result_knows_its_loop_in_every_copy(tmp_path):
         assert [axis.get_ylabel() for axis in copy.plot().axes] == shown
 
 
+def test_a_loop_of_too_many_faults_is_pickled_all_the_same(signals):
+    loop = cosim.closed_loop(
+        plant=cosim.StateSpace(_integrator()),
+        controller=load_scenario("cruise_control").controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        faults=[cosim.Freeze(sensor=0, start=1.0, name=f"freeze_{i}") for i in range(990)],
+        reference=1.0,
+    )
+    result = cosim.Result(np.zeros((1, 1)), {"a.y": (0, ())}, loop.step, parts=loop)
+    assert pickle.loads(pickle.dumps(result)).roles is None
+
+
 def test_what_is_no_loop_has_the_figure_of_its_signals():
     diagram = cosim.Diagram(0.1)
     diagram.add(cosim.Constant(1.0), "one")

@@ -10,8 +10,8 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.bayesian.validation import check_kalman
 from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnconnectedInputError, UnknownNameError
+from bayesftc.cosim.judging.loop_figure import plot_run
 from bayesftc.cosim.judging.metrics import figures
-from bayesftc.cosim.judging.plotting import plot_run
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.random import numbers
 
@@ -208,8 +208,9 @@ def test_what_is_known_of_a_run(tmp_path):
     error = result["plant.v"] - result["reference.y"]
     assert found.tracking["v"].during == pytest.approx(np.sqrt(np.mean(error[signals.faulty] ** 2)))
     figure = plot_run(signals)
-    assert [axis.get_ylabel() for axis in figure.axes[:3]] == ["v (m/s)", "force (N)", "disturbance (m/s)"]
-    assert {line.get_label() for line in figure.axes[1].lines} == {"sent", "received"}
+    panels = {axis.get_ylabel(): {line.get_label() for line in axis.lines} for axis in figure.axes}
+    assert panels["force (N)"] == {"control", "received by force"}
+    assert panels["disturbance (m/s)"] == {"sent", "received"}
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert texts == ["sensor 0: freeze", "force: gain fault", "disturbance: bias", "force: jam"]
     figure.savefig(tmp_path / "run.png", dpi=50)
