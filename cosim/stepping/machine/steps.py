@@ -22,6 +22,7 @@ from weakref import WeakKeyDictionary
 import llvmlite
 import llvmlite.binding as llvm
 
+from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint
@@ -90,7 +91,8 @@ def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
     code = None if kept is None else opened(kept)
     if code is None:
         try:
-            code = machine_code(lowered(*text_of(kernel, sections, name)))
+            with announced(True):
+                code = machine_code(lowered(*text_of(kernel, sections, name)))
         except KernelError as refused:
             from bayesftc.cosim.stepping.compiler import compile_by_numba
 

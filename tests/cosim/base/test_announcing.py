@@ -8,6 +8,7 @@ import pytest
 
 from bayesftc.cosim.base import announcing
 from bayesftc.cosim.stepping import compiler
+from bayesftc.cosim.stepping.machine import steps
 
 
 @pytest.fixture
@@ -55,15 +56,26 @@ def test_without_logging_it_is_on_stderr_and_quiet_turns_it_off(fresh, monkeypat
     assert capsys.readouterr().err == ""
 
 
-def test_what_comes_from_the_disk_is_not_announced(fresh, monkeypatch, tmp_path):
+@pytest.mark.parametrize("module", [compiler, steps])
+def test_what_comes_from_the_disk_is_not_announced(module, monkeypatch, tmp_path):
+    """By numba, and from the C of exports; a second process is one without the names of the first."""
     asked = []
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiler, "announced", lambda needed: asked.append(needed) or announcing.announced(False))
+    monkeypatch.setattr(module, "announced", lambda needed: asked.append(needed) or announcing.announced(False))
+
+    def doubled_for_announcing(u, y):
+        y[0] = 2.0 * u[0]
+
     sections = {"u": ("inputs", 0, (1,)), "y": ("outputs", 0, (1,))}
     for _ in range(2):
-        names = {}
-        exec("def doubled_for_announcing(u, y):\n    y[0] = 2.0 * u[0]", names)
-        compiler.compile_kernel(names["doubled_for_announcing"], sections)
-        for name in [name for name in compiler._modules if "doubled_for_announcing" in name]:
-            sys.modules.pop(compiler._modules.pop(name).__name__)
-    assert asked == [True, False]
+        if module is steps:
+            steps._address(doubled_for_announcing, sections, "doubled_for_announcing")
+        else:
+            compiler.compile_function(_service, "float64(float64)")
+            for name in [name for name in compiler._modules if "_service" in name]:
+                sys.modules.pop(compiler._modules.pop(name).__name__)
+    assert [needed for needed in asked if needed] == [True]
+
+
+def _service(x):
+    return 2.0 * x + 0.125
