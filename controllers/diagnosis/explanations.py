@@ -103,10 +103,11 @@ def delayed(u: Floats, steps: int) -> Floats:
 
 def lagged(u: Floats, steps: float) -> Floats:
     """Return the controls through a first-order lag with a time constant of `steps` samples."""
-    from scipy.signal import lfilter
+    import pandas as pd  # scipy.signal takes a second to import
 
     share = 1.0 - float(np.exp(-1.0 / steps))
-    return np.asarray(lfilter([share], [1.0, share - 1.0], u, axis=0))
+    from_rest = pd.DataFrame(np.vstack([np.zeros((1, u.shape[1])), u]))
+    return from_rest.ewm(alpha=share, adjust=False).mean().to_numpy()[1:]
 
 
 def faster(model: LinearModel, factor: float) -> LinearModel | None:

@@ -11,7 +11,7 @@ import dis
 import hashlib
 import sys
 from collections.abc import Callable, Collection, Iterator
-from functools import cache
+from functools import cache, lru_cache
 from numbers import Number
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, ModuleType
@@ -96,21 +96,24 @@ def _visit(
 
 def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """Yield the name and value of each global and closure variable that `function` reads."""
-    for instruction in dis.get_instructions(function.__code__):
-        if instruction.opname == "LOAD_GLOBAL":
-            name = str(instruction.argval)
-            if name in function.__globals__:
-                yield name, function.__globals__[name]
-            elif hasattr(builtins, name):
-                yield name, getattr(builtins, name)
-            else:
-                at = where(function, line_of(function, name))
-                raise KernelError(f"Step function {at} uses {name!r}, which is not defined.")
+    for name in _globals_read(function.__code__):
+        if name in function.__globals__:
+            yield name, function.__globals__[name]
+        elif hasattr(builtins, name):
+            yield name, getattr(builtins, name)
+        else:
+            at = where(function, line_of(function, name))
+            raise KernelError(f"Step function {at} uses {name!r}, which is not defined.")
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
             yield name, cell.cell_contents
         except ValueError:  # the variable of the enclosing function has no value yet
             raise KernelError(f"Step function {where(function)} uses {name!r}, which has no value yet.") from None
+
+
+@lru_cache(maxsize=4096)  # to take instructions apart is most of what a start from the cache costs
+def _globals_read(code: CodeType) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(str(i.argval) for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"))
 
 
 def depends_on(function: FunctionType) -> list[Any]:
