@@ -23,7 +23,7 @@ def machine_code(text: str) -> bytes:
     # has them unrolled by then.
     for level in (1, _SPEED):
         tuning = llvm.create_pipeline_tuning_options(speed_level=level)
-        tuning.loop_vectorization = tuning.slp_vectorization = level == _SPEED
+        tuning.loop_vectorization = True  # but not of single operations side by side: it makes chains longer
         builder = llvm.create_pass_builder(machine, tuning)
         builder.getModulePassManager().run(module, builder)
     found: bytes = machine.emit_object(module)

@@ -29,7 +29,7 @@ _FLOATING = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
 _COUNTING = {"+": "add", "-": "sub", "*": "mul", "/": "sdiv", "%": "srem"}
 _ORDERED = {"<": "lt", "<=": "le", ">": "gt", ">=": "ge"}
 
-_SELECT = """define internal double @op_select(i1 %c, double %a, double %b) alwaysinline {
+_SELECT = """define internal double @op_select(i1 %c, double %a, double %b) {
   %chosen = select i1 %c, double %a, double %b
   %sum = fadd double %chosen, 0.0
   ret double %sum
@@ -171,7 +171,7 @@ class _Function:
         )
         own = "static" in self.node.decl.storage
         returns = "i32" if not own else self.signature.returns
-        head = f"define {'internal ' if own else ''}{returns} @{self.name}({taken}) {'alwaysinline ' if own else ''}{{"
+        head = f"define {'internal ' if own else ''}{returns} @{self.name}({taken}) {{"
         return "\n".join([head, *self.places, *self.lines, "}"])
 
     # Lines
