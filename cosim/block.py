@@ -115,6 +115,16 @@ class Block:
         """Return the same block with further variables of these names among its outputs, as far as it has such; else itself."""
         return self
 
+    def held(self, outputs: Mapping[str, Floats]) -> Block:
+        """Return the block that stands for this one in a linearization: what it learns is held; itself if it learns nothing.
+
+        Parameters
+        ----------
+        outputs : mapping of str to ndarray
+            What its outputs are where it is linearized.
+        """
+        return self
+
     @property
     def default_name(self) -> str:
         """The name under which a diagram adds the block if none is given."""
@@ -173,7 +183,8 @@ class Block:
         Its state is what the block keeps from a step to the next, and its functions are pure, so that ``control.linearize`` and
         ``control.find_operating_point`` work, too. The state of an FMU is known to that alone, but for those of this package:
         it is the number of a saved state, or of the steps made by an FMU that cannot save (which can only be stepped in
-        order); both functions refuse it. python-control begins at zeros: give ``X0=cosim.initial_state(system)``.
+        order); both functions refuse it. ``control.linearize`` holds precision learners: see `ControlSystem.linearize`.
+        python-control begins at zeros: give ``X0=cosim.initial_state(system)``.
 
         Parameters
         ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from types import FunctionType
@@ -27,6 +27,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.modality import Modality
 from bayesftc.controllers.models.trial import try_out
 from bayesftc.controllers.precision.base import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
+from bayesftc.controllers.precision.held import hold_precision
 from bayesftc.controllers.signals import port
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.base.timebase import rational_step
@@ -191,6 +192,11 @@ class UnbiasedActiveInference(Block):
     def outputs(self) -> tuple[Port, ...]:
         """The outputs named above, and the precision learner's own."""
         return *self._own_outputs, *self._learner().ports
+
+    def held(self, outputs: Mapping[str, Floats]) -> Block:
+        """See `Block.held`."""
+        block: Block = hold_precision(self, self._learner().ports, outputs)
+        return block
 
     @property
     def _own_outputs(self) -> tuple[Port, ...]:

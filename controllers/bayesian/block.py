@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Literal
@@ -21,6 +22,7 @@ from bayesftc.controllers.models.checks import (
     frozen,
 )
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
+from bayesftc.controllers.precision.held import hold_precision
 from bayesftc.controllers.signals import port
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
@@ -190,6 +192,11 @@ class BayesianBlock(Block, ABC):
             port("model_suspect"),
             *self._posterior_ports,
         )
+
+    def held(self, outputs: Mapping[str, Floats]) -> Block:
+        """See `Block.held`."""
+        block: Block = hold_precision(self, self._learner().ports, outputs)
+        return block
 
     @property
     def _posterior_ports(self) -> tuple[Port, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -13,6 +14,7 @@ from bayesftc.controllers.estimation.belief import ESTIMATION, estimation, look_
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner
+from bayesftc.controllers.precision.held import hold_precision
 from bayesftc.controllers.signals import port
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
@@ -115,6 +117,11 @@ class StateEstimator(Block):
     def outputs(self) -> tuple[Port, ...]:
         """Outputs ``x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, and the learner's own."""
         return *self._own_outputs, *self.precision.learner(self.model).ports
+
+    def held(self, outputs: Mapping[str, Floats]) -> Block:
+        """See `Block.held`."""
+        block: Block = hold_precision(self, self.precision.learner(self.model).ports, outputs)
+        return block
 
     @property
     def _own_outputs(self) -> tuple[Port, ...]:

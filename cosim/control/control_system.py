@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -57,12 +57,17 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         """The state in which the block or the diagram begins, for ``X0=...``: python-control itself begins at zeros."""
         return self._machine.initial.copy()
 
-    def linearize(self, x0: Any, u0: Any = None, *args: Any, **settings: Any) -> Any:
+    def linearize(self, x0: Any, u0: Any = None, t: float = 0, *args: Any, **settings: Any) -> Any:
         """Return the linearization at a state and inputs, as ``control.linearize`` describes it.
+
+        It is the linearization with the precision learners held: each sensor is trusted at all times as it is at this point, and
+        what a learner remembers is no state of the result. What is not finite at the point (the fault probability of a learner
+        that has none, the variance of a sensor that is left out) is constant, with derivatives of zero. So all matrices are
+        finite.
 
         Parameters
         ----------
-        x0, u0, args, settings
+        x0, u0, t, args, settings
             See ``control.linearize``.
 
         Raises
@@ -75,10 +80,27 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
                 f"The state of the FMU {self._machine.opaque[0]!r} is known to itself alone, so that it cannot be linearized in "
                 "python-control: LinearModel.from_fmu makes a linear model of it."
             )
-        hints = self._machine.hints
+        x0, u0 = (getattr(x0, "states", x0), getattr(x0, "inputs", 0.0) if u0 is None else u0)
+        x0, u0 = _vector(x0, self.nstates), _vector(u0, self.ninputs)
+        machine = self._machine
+        if isinstance(machine, Machine):
+            machine, x0 = machine.held(t, x0, u0)
+        hints = machine.hints
         told, hints.told = hints.told, True  # whoever asks for zeros here means them
+        names = {
+            "inputs": self.input_labels,
+            "outputs": self.output_labels,
+            "states": [allowed(n) for n in machine.names],
+        }
+        held = control.NonlinearIOSystem(
+            _finite(machine.update, machine.update(t, x0, u0)),
+            _finite(machine.output, machine.output(t, x0, u0)),
+            name=self.name,
+            dt=self.dt,
+            **names,
+        )
         try:
-            return super().linearize(x0, u0, *args, **settings)
+            return held.linearize(x0, u0, t, *args, **settings)
         finally:
             hints.told = told
 
@@ -170,6 +192,28 @@ def _equations(
     model = Equations(fmu, *([(port, i) for _, port, i in side.values()] for side in (given, shown)))
     states = [allowed(state) for state in model.names]
     return ControlSystem(model, name, 0.0, list(given), list(shown), states)
+
+
+def _vector(values: Any, size: int) -> Floats:
+    """Return a state or inputs as python-control takes them: a number for all, or a number or array for each part."""
+    if np.ndim(values) == 0:  # type: ignore[arg-type]
+        return np.full(size, float(values))
+    vector = np.concatenate([np.zeros(0), *(np.ravel(part) for part in values)]).astype(np.float64)
+    if len(vector) != size:
+        raise ModelError(
+            f"linearize has a vector of {len(vector)} numbers where the system has {size}; give one for each."
+        )
+    return vector
+
+
+def _finite(function: Callable[..., Floats], there: Floats) -> Callable[..., Floats]:
+    """Return a function of time, state and inputs in which what is not finite at the point is constant."""
+    constant = ~np.isfinite(there)
+
+    def finite(t: float, x: Any, u: Any, params: object = None) -> Floats:
+        return np.where(constant, 0.0, function(t, x, u, params))
+
+    return finite
 
 
 def allowed(label: str) -> str:

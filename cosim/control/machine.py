@@ -130,6 +130,27 @@ class Machine:
             self._stepped = key
         return self._after.copy()
 
+    def held(self, t: float, x: Any, u: Any) -> tuple[Machine, Floats]:
+        """Return what stands for the diagram in a linearization at a point, and the state there: what blocks learn is held."""
+        asked = self._asked(t, x, u)
+        self._evaluate(asked)
+        schedule, memory = self._schedule, self._run.memory
+        blocks = {
+            node.name: node.block.held(
+                {port.name: np.array(memory[schedule.signal(node, port)]) for port in node.block.outputs}
+            )
+            for node in schedule.nodes
+        }
+        state = np.frombuffer(asked[1])
+        if all(blocks[node.name] is node.block for node in schedule.nodes):
+            return self, state
+        diagram, inputs, outputs, seed, _ = self._settings
+        # Interpreted: to compile blocks anew takes longer than the few steps of a linearization.
+        machine = Machine(diagram.rewired(blocks), inputs, outputs, seed, "interpreted")
+        known = dict(zip(self.names, state, strict=True))
+        values = [known.get(name, start) for name, start in zip(machine.names, machine.initial, strict=True)]
+        return machine, np.array(values, dtype=np.float64)
+
     def _asked(self, t: float, x: Any, u: Any) -> Asked:
         if t != self._instant[0]:
             self._instant = t, self._step_of(t)
