@@ -86,6 +86,7 @@ DOORS: dict[tuple[str, str], str] = {
     ("cosim.block", "cosim.run.online"): "Block.online",
     ("cosim.block", "cosim.control.control_system"): "Block.to_control",
     ("cosim.diagram.diagram", "cosim.control.control_system"): "Diagram.to_control",
+    ("cosim.diagram.loop_methods", "cosim.control.linear_loop"): "Diagram.bode, Diagram.margins and the like",
     ("cosim.diagram.diagram", "cosim.diagram.schedule"): "Diagram.build",
     ("cosim.diagram.diagram", "cosim.run"): "Diagram.simulate, Diagram.start",
     ("cosim.isolation.worker", "cosim.fmi.fmu"): "FMU(isolate=True): the process of its own makes the block",

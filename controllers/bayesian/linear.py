@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers.bayesian.block import BayesianBlock
 from bayesftc.controllers.bayesian.free_energy import tell_nothing, tell_posterior
-from bayesftc.controllers.bayesian.steady import steady_gains
+from bayesftc.controllers.bayesian.steady import Gains, steady_gains
 from bayesftc.controllers.estimation import filter as _filter
 from bayesftc.controllers.estimation.absurd import alarm_of
 from bayesftc.controllers.estimation.belief import ESTIMATION, estimation, go_on, make_estimate, plan
@@ -265,6 +265,20 @@ class BayesianController(BayesianBlock):
         }
         return seek_goal, constants | unused, {}
 
+    def linear_law(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the controller in steady state as a linear system (A, B, C, D), with nominal precisions and without limits.
+
+        Its inputs are ``y`` and ``goal``, one after the other, its outputs ``u``, its states the predicted mean of the belief;
+        all of them are deviations from an operating point, so that the constant of a model (`LinearModel.about`) is none.
+        """
+        model = self.model.moving
+        A, B, C = (model.matrix(name) for name in "ABC")
+        n = model.states
+        K, L, M, T, F = self._steady_gains(A, B, C, self._priors()[0][:, :n])
+        seen = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
+        move = A @ T - B @ L  # mean at the next step = move @ x_hat + ... goal
+        return move @ seen, np.hstack([move @ K, A @ F + B @ M]), -L @ seen, np.hstack([-L @ K, M])
+
     def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of plant and belief together in steady state, at fixed precision and without limits.
 
@@ -274,17 +288,14 @@ class BayesianController(BayesianBlock):
         """
         model = self.model.moving
         A, B, C = (model.matrix(name) for name in "ABC")
-        n, plant = model.states, model.states - model.disturbances
-        G = self._priors()[0][:, :n]
-        K, L, T = self._steady_gains(A, B, C, G)
-        seen = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
-        move = A @ T - B @ L  # mean at the next step = move @ x_hat
-        top = np.hstack([A[:plant, :plant] - (B @ L @ K @ C)[:plant, :plant], -(B @ L @ seen)[:plant]])
-        bottom = np.hstack([(move @ K @ C)[:, :plant], move @ seen])
-        return np.linalg.eigvals(np.vstack([top, bottom])).astype(np.complex128)
+        plant, m = model.states - model.disturbances, model.sensors
+        A, B, C = A[:plant, :plant], B[:plant], C[:, :plant]
+        move, given, out, direct = self.linear_law()
+        whole = np.block([[A + B @ direct[:, :m] @ C, B @ out], [given[:, :m] @ C, move]])
+        return np.linalg.eigvals(whole).astype(np.complex128)
 
-    def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the filter's gain, the control's gain, and what the goal leaves of the belief's mean, in steady state."""
+    def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
+        """Return the gains of filter and control in steady state."""
         Q, R = self.model.moving.matrix("process_covariance"), self.model.matrix("sensor_covariance")
         _, goal_covariance, prior = self._priors()
         start = np.asarray(self.initial_covariance)[: len(A), : len(A)]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bayesftc.controllers.bayesian.linear import BayesianController
 from bayesftc.controllers.bayesian.riccati import Regulator, regulate
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable, shown
+from bayesftc.controllers.bayesian.steady import Gains
 from bayesftc.controllers.models.checks import Matrix, frozen
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import maximum, select
@@ -190,11 +191,15 @@ class LQGController(BayesianController):
         state = {"held": H @ mean, "u_prior": np.zeros(p), "prior_pull": np.zeros(p), "goal_shift": np.zeros(len(root))}
         return seek_steady_state, {name: frozen(value) for name, value in targets.items()}, state
 
-    def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> tuple[Floats, Floats, Floats]:
-        K, _, T = super()._steady_gains(A, B, C, G)
-        regulator, estimated = self.regulator, len(A) - self.regulator.gain.shape[1]
+    def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
+        gains, regulator = super()._steady_gains(A, B, C, G), self.regulator
+        estimated = len(A) - regulator.gain.shape[1]
         offset = regulator.u_of_others + regulator.gain @ regulator.x_of_others
-        return K, np.hstack([regulator.gain, -offset[:, :estimated]]), T
+        return gains._replace(
+            L=np.hstack([regulator.gain, -offset[:, :estimated]]),
+            M=regulator.u_of_goal + regulator.gain @ regulator.x_of_goal,
+            F=np.zeros((len(A), self.goals)),  # the goal prior is too weak to tell the belief anything
+        )
 
 
 def _listed(poles: Any) -> str:

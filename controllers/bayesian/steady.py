@@ -7,6 +7,7 @@ priors only: a campaign over the settings of the precision learner, or over the 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,11 +23,33 @@ _NAMES = ("A", "B", "C", "what the goal is about", "the process covariance", "th
           "the control prior's precision", "the initial covariance")  # fmt: skip
 
 
+class Gains(NamedTuple):
+    """Gains of ``x_hat = mean + K (y - C mean)``, ``u = M goal - L x_hat``, ``mean' = A (T x_hat + F goal) + B u``.
+
+    Attributes
+    ----------
+    K : ndarray, n x m
+        Of the filter.
+    L : ndarray, p x n
+        Of the control, on the belief.
+    M : ndarray, p x g
+        Of the control, on the goal.
+    T, F : ndarray, n x n and n x g
+        What a belief that knows the goal, too, makes of the belief's mean and of the goal; else T is the identity and F is 0.
+    """
+
+    K: Floats
+    L: Floats
+    M: Floats
+    T: Floats
+    F: Floats
+
+
 def steady_gains(
     A: Floats, B: Floats, C: Floats, G: Floats, Q: Floats, R: Floats, goal_covariance: Floats, prior: Floats,
     start: Floats, *, joint: bool,
-) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """Return the filter's gain, the control's gain, and what the goal leaves of the belief's mean, in steady state.
+) -> Gains:  # fmt: skip
+    """Return the gains of filter and control in steady state.
 
     Parameters
     ----------
@@ -48,7 +71,7 @@ def steady_gains(
     """
     matrices = (A, B, C, G, Q, R, goal_covariance, prior, start)
     try:
-        K, L, T = _gains(joint, *((np.shape(M), np.asarray(M, float).tobytes()) for M in matrices))
+        gains = _gains(joint, *((np.shape(M), np.asarray(M, float).tobytes()) for M in matrices))
     except np.linalg.LinAlgError:
         sizes = {name: f"{np.abs(M).max(initial=0.0):.3g}" for name, M in zip(_NAMES, matrices, strict=True)}
         raise ModelError(
@@ -56,11 +79,11 @@ def steady_gains(
             f"{', '.join(f'{size} in {name}' for name, size in sizes.items())}. Choose units in which they are closer, and "
             "variances that are not negligible beside others (of two equal sensors at least 1e-12 of the state's)."
         ) from None
-    return K.copy(), L.copy(), T.copy()
+    return Gains(*(gain.copy() for gain in gains))
 
 
 @lru_cache(maxsize=512)
-def _gains(joint: bool, *packed: Packed) -> tuple[Floats, Floats, Floats]:
+def _gains(joint: bool, *packed: Packed) -> Gains:
     A, B, C, G, Q, R, goal_covariance, prior, start = (np.frombuffer(items).reshape(shape) for shape, items in packed)
     GA, GB, one = G @ A, G @ B, np.eye(len(A))
     N = G @ Q @ G.T + goal_covariance
@@ -80,8 +103,10 @@ def _gains(joint: bool, *packed: Packed) -> tuple[Floats, Floats, Floats]:
         if change <= 1e-10 * np.abs(predicted).max() or np.trace(predicted) > largest:
             break
     weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
-    L = np.linalg.solve(prior + GB.T @ weight, weight.T @ GA)
-    return np.asarray(K, float), np.asarray(L, float), np.asarray(T, float)
+    known = prior + GB.T @ weight
+    L, M = np.linalg.solve(known, weight.T @ GA), np.linalg.solve(known, weight.T)
+    F = T @ P @ GA.T @ V if joint else np.zeros((len(A), len(G)))
+    return Gains(*(np.asarray(gain, float) for gain in (K, L, M, T, F)))
 
 
-__all__ = ["steady_gains"]
+__all__ = ["Gains", "steady_gains"]

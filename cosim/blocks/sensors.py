@@ -119,6 +119,15 @@ class Sensors(Block):
         return (Port("y", (self.count,), unit=self.unit, description="Samples of the sensors; NaN for a missing one"),)
 
     @property
+    def rows(self) -> Floats | None:
+        """What each sensor reads of the signals (count x signals); None where that is no linear function."""
+        if self.function is not None:
+            return None
+        if self.matrix is not None:
+            return np.asarray(self.matrix, dtype=np.float64)
+        return np.asarray(np.eye(self.signals)[np.arange(self.count) % self.signals])
+
+    @property
     def one_unit(self) -> tuple[str, ...]:
         """See `Block.one_unit`."""
         return ("u", "y") if self.matrix is None and self.function is None else ()

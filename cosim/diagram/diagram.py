@@ -11,6 +11,7 @@ from bayesftc.cosim.base.timebase import rational_step, whole_number
 from bayesftc.cosim.base.units import difference
 from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.diagram.coupling import Coupling, Method
+from bayesftc.cosim.diagram.loop_methods import LoopMethods
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.session import RunState, Session
 
 
-class Diagram:
+class Diagram(LoopMethods):
     """A closed diagram of blocks that run at multiples of one base step.
 
     Parameters

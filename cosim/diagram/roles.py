@@ -215,17 +215,13 @@ def _limits(controller: Node, name: str, count: int) -> list[float | None]:
 
 def _quantities(diagram: Diagram, seen: Node, controller: Node) -> tuple[QuantityRole, ...]:
     block: Any = seen.block
-    if block.function is not None:  # what it measures is not linear, and is not kept
+    rows = block.rows
+    if rows is None:  # what it measures is not linear, and is not kept
         return ()
     # A controller may say what its sensors read of its estimate x_hat (a row of NaN: nothing linear), and what its goal is of it.
     C: Floats | None
     G: Floats | None
     C, G = (getattr(controller.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
-    rows = (
-        np.eye(block.signals)[np.arange(block.count) % block.signals]
-        if block.matrix is None
-        else np.asarray(block.matrix)
-    )
     groups: dict[tuple[float, ...], list[int]] = {}
     for i, row in enumerate(rows):
         groups.setdefault(tuple(map(float, row)), []).append(i)

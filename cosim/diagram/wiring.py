@@ -86,6 +86,14 @@ def faults_right_before(diagram: Diagram, node: Node, port: Port, element: int) 
     return [*before, (fault, channel)] if origin[0].node.block.sensor == channel else before
 
 
+def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tuple[Node, Port, int] | None:
+    """Return the block, the output and its element that feed one element of an input while no fault is present."""
+    origin = diagram.source_of(node, port, element)
+    while origin is not None and isinstance(origin[0].node.block, Fault):
+        origin = diagram.source_of(origin[0].node, origin[0].node.port("u"), origin[1])
+    return None if origin is None else (origin[0].node, origin[0].port, origin[1])
+
+
 def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:
     """Give each element of each input, but for those of faults and of the named blocks."""
     for node in diagram.nodes:

@@ -1,0 +1,281 @@
+"""A closed loop as a linear system, and control engineers' figures of it, by python-control."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import schur, solve_sylvester
+
+from bayesftc.cosim.control.control_system import allowed
+from bayesftc.cosim.control.loop_parts import Matrices, Parts, loop_parts
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LASTING = 1e-9
+"""A mode does not die out if its pole is nearer to the unit circle than this; one that weighs less than this does not show."""
+
+
+class Margins(NamedTuple):
+    """How far a loop is from instability; infinite or NaN where there is no such crossing.
+
+    Attributes
+    ----------
+    gain : float
+        Gain margin: the factor by which the loop gain can change.
+    phase : float
+        Phase margin in degrees.
+    delay : float
+        Delay margin in seconds: the phase margin at the gain crossover.
+    gain_crossover, phase_crossover : float
+        Frequencies in rad/s at which the gain is 1, and at which the phase is -180 degrees.
+    modulus : float
+        Least distance of the loop transfer function from -1.
+    """
+
+    gain: float
+    phase: float
+    delay: float
+    gain_crossover: float
+    phase_crossover: float
+    modulus: float
+
+
+@dataclass(frozen=True)
+class LinearLoop:
+    """A closed loop without faults and noise as a linear system, at the sample time of its controller.
+
+    `bayesftc.cosim.Diagram.linear` makes it, and says of what.
+
+    Parameters
+    ----------
+    parts : Parts
+        Plant, sensors and controller.
+    """
+
+    parts: Parts
+
+    @property
+    def dt(self) -> float:
+        """Sample time in seconds."""
+        return float(self.parts.step)
+
+    @property
+    def closed(self) -> Any:
+        """The closed loop, a `control.StateSpace`: from the goals to the tracked signals and the controls."""
+        parts = self.parts
+        opened, plant, m = self._opened, parts.plant, len(parts.sensors)
+        goals, n = len(parts.goals), len(plant.A)
+        solved = np.linalg.inv(np.eye(len(parts.controls)) - opened.D)
+        C = solved @ opened.C  # u = C x + D goal
+        D = solved @ parts.controller.D[:, m:]
+        into = np.vstack([np.zeros((n, goals)), parts.controller.B[:, m:]])
+        A, B = opened.A + opened.B @ C, into + opened.B @ D
+        rows = np.reshape([row for _, row in parts.tracked.values()], (-1, len(plant.C)))
+        seen = rows @ np.hstack([plant.C, np.zeros((len(plant.C), len(A) - n))])
+        whole = np.vstack([seen + rows @ plant.D @ C, C]), np.vstack([rows @ plant.D @ D, D])
+        return control.ss(
+            A,
+            B,
+            *whole,
+            self.dt,
+            inputs=[allowed(name) for name in parts.goals],
+            outputs=[allowed(name) for name in (*parts.tracked, *parts.controls)],
+            states=[*(f"plant_{i}" for i in range(n)), *(f"controller_{i}" for i in range(len(A) - n))],
+        )
+
+    def open(self, at: str | None = None) -> Any:
+        """Return the loop transfer function, a `control.StateSpace`: that of the loop broken at an input of the plant.
+
+        The feedback is negative: the closed loop has its poles where this function is -1. The other controls stay connected.
+
+        Parameters
+        ----------
+        at : str, optional
+            Name of the plant's input; needed where there are several controls.
+        """
+        opened, j = self._opened, self._number(self.parts.controls, at, "control", "at")
+        others = np.eye(len(self.parts.controls))
+        others[j, j] = 0.0
+        solved = np.linalg.inv(np.eye(len(others)) - opened.D @ others)
+        broken = np.eye(len(others))[:, [j]]
+        C, D = solved @ opened.C, solved @ opened.D @ broken
+        A, B = opened.A + opened.B @ others @ C, opened.B @ (others @ D + broken)
+        name = allowed(self.parts.controls[j])
+        return control.ss(A, B, -C[[j]], -D[[j]], self.dt, inputs=[name], outputs=[f"{name}_returned"])
+
+    def bode(self, at: str | None = None) -> Figure:
+        """Return the Bode plot of the loop transfer function with its gain and phase margins.
+
+        Parameters
+        ----------
+        at : str, optional
+            Name of the plant's input at which the loop is broken; needed where there are several controls.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            To be saved (``figure.savefig("bode.png")``) or shown by a notebook.
+        """
+        from bayesftc.cosim.control.loop_figures import bode_figure
+
+        return bode_figure(self.open(at), self.margins(at), self._title("Loop transfer function", at))
+
+    def root_locus(self, at: str | None = None) -> Figure:
+        """Return the root locus: the closed loop's poles while the gain at the plant's input grows from 0; crosses mark gain 0.
+
+        Parameters
+        ----------
+        at : str, optional
+            Name of the plant's input whose gain changes; needed where there are several controls.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            As of `bode`.
+        """
+        from bayesftc.cosim.control.loop_figures import root_locus_figure
+
+        return root_locus_figure(self.open(at), self.poles(), self._title("Root locus", at))
+
+    def margins(self, at: str | None = None) -> Margins:
+        """Return the stability margins of the loop that is broken at a control.
+
+        Parameters
+        ----------
+        at : str, optional
+            Name of the plant's input; needed where there are several controls.
+        """
+        # By the frequency response: the polynomials of a sampled loop of some states lose their digits.
+        found = control.stability_margins(self.open(at), method="frd")
+        gain, phase, modulus, phase_crossover, gain_crossover, _ = found
+        delay = np.deg2rad(phase) / gain_crossover if gain_crossover > 0 else np.inf
+        return Margins(*map(float, (gain, phase, delay, gain_crossover, phase_crossover, modulus)))
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Return the poles of the closed loop, the largest first: those of plant, control and belief together."""
+        return _largest_first(np.linalg.eigvals(self.closed.A))
+
+    def zeros(self, goal: str | None = None, output: str | None = None) -> NDArray[np.complex128]:
+        """Return the zeros of the closed loop from a goal to its signal, the largest first.
+
+        Parameters
+        ----------
+        goal, output : str, optional
+            As of `step_info`.
+        """
+        return _largest_first(control.zeros(self._response(goal, output)))
+
+    def step_info(self, goal: str | None = None, output: str | None = None, **settings: Any) -> dict[str, float]:
+        """Return the figures of the response to a step of a goal by 1: rise time, settling time, overshoot and so on.
+
+        Parameters
+        ----------
+        goal : str, optional
+            Name of the tracked signal whose goal steps (``"plant.angle"`` is called ``"angle"``); needed where there are several.
+        output : str, optional
+            Name of the tracked signal or the control that responds; by default the signal whose goal steps.
+        **settings : object
+            Further arguments of ``control.step_info``, such as ``SettlingTimeThreshold``.
+
+        Returns
+        -------
+        dict of str to float
+            As of ``control.step_info``; times in seconds.
+
+        Raises
+        ------
+        ModelError
+            If the closed loop is not stable, so that nothing settles.
+        """
+        response = _settling(self._response(goal, output))
+        if response is None:
+            shown = ", ".join(f"{pole:.4g}" for pole in self.poles()[:3])
+            raise ModelError(
+                f"The closed loop is not stable: its largest poles are {shown}. A step response that does not settle has no "
+                "figures; change the controller, or give the plant other start values."
+            )
+        info: dict[str, float] = control.step_info(response, **settings)
+        return info
+
+    def __repr__(self) -> str:
+        states = len(self._opened.A)
+        return (
+            f"<LinearLoop of {states} states at {self.dt:g} s: goals for {', '.join(self.parts.tracked) or 'none measured'}; "
+            f"controls {', '.join(self.parts.controls)}>"
+        )
+
+    @property
+    def _opened(self) -> Matrices:
+        """The loop broken at all controls: from what goes into the plant to what comes out of the controller."""
+        plant, law, S = self.parts.plant, self.parts.controller, self.parts.sensors
+        m = len(S)
+        By, Dy = law.B[:, :m], law.D[:, :m]
+        A = np.block([[plant.A, np.zeros((len(plant.A), len(law.A)))], [By @ S @ plant.C, law.A]])
+        B = np.vstack([plant.B, By @ S @ plant.D])
+        return Matrices(A, B, np.hstack([Dy @ S @ plant.C, law.C]), Dy @ S @ plant.D)
+
+    def _response(self, goal: str | None, output: str | None) -> Any:
+        """Return the closed loop from a goal to a signal."""
+        tracked = tuple(self.parts.tracked)
+        if not tracked:
+            raise ModelError(
+                "No measured signal has a goal of its own in this loop, so that there is no response from goal to signal; "
+                "loop.linear().closed has the response of the controls."
+            )
+        name = tracked[self._number(tracked, goal, "tracked signal", "goal")]
+        signals = (*tracked, *self.parts.controls)
+        row = self._number(signals, name if output is None else output, "signal", "output")
+        return self.closed[row, self.parts.tracked[name][0]]
+
+    def _number(self, names: Sequence[str], name: str | None, what: str, argument: str) -> int:
+        if name is None:
+            if len(names) > 1:
+                raise ModelError(
+                    f"The loop has {len(names)} {what}s: {', '.join(names)}. Name one of them: {argument}={names[0]!r}."
+                )
+            return 0
+        if name not in names:
+            raise UnknownNameError(f"The loop has no {what} {name!r}; {did_you_mean(name, names)}")
+        return names.index(name)
+
+    def _title(self, what: str, at: str | None) -> str:
+        return f"{what}, broken at the plant's input {self.parts.controls[0] if at is None else at}"
+
+
+def _settling(system: Any) -> Any:
+    """Return a system without modes that do not die out; None if one of them shows in the response.
+
+    An integrator that no goal asks about, as the position is one behind a speed, is such a mode that does not show.
+    """
+    A, Z, stable = schur(system.A, sort=lambda real, imaginary: np.hypot(real, imaginary) < 1.0 - LASTING)
+    if stable == len(A):
+        return system
+    B, C = Z.T @ system.B, system.C @ Z
+    # In other coordinates of the stable modes both kinds are apart.
+    Y = solve_sylvester(A[:stable, :stable], -A[stable:, stable:], -A[:stable, stable:])
+    seen, moved = C[:, :stable] @ Y + C[:, stable:], B[stable:]
+    if np.abs(seen).max() * np.abs(moved).max() > LASTING * max(
+        np.abs(system.B).max() * np.abs(system.C).max(), 1e-300
+    ):
+        return None
+    return control.ss(A[:stable, :stable], B[:stable] - Y @ moved, C[:, :stable], system.D, system.dt)
+
+
+def linear_loop(diagram: Any, plant: Any = None) -> LinearLoop:
+    """Return a closed loop as a linear system; `bayesftc.cosim.Diagram.linear` describes the arguments."""
+    return LinearLoop(loop_parts(diagram, plant))
+
+
+def _largest_first(values: Any) -> NDArray[np.complex128]:
+    found = np.asarray(values, dtype=np.complex128)
+    return found[np.lexsort((-found.imag, -np.abs(found)))]
+
+
+__all__ = ["LinearLoop", "Margins", "linear_loop"]

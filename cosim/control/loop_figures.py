@@ -1,0 +1,83 @@
+"""Bode plot and root locus of a loop, drawn by python-control on figures of this package's size."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import control
+import numpy as np
+
+from bayesftc.cosim.judging.panels import WIDTH, make_panels
+from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from bayesftc.cosim.control.linear_loop import Margins
+
+
+GAINS = np.concatenate([[0.0], np.logspace(-3.0, 3.0, 4001)])
+"""Of the root locus, in units of the designed gain."""
+
+
+def bode_figure(loop: Any, margins: Margins, title: str) -> Figure:
+    """Return gain and phase of a loop transfer function over the frequency, with its margins.
+
+    Parameters
+    ----------
+    loop : control.StateSpace
+        The loop transfer function.
+    margins : Margins
+        Of the loop.
+    title : str
+        Stands above.
+    """
+    figure, axes = make_panels(2)
+    control.bode_plot(loop, display_margins=True, margins_method="frd", ax=np.array(axes)[:, None], color=BLUE, lw=1.3)
+    axes[0].set_title(
+        f"gain margin {margins.gain:.3g} (at {margins.phase_crossover:.3g} rad/s), phase margin {margins.phase:.1f} degrees "
+        f"(at {margins.gain_crossover:.3g} rad/s)",
+        fontsize=9,
+    )
+    axes[0].set_ylabel("gain")
+    axes[1].set_ylabel("phase (degrees)")
+    axes[1].set_xlabel("frequency (rad/s); dashed: half of the sampling frequency")
+    figure.suptitle(title, fontsize=10, x=0.01, ha="left")
+    return figure
+
+
+def root_locus_figure(loop: Any, poles: Any, title: str) -> Figure:
+    """Return the root locus of a loop transfer function near the poles at gain 0 and at the designed gain.
+
+    Parameters
+    ----------
+    loop : control.StateSpace
+        The loop transfer function.
+    poles : ndarray of complex
+        Of the closed loop.
+    title : str
+        Stands above.
+    """
+    figure, (axis,) = make_panels(1)
+    figure.set_size_inches(WIDTH, 0.75 * WIDTH)
+    control.root_locus_plot(loop, gains=GAINS, ax=axis, color=BLUE, legend_loc=False)
+    for line in axis.lines:
+        if line.get_linestyle() != "None":  # lines would cut the corners where branches meet
+            line.set(linestyle="none", marker=".", markersize=2.0)
+    circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
+    (limit,) = axis.plot(circle.real, circle.imag, color="0.5", lw=0.8, ls="--")
+    (now,) = axis.plot(poles.real, poles.imag, "s", ms=6, mfc="none", color=SENSOR_COLOURS[0])
+    # Fast sampling gathers the poles at 1: what lies farther out matters little.
+    shown = np.concatenate([poles, loop.poles(), [1.0]])
+    low, high, top = shown.real.min(), shown.real.max(), np.abs(shown.imag).max()
+    pad = 0.15 * max(high - low, 2.0 * top, 0.02)
+    axis.set_xlim(low - pad, high + pad)
+    axis.set_ylim(-top - pad, top + pad)
+    axis.set_xlabel("real part")
+    axis.set_ylabel("imaginary part")
+    axis.set_title("")
+    axis.legend(
+        [limit, now], ["limit of stability", "poles at the designed gain"], loc="upper left", fontsize=8, frameon=False
+    )
+    figure.suptitle(title, fontsize=10, x=0.01, ha="left")
+    return figure

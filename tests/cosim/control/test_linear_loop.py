@@ -1,0 +1,261 @@
+"""Control engineers' figures of a closed loop, against loops that NumPy, SciPy and python-control put together by hand."""
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from bayesftc import controllers, cosim, fmus
+from bayesftc.controllers import FixedPrecision
+from bayesftc.cosim.errors import ModelError, UnknownNameError
+
+DT = 0.1
+A, B, H = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
+C = np.vstack([H, H])
+Q, R = np.diag([1e-4, 2e-4]), np.diag([0.04, 0.09])
+MODEL = controllers.LinearModel(A, B, C, Q, R, dt=DT)
+
+
+def plant(a=A, b=B, c=H):
+    return cosim.StateSpace(control.ss(a, b, c, 0, DT, inputs=["force"], outputs=["position"]))
+
+
+def loop_of(controller, block=None, **options):
+    settings = {"control": "force", "measured": "position", "sensors": cosim.Sensors(2, (0.2, 0.3)), "reference": 1.0}
+    return cosim.closed_loop(block or plant(), controller, **settings | options)
+
+
+def lqg(**options):
+    return controllers.LQGController(MODEL, **{"goal_covariance": 0.01, "control_covariance": 4.0} | options)
+
+
+def by_hand():
+    """Return the broken loop and the loop from goal to position, from the two Riccati equations."""
+    P = solve_discrete_are(A.T, C.T, Q, R)
+    K = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
+    cost = solve_discrete_are(A, B, H.T @ H / 0.01, [[0.25]])
+    L = np.linalg.solve(0.25 + B.T @ cost @ B, B.T @ cost @ A)
+    steady = np.linalg.solve(np.block([[np.eye(2) - A, -B], [H, 0]]), [[0.0], [0.0], [1.0]])
+    M = steady[2:] + L @ steady[:2]
+    seen, move = np.eye(2) - K @ C, A - B @ L
+    law = control.ss(move @ seen, np.hstack([move @ K, B @ M]), -L @ seen, np.hstack([-L @ K, M]), DT)
+    moving = control.ss(A, B, C, 0, DT)
+    broken = -law[:, :2] * moving
+    both = np.block([[A - B @ L @ K @ C, -B @ L @ seen], [move @ K @ C, move @ seen]])
+    closed = control.ss(both, np.vstack([B @ M, B @ M]), np.hstack([H, 0 * H]), 0, DT)
+    return broken, closed
+
+
+def test_an_lqg_loop_is_the_one_made_by_hand():
+    loop, (broken, closed) = loop_of(lqg()), by_hand()
+    for z in np.exp(1j * DT * np.logspace(-2, np.log10(0.99 * np.pi / DT), 30)):
+        np.testing.assert_allclose(loop.linear().open()(z), broken(z), rtol=1e-8)
+        np.testing.assert_allclose(loop.linear().closed[0, 0](z), closed(z), rtol=1e-8)
+    poles, expected = loop.poles(), np.linalg.eigvals(closed.A)
+    assert len(poles) == 4
+    for pole in expected:
+        assert np.abs(poles - pole).min() < 1e-8
+    zeros = control.zeros(closed)
+    for zero in loop.zeros():
+        assert np.abs(zeros - zero).min() < 1e-6 * max(1.0, abs(zero))
+    found, info = loop.step_info(), control.step_info(closed)
+    assert found == pytest.approx(info, rel=1e-8, nan_ok=True)
+    assert 0 < found["RiseTime"] < found["SettlingTime"]
+    assert found["SteadyStateValue"] == pytest.approx(1.0)
+
+
+@pytest.mark.filterwarnings("ignore:stability_margins")
+def test_margins_are_those_of_the_loop_made_by_hand():
+    broken, _ = by_hand()
+    found = loop_of(lqg()).margins()
+    gain, phase, phase_crossover, gain_crossover = control.margin(control.ss2tf(broken))
+    assert found.gain == pytest.approx(gain, rel=1e-5)
+    assert found.phase == pytest.approx(phase, rel=1e-5)
+    assert found.gain_crossover == pytest.approx(gain_crossover, rel=1e-5)
+    assert found.phase_crossover == pytest.approx(phase_crossover, rel=1e-5)
+    at = broken(np.exp(1j * found.gain_crossover * DT))
+    assert abs(at) == pytest.approx(1.0, abs=1e-6)
+    assert found.delay == pytest.approx(np.deg2rad(found.phase) / found.gain_crossover)
+    grid = np.linspace(1e-3, np.pi / DT, 20_000)
+    assert found.modulus == pytest.approx(np.abs(1 + broken(np.exp(1j * grid * DT))).min(), rel=1e-5)
+    # At the gain margin the loop is on the edge of stability.
+    assert np.abs(control.feedback(found.gain * broken, 1).poles()).max() == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("precision", [FixedPrecision(), controllers.GammaPrecision()])
+def test_a_run_from_rest_is_the_step_response(precision):
+    """Without noise the belief is right at all times, however its covariance moves."""
+    loop = loop_of(lqg(precision=precision), reference=cosim.Step(time=0.5, after=1.0), sensors=cosim.Sensors(2))
+    run = loop.simulate(5.0, engine="interpreted")["plant.position"]
+    expected = control.step_response(loop.linear().closed[0, 0], DT * np.arange(46)).outputs
+    np.testing.assert_allclose(run[5:], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("belief", ["filtered", "joint"])
+def test_the_law_of_a_bayesian_controller_is_its_step_function_linearized(belief):
+    def bayesian(**options):
+        settings = {"goal_covariance": 0.001, "control_covariance": 50.0, "belief": belief}
+        return controllers.BayesianController(
+            MODEL, precision=FixedPrecision(), goal_on="outputs", **settings, **options
+        )
+
+    first = bayesian()
+    P = first.initial_covariance
+    online = first.online(compiled=False)
+    for _ in range(300):
+        P = online(y=[0.0, 0.0], goal=[0.0]).P
+    if belief == "joint":  # P is what the sensors say; the goal takes its part of it afterwards
+        system = first.to_control(inputs=["y", "goal"], outputs=["u"], seed=None, engine="interpreted")
+        x = system.initial_state
+        for k in range(300):
+            x = system.dynamics(DT * k, x, np.zeros(3))
+        start = np.reshape(
+            [x[system.state_labels.index(f"covariance[{i},{j}]")] for i in (0, 1) for j in (0, 1)], (2, 2)
+        )
+    else:
+        start = A @ P @ A.T + Q
+    steady = bayesian(initial_covariance=(start + start.T) / 2)
+    system = steady.to_control(inputs=["y", "goal"], outputs=["u"], seed=None, engine="interpreted")
+    found = system.linearize(system.initial_state, 0.0)
+    law = control.ss(*steady.linear_law(), DT)
+    z = np.exp(1j * DT * np.logspace(-1, 1.4, 9))
+    for point in z:
+        np.testing.assert_allclose(found(point), law(point), atol=1e-6 * np.abs(law(point)).max())
+    poles = loop_of(steady).poles()
+    np.testing.assert_allclose(np.sort(np.abs(poles)), np.sort(np.abs(steady.closed_loop_poles())), atol=1e-9)
+
+
+def test_with_several_controls_the_loop_is_broken_at_one_and_the_other_stays_closed():
+    a, b = (
+        np.array([[0.9, 0.2, 0.0], [0.0, 0.8, 0.1], [0.1, 0.0, 0.95]]),
+        np.array([[0.0, 1.0], [0.5, 0.0], [0.2, 0.3]]),
+    )
+    c = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    model = controllers.LinearModel(a, b, c, 1e-3, 1e-2, dt=DT)
+    block = cosim.StateSpace(control.ss(a, b, c, 0, DT, inputs=["valve", "heater"], outputs=["level", "heat"]))
+    controller = controllers.LQGController(model, goal_covariance=0.01, control_covariance=1.0)
+    loop = cosim.closed_loop(
+        block, controller, control=["valve", "heater"], measured=["level", "heat"], reference=[1.0, 2.0]
+    )
+    poles = loop.poles()
+    for name in ("valve", "heater"):
+        again = control.feedback(loop.linear().open(name), 1).poles()
+        for pole in poles:
+            assert np.abs(again - pole).min() < 1e-6
+    assert loop.margins("valve") != loop.margins("heater")
+    assert loop.step_info("heat")["SteadyStateValue"] == pytest.approx(1.0)
+    assert loop.step_info("heat", "level")["SteadyStateValue"] == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(ModelError, match=r"2 controls: valve, heater\. Name one of them: at='valve'"):
+        loop.margins()
+    with pytest.raises(UnknownNameError, match="no control 'valv'; did you mean"):
+        loop.bode("valv")
+    with pytest.raises(ModelError, match="2 tracked signals"):
+        loop.step_info()
+
+
+def active():
+    law = controllers.ProportionalDerivative(gain=[[3.0]], derivative_gain=[[2.0]])
+    return controllers.UnbiasedActiveInference(
+        model=MODEL, law=law, state_prior="kalman", control="law", state_precision=10.0, belief_rate=0.5
+    )
+
+
+def nonlinear():
+    return controllers.NonlinearBayesianController(
+        MODEL, precision=FixedPrecision(), goal_on=H, goal_covariance=0.001, control_covariance=50.0, iterations=1
+    )
+
+
+@pytest.mark.parametrize("make", [active, nonlinear])
+def test_other_controllers_are_linearized_at_their_beginning(make):
+    """The poles are among those of the whole loop, which python-control linearizes with all that the controller keeps."""
+    loop = loop_of(make(), reference=0.0)
+    system = loop.to_control(seed=None, engine="interpreted")
+    whole = np.linalg.eigvals(system.linearize(system.initial_state).A)
+    poles = loop.poles()
+    assert 3 <= len(poles) <= 6
+    for pole in poles:
+        assert np.abs(whole - pole).min() < 1e-5
+    assert loop.margins().gain > 0
+
+
+def test_a_controller_that_runs_at_every_second_step_sees_two_steps_of_the_plant():
+    twice = controllers.LinearModel(A @ A, A @ B + B, C, 2 * Q, R, dt=2 * DT)
+    controller = controllers.LQGController(twice, goal_covariance=0.01, control_covariance=4.0)
+    loop = loop_of(controller, dt=DT)
+    assert loop.linear().dt == 2 * DT
+    np.testing.assert_allclose(
+        np.sort(np.abs(loop.poles())), np.sort(np.abs(controller.closed_loop_poles())), atol=1e-9
+    )
+
+
+def test_an_fmu_is_linearized_where_it_stands():
+    car = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 0.0})
+    controller = controllers.design(car, measured="v", actuated="force", sensors=2, sensor_std=1.0)
+    loop = cosim.closed_loop(
+        car, controller, control="force", measured="v", sensors=cosim.Sensors(2, 1.0), reference=20.0,
+        faults=[cosim.Freeze(sensor=0, start=1.0)], input_faults={"force": cosim.GainFault(factor=0.5, start=2.0)},
+        noise={"disturbance": cosim.Gaussian(std=0.03)},
+    )  # fmt: skip
+    parts = loop.linear().parts
+    np.testing.assert_allclose(parts.plant.A, controller.model.moving.A, atol=1e-8)
+    np.testing.assert_allclose(
+        np.sort(np.abs(loop.poles())), np.sort(np.abs(controller.closed_loop_poles())), atol=1e-6
+    )
+
+
+def test_figures_show_loop_and_margins():
+    loop = loop_of(lqg())
+    bode, locus, margins = loop.bode(), loop.root_locus(), loop.margins()
+    assert [axis.get_ylabel() for axis in bode.axes] == ["gain", "phase (degrees)"]
+    assert f"gain margin {margins.gain:.3g}" in bode.axes[0].get_title()
+    (axis,) = locus.axes
+    (now,) = [line for line in axis.lines if line.get_marker() == "s"]
+    np.testing.assert_allclose(now.get_xydata(), np.column_stack([loop.poles().real, loop.poles().imag]))
+
+
+def source_alone():
+    diagram = cosim.Diagram(DT)
+    diagram.add(cosim.Constant(1.0))
+    return diagram
+
+
+def squares(u, clean):
+    for i in range(clean.shape[0]):
+        clean[i] = u[0] * u[0]
+
+
+def unstable():
+    return loop_of(lqg(), cosim.StateSpace(control.ss(2.0 * A, B, H, 0, DT, inputs=["force"], outputs=["position"])))
+
+
+@pytest.mark.parametrize(
+    ("ask", "sentence"),
+    [
+        (lambda: source_alone().bode(), "A closed loop has one Sensors block"),
+        (lambda: loop_of(lqg(), sensors=cosim.Sensors(2, 0.1, function=squares)).margins(), "measure by a function"),
+        (lambda: unstable().step_info(), "The closed loop is not stable: its largest poles are 1.896"),
+        (lambda: loop_of(lqg()).linear(plant=control.ss(A, np.eye(2), H, 0, DT)), "2 inputs and 1 outputs, but the loop has 1"),
+        (lambda: loop_of(lqg()).linear(plant=control.ss(A, B, H, 0, 0.3)), "sample time of 0.3 s, but the controller runs every"),
+        (lambda: loop_of(lqg()).linear(plant=3.0), "StateSpace takes a StateSpace"),
+    ],
+)  # fmt: skip
+def test_refusals_are_sentences(ask, sentence):
+    with pytest.raises(ModelError, match=sentence):
+        ask()
+
+
+def test_another_system_may_stand_for_the_plant():
+    softer = control.ss(0.98 * A, B, H, 0, DT)
+    given = loop_of(lqg()).linear(plant=softer).poles()
+    np.testing.assert_allclose(given, loop_of(lqg(), plant(0.98 * A)).poles(), atol=1e-12)
+
+
+def test_an_integrator_that_no_goal_asks_about_does_not_disturb_the_response():
+    """A position behind a speed that is led to its goal: it goes on for ever, and the speed settles."""
+    model = controllers.LinearModel([[1, DT], [0, 0.9]], [[0.0], [0.1]], [[0, 1.0], [1.0, 0]], 1e-3, 1e-2, dt=DT)
+    controller = controllers.LQGController(model, goal_on=[[0.0, 1.0]], goal_covariance=0.01)
+    block = cosim.StateSpace(control.ss(model.A, model.B, model.C, 0, DT, inputs=["force"], outputs=["v", "s"]))
+    loop = cosim.closed_loop(block, controller, control="force", measured=["v", "s"], reference=1.0)
+    assert abs(loop.poles()[0]) > 1 - 1e-9
+    assert loop.step_info()["SteadyStateValue"] == pytest.approx(1.0)
