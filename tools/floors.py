@@ -51,6 +51,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.campaign.executors",),
     ("cosim.campaign",),
     ("cosim.statistics",),
+    ("cosim.comparison",),
     ("cosim",),
     ("controllers.linalg",),
     ("controllers.signals", "controllers.models"),

@@ -1,0 +1,1 @@
+"""Loops compared with each other over many seeds."""

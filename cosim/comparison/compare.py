@@ -1,0 +1,276 @@
+"""Loops compared run by run: the same seeds, and so the same noise and faults, for each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.base.timebase import whole_steps
+from bayesftc.cosim.blocks.faults.kinds import Fault
+from bayesftc.cosim.campaign.campaign import Campaign
+from bayesftc.cosim.campaign.designs.design import Points
+from bayesftc.cosim.campaign.outcomes import CampaignResult
+from bayesftc.cosim.campaign.runs.metrics import LoopFigures
+from bayesftc.cosim.comparison.pairing import check_pairs
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.wiring import find_controller, find_sensors
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.judging.signals import LoopSignals
+from bayesftc.cosim.statistics import compare as compare_levels
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from bayesftc.cosim.campaign.executors.base import Executor
+    from bayesftc.cosim.campaign.working import Progress
+
+ROWS = 2000
+"""At most about so many instants of each run are kept for the figure."""
+
+FIGURES = ("tracking.*.overall", "tracking.*.during", "sensors.*.false_alarm_rate")
+PHASES = {"overall": "", "during": "_in_faults"}
+"""The phases of a run that are compared, and what their columns end in."""
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Returns one of several loops by its name; it pickles."""
+
+    loops: Mapping[str, Diagram]
+
+    def __call__(self, loop: str) -> Diagram:
+        return self.loops[loop]
+
+
+class _Run(dict[str, Floats]):
+    """Recorded signals of one run, with the time of their rows."""
+
+    def __init__(self, time: Floats, signals: Mapping[str, Floats]):
+        super().__init__(signals)
+        self.time = time
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How several loops do with the same noise and faults; what `compare` returns.
+
+    Attributes
+    ----------
+    table : pandas.DataFrame
+        A row for each loop and tracked signal: ``loop``, ``signal``, ``unit``; ``runs`` and ``failed``; ``error``, the mean over
+        the runs of the root-mean-square difference between signal and reference, and ``error_in_faults``, the same while a fault
+        is present; ``false_alarms``, the mean share of fault-free samples with an alarm, over all sensors; ``difference`` of the
+        error to the first loop's in the same runs, with its paired interval ``low``, ``high``; ``wins``, the number of runs with
+        a smaller error than the first loop's, and ``pairs``, that of all pairs; then the same with the ending ``_in_faults``.
+        NaN is what there is not: differences of the first loop to itself, errors in faults without a fault, false alarms of a
+        controller without fault probabilities.
+    runs : pandas.DataFrame
+        A row for each run, as of `CampaignResult.table`, with the loop's name in the column ``loop``.
+    """
+
+    loops: Mapping[str, Diagram]
+    result: CampaignResult = field(repr=False)
+    level: float = 0.95
+
+    @property
+    def runs(self) -> pd.DataFrame:
+        """See the class."""
+        return self.result.table
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """See the class."""
+        import pandas as pd
+
+        runs, units = self.runs, self._units
+        alarms = [name for name in runs if name.startswith("sensors.")]
+        rows = []
+        for signal in units:
+            found = {phase: self._differences(f"tracking.{signal}.{phase}") for phase in PHASES}
+            for name in self.loops:
+                own = runs[runs["loop"] == name]
+                row: dict[str, Any] = {"loop": name, "signal": signal, "unit": units[signal] or "", "runs": len(own)}
+                row["failed"] = int((own["status"] != "ok").sum())
+                for phase, ending in PHASES.items():
+                    row[f"error{ending}"] = own[f"tracking.{signal}.{phase}"].mean()
+                row["false_alarms"] = own[alarms].mean(axis=None) if alarms else np.nan
+                for phase, ending in PHASES.items():
+                    row |= {f"{key}{ending}": value for key, value in found[phase].get(name, _NOTHING).items()}
+                rows.append(row)
+        counts = [f"{name}{ending}" for name in ("wins", "pairs") for ending in PHASES.values()]
+        return pd.DataFrame(rows).astype(dict.fromkeys(counts, "Int64"))
+
+    def signals(self, loop: str) -> list[LoopSignals]:
+        """Return the signals of each run of a loop that went to its end, by their part in it.
+
+        Parameters
+        ----------
+        loop : str
+            Its name.
+        """
+        dataset = self.result.dataset
+        kept = np.flatnonzero((dataset["loop"].values == loop) & (dataset["status"].values == "ok"))
+        time, arrays = dataset["time"].values, {str(name): dataset[name].values for name in dataset.data_vars}
+        made: list[Any] = [_Run(time, {name: values[i] for name, values in arrays.items()}) for i in kept]
+        return [loop_signals(self.loops[loop], run) for run in made]
+
+    def plot(self) -> Figure:
+        """Return a figure of each tracked signal: the median over the runs of each loop, a band, the reference, faults shaded.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            To be saved (``figure.savefig("comparison.png")``) or shown by a notebook.
+        """
+        from bayesftc.cosim.comparison.figure import plot_comparison
+
+        return plot_comparison({name: self.signals(name) for name in self.loops}, list(self._units))
+
+    @property
+    def _units(self) -> dict[str, str | None]:
+        """The tracked signals with their units."""
+        loop = next(iter(self.loops.values()))
+        empty: Any = _Run(np.zeros(0), {})
+        return {q.name: q.unit for q in loop_signals(loop, empty).quantities if q.has_goal}
+
+    def _differences(self, metric: str) -> dict[str, dict[str, float]]:
+        """Return for each loop but the first how its runs differ from those of the first."""
+        first = next(iter(self.loops))
+        table = compare_levels(self.runs, metric, "loop", against=first, level=self.level).set_index("first")
+        by_loop = self.runs.pivot(index="seed", columns="loop", values=metric)
+        return {
+            str(name): {
+                **{key: float(row[key]) for key in ("difference", "low", "high")},
+                "wins": float((by_loop[name] < by_loop[first]).sum()),
+                "pairs": float(row["n_first"]),
+            }
+            for name, row in table.iterrows()
+        }
+
+    def __repr__(self) -> str:
+        return self.table.to_string(index=False)
+
+    def _repr_html_(self) -> str:
+        return self.table.to_html(index=False)
+
+
+_NOTHING = dict.fromkeys(("difference", "low", "high", "wins", "pairs"), np.nan)
+
+
+def compare(
+    loops: Mapping[str, Diagram],
+    *,
+    duration: float | str | Fraction,
+    seeds: int | Sequence[int] = 50,
+    seed: int = 0,
+    level: float = 0.95,
+    time_limit: float | None = None,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Run several loops with the same seeds on all cores, and return how their errors differ, run by run.
+
+    Runs of the same seed have the same noise and the same faults in each loop. So the difference of two loops is known much more
+    exactly than the error of either.
+
+    Parameters
+    ----------
+    loops : mapping of str to Diagram
+        At least two closed loops by name; the others are compared with the first. They may differ in plant and controller.
+    duration : float, str or Fraction
+        Seconds of each run.
+    seeds : int or sequence of int
+        Number of runs of each loop, or their seeds.
+    seed : int
+        From which the seeds are hashed.
+    level : float
+        Probability that an interval covers the difference.
+    time_limit : float, optional
+        Seconds of computing that a run may take; one that takes longer has failed.
+    executor, progress : optional
+        As of `Campaign.run`.
+
+    Returns
+    -------
+    Comparison
+        With ``table`` and ``plot()``.
+
+    Raises
+    ------
+    ModelError
+        If there are fewer than two loops, one is no closed loop, they differ in what draws noise, in faults or references, or
+        no measured signal has a goal.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> system = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    >>> loops = {}
+    >>> for name, precision in {"fixed": controllers.FixedPrecision(), "SER": controllers.SERFDI()}.items():
+    ...     controller = controllers.LQGController(model, precision=precision, goal_covariance=0.01)
+    ...     loops[name] = cosim.closed_loop(
+    ...         cosim.StateSpace(system, process_noise=[[1e-3]]), controller, control="u", measured="y",
+    ...         sensors=cosim.Sensors(2, 0.2), faults=[cosim.Bias(sensor=0, magnitude=3.0, start=2.0)], reference=1.0,
+    ...     )
+    >>> cosim.compare(loops, duration=5.0, seeds=10).table[["loop", "runs", "wins"]]
+        loop  runs  wins
+    0  fixed    10  <NA>
+    1    SER    10    10
+    """
+    if not isinstance(loops, Mapping) or len(loops) < 2:
+        raise ModelError(
+            "compare takes at least two loops by name: compare({'fixed': loop_a, 'switching': loop_b}, duration=20.0)."
+        )
+    for name, loop in loops.items():
+        if not isinstance(name, str) or not isinstance(loop, Diagram):
+            raise ModelError(f"compare has {name!r}: {loop!r}; give each loop as a diagram under a name, a text.")
+    check_pairs(loops)
+    first = next(iter(loops.values()))
+    record = _recorded(first)
+    for name, loop in loops.items():
+        if _recorded(loop) != record:
+            raise ModelError(
+                f"The loop {name!r} measures or tracks other signals ({', '.join(_recorded(loop))}) than the first one "
+                f"({', '.join(record)}). Compare loops that track the same signals of plants of the same name."
+            )
+    if not any(name.startswith("tracking.") for name in LoopFigures().columns(first)):
+        raise ModelError("No measured signal is known in these loops, so that there is no tracking error to compare.")
+    campaign = Campaign(
+        _Chosen(dict(loops)),
+        duration=duration,
+        grid=Points([{"loop": name} for name in loops]),
+        seeds=seeds,
+        seed=seed,
+        record=record,
+        metrics=[LoopFigures(only=FIGURES)],
+        decimation=max(1, whole_steps(duration, first.step, "The duration") // ROWS),
+        time_limit=time_limit,
+    )
+    return Comparison(dict(loops), campaign.run(executor=executor, progress=progress), level)
+
+
+def _recorded(loop: Diagram) -> list[str]:
+    """Return the names of the signals that the figure shows: what sensors read, goals, and when faults are present."""
+    seen, controller = find_sensors(loop), find_controller(loop)
+    faults = [f"{node.name}.active" for node in loop.nodes if isinstance(node.block, Fault)]
+    return list(dict.fromkeys([*_sources(loop, seen, "u"), *_sources(loop, controller, "goal"), *faults]))
+
+
+def _sources(loop: Diagram, node: Node, port: str) -> list[str]:
+    into = node.port(port)
+    origins = [loop.source_of(node, into, i) for i in range(into.size)]
+    return [f"{origin[0].node.name}.{origin[0].port.name}" for origin in origins if origin is not None]
+
+
+__all__ = ["Comparison", "compare"]

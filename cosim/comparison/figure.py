@@ -1,0 +1,88 @@
+"""The figure of a comparison: tracked signals of several loops over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.judging.panels import finish, legend, make_panels
+from bayesftc.cosim.judging.plotting import BLUE, LINES, SENSOR_COLOURS
+from bayesftc.cosim.judging.signals import LoopSignals
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = (BLUE, *SENSOR_COLOURS)
+BAND = (5.0, 95.0)
+"""Percentiles between which the band lies."""
+
+
+def plot_comparison(runs: Mapping[str, Sequence[LoopSignals]], names: Sequence[str]) -> Figure:
+    """Return a figure with a panel for each tracked signal.
+
+    Parameters
+    ----------
+    runs : mapping of str to sequence of LoopSignals
+        The runs of each loop.
+    names : sequence of str
+        The tracked signals.
+    """
+    known = [run for own in runs.values() for run in own]
+    figure, axes = make_panels(max(len(names), 1))
+    for axis, name in zip(axes, names, strict=False):
+        for i, (loop, own) in enumerate(runs.items()):
+            if own:
+                _draw_loop(axis, loop, [_quantity(run, name).truth for run in own], own[0].time, i)
+        _draw_reference(axis, known, name)
+        _shade(axis, known)
+        legend(axis)
+        if known:
+            unit = _quantity(known[0], name).unit
+            axis.set_ylabel(f"{name} ({unit})" if unit else name)
+    finish(axes, known[0].time if known else np.zeros(0))
+    figure.suptitle(
+        f"Median of {max(map(len, runs.values()), default=0)} runs and the band of 90 % of them; shaded: a fault is present",
+        fontsize=10, x=0.01, ha="left",
+    )  # fmt: skip
+    return figure
+
+
+def _draw_loop(axis: Axes, loop: str, values: Sequence[Any], time: Floats, i: int) -> None:
+    low, middle, high = np.nanpercentile(np.array(values), [BAND[0], 50.0, BAND[1]], axis=0)
+    colour = COLOURS[i % len(COLOURS)]
+    axis.fill_between(time, low, high, color=colour, alpha=0.2, lw=0, zorder=2)
+    axis.plot(time, middle, LINES[i % len(LINES)], color=colour, lw=1.4, zorder=4, label=loop)
+
+
+def _draw_reference(axis: Axes, runs: Sequence[LoopSignals], name: str) -> None:
+    references = [_quantity(run, name).reference for run in runs]
+    if references and references[0] is not None:
+        style: dict[str, Any] = {"color": "0.6", "lw": 3.0, "zorder": 1, "label": "reference"}
+        axis.plot(runs[0].time, references[0], **style)
+
+
+def _shade(axis: Axes, runs: Sequence[LoopSignals]) -> None:
+    """Shade where faults are present, the darker the more runs have one."""
+    faulty = [run.faulty for run in runs]
+    if not faulty or any(flags is None for flags in faulty):
+        return
+    share = np.mean(np.array(faulty, dtype=np.float64), axis=0)
+    if share.any():
+        time, limits = runs[0].time, axis.get_ylim()
+        end = 2.0 * float(time[-1]) - float(time[-2])  # a row counts until the next one
+        axis.imshow(
+            share[None, :], cmap="Greys", vmin=0.0, vmax=5.0, aspect="auto", interpolation="nearest", zorder=0,
+            extent=(float(time[0]), end, 0.0, 1.0), transform=axis.get_xaxis_transform(),
+        )  # fmt: skip
+        axis.set_ylim(limits)
+
+
+def _quantity(run: LoopSignals, name: str) -> Any:
+    return next(quantity for quantity in run.quantities if quantity.name == name)
+
+
+__all__ = ["plot_comparison"]

@@ -1,0 +1,90 @@
+"""Whether runs of several loops are paired: the same seed gives all of them the same noise, faults and reference."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.block import Block
+from bayesftc.cosim.blocks.faults.kinds import Fault
+from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sources import Source
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.wiring import find_controller, find_sensors
+from bayesftc.cosim.errors import ModelError
+
+
+def check_pairs(loops: Mapping[str, Diagram]) -> None:
+    """Refuse loops of which runs with the same seed are no pair.
+
+    Random streams belong to the names of blocks. So sensors, sources, faults and all other blocks with random inputs must be the
+    same in each loop. Plant and controller may differ.
+
+    Raises
+    ------
+    ModelError
+        If the loops differ in their sample time, or in one of these blocks.
+    """
+    (first, one), *others = loops.items()
+    find_controller(one), find_sensors(one)
+    expected = dict(_surroundings(one))
+    for name, loop in others:
+        if loop.step != one.step:
+            raise ModelError(
+                f"The loops {first!r} and {name!r} run at {float(one.step):g} s and {float(loop.step):g} s, so that their noise "
+                "is not the same. Give both the same dt."
+            )
+        found = dict(_surroundings(loop))
+        for block in (*expected, *found):
+            if block not in expected or block not in found:
+                owner, other = (first, name) if block in expected else (name, first)
+                raise ModelError(
+                    f"{block!r} of the loop {owner!r} draws noise, or is a fault, a sensor or a source, and the loop {other!r} has no "
+                    "such block, so that runs are no pairs. Give it to both, under the same name."
+                )
+            if not alike(expected[block].block, found[block].block):
+                raise ModelError(
+                    f"The block {block!r} has other settings in the loop {name!r} than in {first!r}, so that noise, faults or "
+                    "reference are not the same. Give both the same settings."
+                )
+            if expected[block].every != found[block].every:
+                raise ModelError(
+                    f"The block {block!r} runs every {found[block].every} steps in the loop {name!r}, and every "
+                    f"{expected[block].every} in {first!r}. Give both the same every=."
+                )
+
+
+def _surroundings(loop: Diagram) -> Iterator[tuple[str, Node]]:
+    """Yield the blocks that must be the same in each loop."""
+    for node in loop.nodes:
+        random = any(port.draw is not None for port in node.block.inputs)
+        if random or isinstance(node.block, Fault | Sensors | Source):
+            yield node.name, node
+
+
+def alike(one: Any, other: Any) -> bool:
+    """Return whether two blocks, or settings of them, are the same, arrays and all."""
+    if one is other:
+        return True
+    if is_dataclass(one) or isinstance(one, Block):
+        if type(one) is not type(other) or not is_dataclass(one):
+            return False
+        return all(alike(getattr(one, each.name), getattr(other, each.name)) for each in fields(one))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
+    if _is_plain_sequence(one) and _is_plain_sequence(other):
+        return len(one) == len(other) and all(map(alike, one, other))
+    if callable(one) and callable(other):
+        return getattr(one, "__code__", one) == getattr(other, "__code__", other)
+    try:
+        return bool(np.array_equal(one, other, equal_nan=True))
+    except TypeError:
+        return bool(one == other)
+
+
+def _is_plain_sequence(value: object) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)

@@ -1,0 +1,139 @@
+"""Loops compared with the same seeds, against runs made one by one and SciPy's paired t-test."""
+
+import control
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayesftc import controllers, cosim
+from bayesftc.controllers import SERFDI, FixedPrecision
+from bayesftc.cosim.comparison.pairing import alike
+from bayesftc.cosim.errors import BayesFTCError, ModelError
+from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.roles import loop_signals
+
+MODEL = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+SYSTEM = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)
+FAULT = cosim.Bias(sensor=0, magnitude=3.0, start=2.0, stop=4.0)
+
+
+def loop_of(precision, **options):
+    settings = {
+        "control": "u", "measured": "y", "sensors": cosim.Sensors(2, 0.2), "faults": [FAULT],
+        "reference": cosim.Sine(amplitude=1.0, period=3.0),
+    }  # fmt: skip
+    plant = cosim.StateSpace(SYSTEM, process_noise=[[1e-3]])
+    controller = controllers.LQGController(MODEL, precision=precision, goal_covariance=0.01)
+    return cosim.closed_loop(plant, options.pop("controller", controller), **settings | options)
+
+
+@pytest.fixture(scope="module")
+def compared():
+    loops = {"fixed": loop_of(FixedPrecision()), "SER": loop_of(SERFDI())}
+    return cosim.compare(loops, duration=5.0, seeds=[3, 1, 4, 15, 9])
+
+
+def test_the_table_is_that_of_runs_made_one_by_one(compared):
+    errors, alarms = {}, {}
+    for name, precision in {"fixed": FixedPrecision(), "SER": SERFDI()}.items():
+        loop = loop_of(precision)
+        found = [
+            figures(loop_signals(loop, loop.simulate(5.0, seed=seed, engine="interpreted")))
+            for seed in (3, 1, 4, 15, 9)
+        ]
+        errors[name] = np.array([(each.tracking["y"].overall, each.tracking["y"].during) for each in found])
+        alarms[name] = np.mean([[s.false_alarm_rate for s in each.sensors] for each in found])
+    fixed, ser = (compared.table.iloc[i] for i in (0, 1))
+    assert list(compared.table["loop"]) == ["fixed", "SER"]
+    for row, name in ((fixed, "fixed"), (ser, "SER")):
+        assert (row["runs"], row["failed"]) == (5, 0)
+        assert [row["error"], row["error_in_faults"]] == pytest.approx(errors[name].mean(axis=0))
+        assert row["false_alarms"] == pytest.approx(alarms[name], nan_ok=True)
+    for k, ending in enumerate(("", "_in_faults")):
+        t = stats.ttest_rel(errors["SER"][:, k], errors["fixed"][:, k])
+        interval = t.confidence_interval(0.95)
+        found = [ser[f"{name}{ending}"] for name in ("difference", "low", "high")]
+        assert found == pytest.approx([(errors["SER"] - errors["fixed"])[:, k].mean(), interval.low, interval.high])
+        assert ser[f"wins{ending}"] == (errors["SER"] < errors["fixed"])[:, k].sum()
+        assert ser[f"pairs{ending}"] == 5
+        assert np.isnan(fixed[f"difference{ending}"])
+
+
+def test_loops_have_the_same_noise_and_faults(compared):
+    one, other = (compared.loops[name].simulate(2.0, seed=3, engine="interpreted") for name in ("fixed", "SER"))
+    for result in (one, other):
+        noise = result["sensors.y"] - result["plant.y"][:, None]
+        np.testing.assert_allclose(noise, one["sensors.y"] - one["plant.y"][:, None], atol=1e-12)
+
+
+def test_a_comparison_is_shown_as_its_table(compared):
+    assert repr(compared).splitlines()[0].split()[:2] == ["loop", "signal"]
+    assert "<table" in compared._repr_html_()
+
+
+def test_the_figure_has_medians_reference_and_faults(compared):
+    figure = compared.plot()
+    (axis,) = figure.axes
+    lines = {line.get_label(): line for line in axis.lines}
+    assert set(lines) == {"fixed", "SER", "reference"}
+    runs = [
+        compared.loops["SER"].simulate(5.0, seed=seed, engine="interpreted")["plant.y"] for seed in (3, 1, 4, 15, 9)
+    ]
+    np.testing.assert_allclose(lines["SER"].get_ydata(), np.median(runs, axis=0), atol=1e-12)
+    (shade,) = axis.images
+    np.testing.assert_array_equal(np.asarray(shade.get_array())[0] > 0, (np.arange(51) >= 20) & (np.arange(51) < 40))
+    assert axis.get_ylim()[0] < -1.0
+    assert axis.get_ylabel() == "y"
+
+
+REFUSED = [
+    ({"a": loop_of(FixedPrecision())}, "at least two loops by name"),
+    ({"a": loop_of(FixedPrecision()), "b": 3}, "give each loop as a diagram"),
+    ({"a": loop_of(FixedPrecision()), "b": cosim.Diagram(0.1)}, "has no such block, so that runs"),
+    ({"a": cosim.Diagram(0.1), "b": cosim.Diagram(0.1)}, "A closed loop has one controller"),
+    ({"a": loop_of(SERFDI()), "b": loop_of(SERFDI(), sensors=cosim.Sensors(2, 0.3))}, "'sensors' has other settings"),
+    (
+        {"a": loop_of(SERFDI()), "b": loop_of(SERFDI(), faults=[])},
+        "'bias_0' of the loop 'a' draws noise, or is a fault",
+    ),
+    ({"a": loop_of(SERFDI()), "b": loop_of(SERFDI(), reference=1.0)}, "'reference' has other settings"),
+    ({"a": loop_of(SERFDI()), "b": loop_of(SERFDI(), dt=0.05)}, "run at 0.1 s and 0.05 s"),
+]
+
+
+@pytest.mark.parametrize(("loops", "sentence"), REFUSED, ids=[sentence for _, sentence in REFUSED])
+def test_what_is_no_pair_is_refused(loops, sentence):
+    with pytest.raises(BayesFTCError, match=sentence):
+        cosim.compare(loops, duration=1.0, seeds=2)
+
+
+def test_another_seed_of_random_faults_is_the_same_in_each_loop():
+    faults = [cosim.RandomFaults(mean_time_to_fault=1.0, mean_time_to_recovery=0.5)]
+    loops = {"a": loop_of(FixedPrecision(), faults=faults), "b": loop_of(SERFDI(), faults=faults)}
+    found = cosim.compare(loops, duration=3.0, seeds=3)
+    (one, *_), (other, *_) = found.signals("a"), found.signals("b")
+    np.testing.assert_array_equal(one.faulty, other.faulty)
+    assert found.table["error_in_faults"].notna().any()
+
+
+def test_settings_are_alike_whatever_they_are_made_of():
+    def measure(u, clean):
+        clean[0] = u[0]
+
+    one = cosim.Sensors(1, function=measure, bias=[0.5])
+    assert alike(one, cosim.Sensors(1, function=measure, bias=(0.5,)))
+    assert not alike(one, cosim.Sensors(1, function=measure, bias=[0.6]))
+    assert not alike(one, cosim.Gain(2.0))
+    assert alike(np.array([1.0, np.nan]), np.array([1.0, np.nan]))
+    assert not alike({"a": 1.0}, {"a": 1.0, "b": 2.0})
+
+
+def test_plants_of_other_names_are_refused():
+    model = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["level"])
+    other = cosim.closed_loop(
+        cosim.StateSpace(model), controllers.LQGController(MODEL, goal_covariance=0.01), control="u", measured="level",
+        sensors=cosim.Sensors(2, 0.2), faults=[FAULT], reference=cosim.Sine(amplitude=1.0, period=3.0),
+    )  # fmt: skip
+    first = loop_of(SERFDI(), faults=[FAULT])
+    with pytest.raises(ModelError, match="'plant' of the loop 'a' draws noise"):
+        cosim.compare({"a": first, "b": other}, duration=1.0, seeds=2)
