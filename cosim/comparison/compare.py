@@ -75,6 +75,8 @@ class Comparison:
         controller without fault probabilities.
     runs : pandas.DataFrame
         A row for each run, as of `CampaignResult.table`, with the loop's name in the column ``loop``.
+    loops, result, level
+        The loops by name, the campaign's result with the recorded signals, and the probability that an interval covers.
     """
 
     loops: Mapping[str, Diagram]

@@ -43,8 +43,8 @@ def check_pairs(loops: Mapping[str, Diagram]) -> None:
             if block not in expected or block not in found:
                 owner, other = (first, name) if block in expected else (name, first)
                 raise ModelError(
-                    f"{block!r} of the loop {owner!r} draws noise, or is a fault, a sensor or a source, and the loop {other!r} has no "
-                    "such block, so that runs are no pairs. Give it to both, under the same name."
+                    f"{block!r} of the loop {owner!r} draws noise, or is a fault, a sensor or a source, and the loop "
+                    f"{other!r} has no such block, so that runs are no pairs. Give it to both, under the same name."
                 )
             if not alike(expected[block].block, found[block].block):
                 raise ModelError(

@@ -519,3 +519,47 @@ def test_a_run_keeps_pace_with_the_clock_and_says_where_it_was_late(bayesftc_):
     assert (wrong.exit_code, wrong.output) == (
         9, "Error: pace is 0.0; it must be a positive number of simulated seconds for each second, 1.0 for real time.\n"
     )  # fmt: skip
+
+
+def two_scenarios(folder, change=lambda text: text):
+    """Write the car with the paper's learner and with fixed precisions; return both files."""
+    ours, fixed = folder / "gamma.toml", folder / "fixed.toml"
+    ours.write_text(CAR.replace("duration = 20.0", "duration = 2.0"))
+    fixed.write_text(
+        change(
+            CAR[:LEARNER].replace("duration = 20.0", "duration = 2.0")
+            + '[controller.precision]\nkind = "FixedPrecision"\n'
+        )
+    )
+    return fixed, ours
+
+
+def test_scenarios_are_compared_with_the_same_seeds(bayesftc_, tmp_path):
+    fixed, ours = two_scenarios(tmp_path)
+    done = bayesftc_(
+        "run", fixed, ours, "--compare", "--seeds", 3, "--duration", 8.0, "--out", tmp_path / "out", "--json"
+    )
+    assert done.exit_code == 0, done.output
+    first, second = json.loads(done.stdout)["loops"]
+    assert (first["loop"], second["loop"], second["runs"], second["pairs"]) == ("fixed", "gamma", 3, 3)
+    assert first["difference"] is None
+    assert second["difference"] == pytest.approx(second["error"] - first["error"])
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"comparison.csv", "figure.png"}
+    shown = bayesftc_("run", fixed, ours, "--compare", "--seeds", 2).output
+    assert "Tracking error of v (m/s), whole run" in shown
+    assert "against fixed" in shown
+
+
+def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):
+    fixed, ours = two_scenarios(tmp_path, lambda text: text.replace("duration = 2.0", "duration = 3.0"))
+    for arguments, sentence in (
+        ((fixed, "--compare"), "--compare has only one scenario"),
+        ((fixed, ours), "bayesftc run has 2 scenarios"),
+        ((fixed, "--seeds", 3), "bayesftc run has --seeds"),
+        ((fixed, ours, "--compare", "--engine", "compiled"), "leave them out"),
+        ((fixed, ours, "--compare", "--seeds", 2), "'fixed' lasts 3.0 s and 'gamma' lasts 2.0 s"),
+        ((fixed, fixed, "--compare"), "have the same name"),
+    ):
+        done = bayesftc_("run", *arguments)
+        assert done.exit_code != 0
+        assert sentence in " ".join(done.output.split())

@@ -14,6 +14,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.commands.compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
 from bayesftc.cosim.diagram.wiring import find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
@@ -46,8 +47,12 @@ Engine = StrEnum("Engine", ["auto", "compiled", "interpreted"])
 
 
 def run(
-    scenario: Annotated[
-        str, typer.Argument(help="A scenario file (TOML), or the name of a shipped one: cruise_control.")
+    scenarios: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENARIO",
+            help="A scenario file (TOML), or the name of a shipped one: cruise_control; several to compare.",
+        ),
     ],
     out: RunFolder = None,
     seed: Seed = None,
@@ -60,10 +65,27 @@ def run(
     check_kalman: Annotated[
         bool, typer.Option("--check-kalman", help="Compare the belief with filterpy's Kalman filter.")
     ] = False,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Run several scenarios with the same seeds, and compare their errors.")
+    ] = False,
+    seeds: Annotated[
+        int | None, typer.Option(min=2, help="With --compare: number of runs of each, by default 50.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a scenario, print its figures and write its files."""
+    """Run a scenario, print its figures and write its files; or compare several."""
+    if compare:
+        if engine is not None or pace is not None or check_kalman:
+            raise ModelError("--compare runs campaigns, without --engine, --pace and --check-kalman; leave them out.")
+        compare_scenarios(scenarios, seeds=seeds, seed=seed, duration=duration, out=out, json=json, quiet=quiet)
+        return
+    if len(scenarios) > 1 or seeds is not None:
+        raise ModelError(
+            f"bayesftc run has {'--seeds' if seeds is not None else f'{len(scenarios)} scenarios'}, but makes one run of one "
+            "scenario. To compare several scenarios over many seeds, add --compare."
+        )
+    (scenario,) = scenarios
     options: dict[str, Any] = {"seed": seed, "duration": duration, "engine": engine and engine.value, "pace": pace}
     loaded = load_scenario(scenario)
     loop = loaded.loop()

@@ -1,0 +1,123 @@
+"""``bayesftc run --compare``: several scenario files with the same seeds, to one table and one figure."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from bayesftc.cli import output
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.errors import ScenarioError
+from bayesftc.cosim.judging.metrics import without_nan
+from bayesftc.scenario import load_scenario
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.comparison.compare import Comparison
+
+TABLE = "comparison.csv"
+PHASES = {"": "whole run", "_in_faults": "while a fault is present"}
+SEEDS = 50
+
+
+def compare_scenarios(
+    files: Sequence[str],
+    *,
+    seeds: int | None,
+    seed: int | None,
+    duration: float | None,
+    out: Path | None,
+    json: bool,
+    quiet: bool,
+) -> None:
+    """Run scenario files with the same seeds; print the table, and write table and figure.
+
+    Raises
+    ------
+    ScenarioError
+        If there is one file only, two have the same name, or their durations differ.
+    """
+    from bayesftc import cosim
+
+    scenarios = {Path(file).stem: load_scenario(file) for file in files}
+    if len(scenarios) < len(files):
+        raise ScenarioError("Two of the files have the same name, which is that of their rows. Rename one of them.")
+    if len(files) < 2:
+        raise ScenarioError(
+            f"--compare has only one scenario, {files[0]}. Name at least two: bayesftc run a.toml b.toml --compare."
+        )
+    durations = {name: scenario.simulation.duration for name, scenario in scenarios.items()}
+    (first, chosen), *others = durations.items()
+    for name, other in others:
+        if duration is None and rational_step(other) != rational_step(chosen):
+            raise ScenarioError(
+                f"The scenario {first!r} lasts {chosen} s and {name!r} lasts {other} s. Give both the same duration, or give "
+                "--duration."
+            )
+    if out is not None:
+        output.check_folder(out, (TABLE, output.FIGURE))
+    loops = {name: scenario.loop() for name, scenario in scenarios.items()}
+    with output.progress_bar(
+        "Comparing", "count", "remaining", shown=sys.stderr.isatty() and not quiet and not json
+    ) as move:
+        found = cosim.compare(
+            loops,
+            duration=chosen if duration is None else duration,
+            seeds=SEEDS if seeds is None else seeds,
+            seed=0 if seed is None else seed,
+            progress=move and (lambda done, of, failed: move(done, of)),
+        )
+    if out is not None:
+        picture = io.BytesIO()
+        found.plot().savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+        with output.staged(out) as stage:
+            found.table.to_csv(stage / TABLE, index=False)
+            (stage / output.FIGURE).write_bytes(picture.getbuffer())
+    rows: list[dict[str, Any]] = found.table.astype(object).where(found.table.notna(), None).to_dict("records")
+    if json:
+        typer.echo(output.as_json({"loops": without_nan(rows)}))
+    elif not quiet:
+        _print(found, rows, out)
+
+
+def _print(found: Comparison, rows: Sequence[dict[str, Any]], out: Path | None) -> None:
+    console, say = output.sayer()
+    first = rows[0]["loop"]
+    for signal in dict.fromkeys(row["signal"] for row in rows):
+        own = [row for row in rows if row["signal"] == signal]
+        unit = f" ({own[0]['unit']})" if own[0]["unit"] else ""
+        for ending, phase in PHASES.items():
+            if all(row[f"error{ending}"] is None for row in own):
+                continue
+            say(f"Tracking error of {signal}{unit}, {phase}", "bold")
+            columns = ("error", "difference", "95 % interval", "wins", "false alarms")
+            table = output.plain_table("loop", *columns, right=columns)
+            for row in own:
+                table.add_row(row["loop"], *_cells(row, ending))
+            console.print(table)
+    runs, failed = rows[0]["runs"], sum(row["failed"] for row in rows if row["signal"] == rows[0]["signal"])
+    say(
+        f"Each loop made {runs} runs with the same seeds; errors are means of root mean squares. Differences and wins are "
+        f"against {first}." + (f" {failed} runs have failed." if failed else "")
+    )
+    for reason, count in found.runs.loc[found.runs["status"] != "ok", "reason"].value_counts().head(3).items():
+        say(f"{count} of them: {reason}")
+    if out is not None:
+        say(f"{TABLE} and {output.FIGURE} are in {out}.")
+
+
+def _cells(row: dict[str, Any], ending: str) -> list[str]:
+    def shown(name: str, form: str = "{:.4g}") -> str:
+        value = row[name]
+        return output.DASH if value is None else form.format(value)
+
+    interval = output.DASH
+    if row[f"low{ending}"] is not None:
+        interval = f"{shown(f'low{ending}')} to {shown(f'high{ending}')}"
+    wins = output.DASH if row[f"pairs{ending}"] is None else f"{row[f'wins{ending}']} of {row[f'pairs{ending}']}"
+    alarms = shown("false_alarms", "{:.2%}")
+    return [shown(f"error{ending}"), shown(f"difference{ending}"), interval, wins, alarms]
