@@ -308,7 +308,7 @@ class UnbiasedActiveInference(Block):
         C = self.measurement_matrix
         if self.state_prior != "kalman" or self.model is None or not np.isfinite(C).all():
             return None
-        return replace(self.model, C=C, sensor_covariance=nominal_covariance(self._groups))
+        return replace(self.model, C=C, sensor_covariance=nominal_covariance(self._groups), names=None)
 
     def _learned_model(self) -> LinearModel:
         """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""

@@ -274,7 +274,7 @@ class BayesianController(BayesianBlock):
         model = self.model.moving
         A, B, C = (model.matrix(name) for name in "ABC")
         n = model.states
-        K, L, M, T, F = self._steady_gains(A, B, C, self._priors()[0][:, :n])
+        K, L, M, T, F = self.steady_gains()
         seen = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
         move = A @ T - B @ L  # mean at the next step = move @ x_hat + ... goal
         return move @ seen, np.hstack([move @ K, A @ F + B @ M]), -L @ seen, np.hstack([-L @ K, M])
@@ -286,13 +286,37 @@ class BayesianController(BayesianBlock):
         gain on the belief, and those of the filter. States of an estimated disturbance move on their own; of them only the
         estimates are counted.
         """
+        return np.linalg.eigvals(self.closed_loop_matrix()).astype(np.complex128)
+
+    def closed_loop_matrix(self) -> Floats:
+        """Return the transition matrix of the plant's states and the predicted mean together; see `closed_loop_poles`."""
         model = self.model.moving
         A, B, C = (model.matrix(name) for name in "ABC")
         plant, m = model.states - model.disturbances, model.sensors
         A, B, C = A[:plant, :plant], B[:plant], C[:, :plant]
         move, given, out, direct = self.linear_law()
-        whole = np.block([[A + B @ direct[:, :m] @ C, B @ out], [given[:, :m] @ C, move]])
-        return np.linalg.eigvals(whole).astype(np.complex128)
+        return np.block([[A + B @ direct[:, :m] @ C, B @ out], [given[:, :m] @ C, move]])
+
+    def steady_gains(self) -> Gains:
+        """Return the gains of filter and control in steady state, at the model's sensor covariance and without limits."""
+        A, B, C = (self.model.moving.matrix(name) for name in "ABC")
+        return self._steady_gains(A, B, C, self._priors()[0][:, : len(A)])
+
+    def describe(self) -> str:
+        """Return in sentences what the controller expects and what the loop will do.
+
+        Poles, model, trust in the sensors and the faults that it tells, gains of filter and control in steady state, and the
+        standard deviations that the model expects of tracking and belief.
+        """
+        from bayesftc.controllers.bayesian import describing
+
+        parts = (describing.model_lines, describing.learner_lines, describing.gain_lines, describing.accuracy_lines)
+        return "\n".join([*self._pole_lines(), *(line for part in parts for line in part(self))])
+
+    def _pole_lines(self) -> list[str]:
+        from bayesftc.controllers.bayesian.describing import pole_lines
+
+        return pole_lines(self._poles_to_judge())
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
         """Return the gains of filter and control in steady state."""

@@ -10,9 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesftc.controllers.bayesian.describing import listed
 from bayesftc.controllers.bayesian.linear import BayesianController
 from bayesftc.controllers.bayesian.riccati import Regulator, regulate
-from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable, shown
+from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.bayesian.steady import Gains
 from bayesftc.controllers.models.checks import Matrix, frozen
 from bayesftc.cosim.errors import ModelError
@@ -147,19 +148,18 @@ class LQGController(BayesianController):
         costs = (np.linalg.inv(np.asarray(c, float)) for c in (self.goal_covariance, self.control_covariance))
         return regulate(self.model, self.goal_matrix, *costs)
 
-    def describe(self) -> str:
-        """Return in sentences what the loop will do: its poles, and the regulator's gain."""
+    def _pole_lines(self) -> list[str]:
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
-        lines = [f"Closed-loop poles of the control: {_listed(self.regulator.poles(A, B))}."]
-        lines.append(f"All poles, the filter's included: {_listed(self._poles_to_judge())}.")
-        lines.append(f"Without control: {_listed(np.linalg.eigvals(A))}.")
+        lines = [f"Closed-loop poles of the control: {listed(self.regulator.poles(A, B))}."]
+        lines.append(f"All poles, the filter's included: {listed(self._poles_to_judge())}.")
+        lines.append(f"Without control: {listed(np.linalg.eigvals(A))}.")
         if self.regulator.drifting:
             lines.append(
                 f"The goals do not ask about {self.regulator.drifting} of the plant's integrators (as the position is one behind "
                 "a speed): they go where the rest takes them, and are not among the closed-loop poles."
             )
-        return "\n".join(lines)
+        return lines
 
     def _poles_to_judge(self) -> NDArray[np.complex128]:
         poles = super()._poles_to_judge()
@@ -200,9 +200,3 @@ class LQGController(BayesianController):
             M=regulator.u_of_goal + regulator.gain @ regulator.x_of_goal,
             F=np.zeros((len(A), self.goals)),  # the goal prior is too weak to tell the belief anything
         )
-
-
-def _listed(poles: Any) -> str:
-    ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
-    slowest = abs(ordered[0]) if ordered else 0.0
-    return ", ".join(shown(pole) for pole in ordered) + f"; the slowest of magnitude {slowest:.3f}"

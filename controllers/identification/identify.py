@@ -16,7 +16,7 @@ from bayesftc.controllers.identification.gaps import identify_with_gaps
 from bayesftc.controllers.identification.independent_noise import independent_noise
 from bayesftc.controllers.identification.subspace import PASTS, identify_innovations, samples_needed
 from bayesftc.controllers.models.checks import as_number
-from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
@@ -154,7 +154,8 @@ def identify(
         A, B, drift, offset, C = noisy.A, noisy.B, noisy.drift, noisy.offset, y_size[:, None] * noisy.C
         Q, R = noisy.Q, np.diag(noisy.R * y_size**2)
         yardstick = np.full(len(names_out), np.inf)
-    moving = LinearModel(A, B / u_size, C, (Q + Q.T) / 2, R, step)
+    names = SignalNames(tuple(names_in), tuple(names_out), tuple(f"x[{i}]" for i in range(len(A))))
+    moving = LinearModel(A, B / u_size, C, (Q + Q.T) / 2, R, step, names=names)
     model = moving.about(np.zeros(moving.states), u_mean, y_mean + y_size * offset, following=drift)
     doubts = _doubts(v, z, (u[split:] - u_mean) / u_size, len(A), past, names_in)
     return _validated(

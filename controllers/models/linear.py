@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,14 @@ def sizes_of(model: Any) -> str:
     """Return how many states, controls and sensors a model has, and its sample time, as a text."""
     parts = [f"{getattr(model, name)} {name}" for name in ("states", "controls", "sensors")]
     return f"{', '.join(parts)}, dt = {float(model.step):g} s"
+
+
+class SignalNames(NamedTuple):
+    """Names of the controls, the sensors and the plant's states of a model, as they are in python-control or the FMU."""
+
+    controls: tuple[str, ...]
+    sensors: tuple[str, ...]
+    states: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +59,9 @@ class LinearModel:
     constant : bool
         Whether the last of these states is the constant 1, by which a model of deviations speaks of values (`about`). It is known
         and costs a belief nothing.
+    names : SignalNames, optional
+        Names of controls, sensors and the plant's states (disturbances left out), three tuples of text; for `to_control` and
+        `describe` of controllers.
 
     Raises
     ------
@@ -66,6 +77,7 @@ class LinearModel:
     dt: float | str | Fraction
     disturbances: int = 0
     constant: bool = False
+    names: SignalNames | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         A = as_matrix("The model's A", self.A)
@@ -93,6 +105,15 @@ class LinearModel:
             raise ModelError(
                 "The model has constant=True, but its last state is no constant: let about() make it, as the last thing."
             )
+        if self.names is not None:
+            sizes = self.controls, self.sensors, n - self.disturbances
+            names = SignalNames(*(tuple(part) for part in self.names))
+            for what, part, size in zip(SignalNames._fields, names, sizes, strict=True):
+                if len(part) != size or not all(isinstance(name, str) for name in part):
+                    raise ModelError(
+                        f"The model has names for {len(part)} {what}, but {size} {what}; give each one name, a text."
+                    )
+            object.__setattr__(self, "names", names)
 
     @property
     def states(self) -> int:
@@ -157,6 +178,40 @@ class LinearModel:
         """Return one of the matrices by name, as an array."""
         return np.asarray(getattr(self, name), dtype=np.float64)
 
+    def to_control(self) -> Any:
+        """Return the model as a discrete-time `control.StateSpace` with its sample time and names.
+
+        Outputs are the sensors; sensors of the same name become ``v[0]``, ``v[1]``. A model about an operating point (`about`)
+        gives the system of deviations from it. Covariances have no place there; `from_control` asks for them again.
+
+        Examples
+        --------
+        >>> from bayesftc.controllers import LinearModel
+        >>> LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1).to_control().output_labels
+        ['y[0]', 'y[1]']
+        """
+        import control
+
+        from bayesftc.cosim.control.control_system import allowed
+
+        model = self.moving
+        n, d = model.states, model.disturbances
+        generic = [
+            tuple(f"{letter}[{i}]" for i in range(size))
+            for letter, size in zip("uyx", (model.controls, model.sensors, n - d), strict=True)
+        ]
+        controls, sensors, states = self.names or generic
+        again = {name for name in sensors if sensors.count(name) > 1}
+        outputs = [f"{name}[{sensors[:i].count(name)}]" if name in again else name for i, name in enumerate(sensors)]
+        return control.ss(
+            *(model.matrix(name) for name in "ABC"),
+            np.zeros((model.sensors, model.controls)),
+            float(self.step),
+            inputs=[allowed(name) for name in controls],
+            outputs=[allowed(name) for name in outputs],
+            states=[allowed(name) for name in (*states, *(f"disturbance[{i}]" for i in range(d)))],
+        )
+
     @classmethod
     def from_control(
         cls,
@@ -183,10 +238,16 @@ class LinearModel:
         sensors : int, optional
             Number of sensors, a multiple of the system's outputs: sensor i reads output i modulo their number. By default one
             a output, or as many as `sensor_covariance` has rows.
+
+        Returns
+        -------
+        LinearModel
+            With the system's names of inputs, outputs and states.
         """
         import control
 
         linear = control.ss(system)
+        states = linear.state_labels  # a system that is sampled loses them
         if linear.isctime(strict=True) or linear.dt is None or linear.dt == 0:
             if dt is None:
                 raise StepSizeError("The system is continuous; give dt= in seconds, at which it is to be controlled.")
@@ -214,7 +275,10 @@ class LinearModel:
                 f"{sensors} sensors cannot be shared evenly by {outputs} outputs; give C= to LinearModel itself."
             )
         C = np.tile(linear.C, (sensors // outputs, 1))
-        return cls(linear.A, linear.B, C, process_covariance, sensor_covariance, step)
+        names = SignalNames(
+            tuple(system.input_labels), tuple(system.output_labels) * (sensors // outputs), tuple(states)
+        )
+        return cls(linear.A, linear.B, C, process_covariance, sensor_covariance, step, names=names)
 
     @classmethod
     def from_fmu(

@@ -15,7 +15,7 @@ import numpy as np
 from bayesftc.controllers.models.checks import Matrix, as_number, as_vector
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.integrators import without_integrators
-from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import realise
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held
@@ -110,9 +110,13 @@ class Linearization:
         if (std < 0).any():
             raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
         variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
-        model = LinearModel(
-            self.A, self.B[:, columns], self.C[order], self._noise(columns, noise), variances, self.step
+        names = SignalNames(
+            tuple(self.inputs[j] for j in columns),
+            tuple(self.outputs[i] for i in order),
+            tuple(f"x[{i}]" for i in range(len(self.A))),
         )
+        covariances = self._noise(columns, noise), variances
+        model = LinearModel(self.A, self.B[:, columns], self.C[order], *covariances, self.step, names=names)
         if disturbance is not None and disturbance is not False:
             model = model.with_disturbance(disturbance)
         if not (self.x.any() or self.u.any() or self.y.any()):

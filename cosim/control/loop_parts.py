@@ -100,7 +100,7 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     driven = _driven(diagram, node, controller)
     step = diagram.step * controller.every
     given, start = (
-        (_of_system(plant, step), np.zeros(len(measured)))
+        (_of_system(plant, step, rows), np.zeros(len(measured)))
         if plant is not None
         else _of_block(node, driven, measured, diagram.step * node.every, step)
     )
@@ -224,8 +224,8 @@ def _repeated(a: Floats, b: Floats, times: int) -> tuple[Floats, Floats]:
     return A, B
 
 
-def _of_system(system: Any, step: Fraction) -> Matrices:
-    """Return a linear system that is given for the plant, sampled if it is continuous."""
+def _of_system(system: Any, step: Fraction, rows: Floats) -> Matrices:
+    """Return a linear system that is given for the plant, sampled if it is continuous; its outputs may be the sensors."""
     given = normalised(system)
     if not isinstance(given, LinearSystem):
         raise ModelError(f"plant= is {system!r}; it must be a linear system of python-control.")
@@ -237,6 +237,8 @@ def _of_system(system: Any, step: Fraction) -> Matrices:
             f"plant= has a sample time of {given.dt:g} s, but the controller runs every {show(step)} s. Make the system with "
             "that sample time, or in continuous time."
         )
+    if len(c) == len(rows) != rows.shape[1]:  # as of `LinearModel.to_control`
+        c, d = (np.linalg.lstsq(rows, matrix)[0] for matrix in (c, d))
     return Matrices(a, b, c, d)
 
 

@@ -24,8 +24,8 @@ class LoopMethods:
         Parameters
         ----------
         plant : system of python-control, optional
-            A linear system in place of the plant: from the controls to the measured signals. An FMU that does not show its
-            states needs one: ``LinearModel.from_fmu(...).to_control()``.
+            A linear system in place of the plant: from the controls to the measured signals, or to the sensors. An FMU that
+            does not show its states needs one: ``LinearModel.from_fmu(...).to_control()``.
 
         Raises
         ------

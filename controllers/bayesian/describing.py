@@ -1,0 +1,146 @@
+"""A Bayesian controller with a linear model, in sentences: model, precisions, gains, poles, expected accuracy."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.controllers.bayesian.stabilisability import shown
+from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.errors import brief
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.bayesian.linear import BayesianController
+
+LASTING = 1e-9
+"""Noise adds up for ever in a mode whose pole is nearer to the unit circle than this."""
+
+
+def model_lines(controller: BayesianController) -> list[str]:
+    """Return what the model is, and what it says of the sensors."""
+    model = controller.model
+    d = model.disturbances - model.constant
+    states = f"{_count(model.states - model.disturbances, 'state')}" + (f" and {_count(d, 'disturbance')}" if d else "")
+    named = f" ({', '.join(model.names.controls)})" if model.names else ""
+    sensors = ", ".join(map(str, dict.fromkeys(model.names.sensors))) if model.names else ""
+    std = np.sqrt(np.diag(model.matrix("sensor_covariance")))
+    lines = [
+        f"Model: {states}, {_count(model.controls, 'control')}{named}, {_count(model.sensors, 'sensor')} of "
+        f"{_count(len(model.alike), 'quantity', 'quantities')}{f' ({sensors})' if sensors else ''}, every {show(model.step)} s"
+        f"{', about an operating point' if model.constant else ''}.",
+        f"Expected standard deviations of the sensors: {_numbers(std)}.",
+        f"Goals: {controller.goals}; limits of the control: {_limits(controller)}.",
+    ]
+    return lines
+
+
+def learner_lines(controller: BayesianController) -> list[str]:
+    """Return how far sensors are trusted, and which faults the controller tells."""
+    precision: Any = controller.precision
+    changed = [each.name for each in fields(precision) if _differs(getattr(precision, each.name), each)]
+    settings = (
+        f", with {', '.join(f'{name}={brief(getattr(precision, name), 60)}' for name in changed)}" if changed else ""
+    )
+    lines = [f"Trust in the sensors: {type(precision).__name__}{settings}."]
+    if modes := tuple(type(mode).__name__ for mode in getattr(precision, "modes", ())):
+        lines.append(f"Faults of sensors that it tells: {', '.join(modes)}.")
+    if controller.actuator_kinds:
+        lines.append(f"Faults of actuators that it tells: {', '.join(controller.actuator_kinds)}.")
+    if precision.why_no_probability:
+        lines.append(f"There is no fault probability: {precision.why_no_probability}")
+    return lines
+
+
+def gain_lines(controller: BayesianController) -> list[str]:
+    """Return the gains of filter and control in steady state."""
+    gains = controller.steady_gains()
+    return [
+        f"Gain of the filter, a row for each state: {_rows(gains.K)}.",
+        f"Gain of the control on the belief, a row for each control: {_rows(gains.L)}.",
+        f"Gain of the control on the goal, a row for each control: {_rows(gains.M)}.",
+    ]
+
+
+def accuracy_lines(controller: BayesianController) -> list[str]:
+    """Return the standard deviations that the model expects of tracking and belief, without faults."""
+    found = expected_accuracy(controller)
+    if found is None:
+        return [
+            "Expected accuracy: none, because a mode of the loop does not die out, in which noise adds up for ever."
+        ]
+    tracking, belief = found
+    return [
+        f"Expected standard deviation of what has a goal, at a goal that rests and without faults: {_numbers(tracking)}; "
+        f"of the belief about it: {_numbers(belief)}."
+    ]
+
+
+def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] | None:
+    """Return the standard deviations in steady state of what has a goal, and of the belief about it; None if there are none.
+
+    The model is the plant; disturbances of it are taken to rest at 0.
+    """
+    from scipy.linalg import solve_discrete_lyapunov
+
+    model = controller.model.moving
+    plant, m = model.states - model.disturbances, model.sensors
+    B, C = model.matrix("B")[:plant], model.matrix("C")[:, :plant]
+    Q, R = model.matrix("process_covariance")[:plant, :plant], model.matrix("sensor_covariance")
+    whole = controller.closed_loop_matrix()
+    if np.abs(np.linalg.eigvals(whole)).max() >= 1.0 - LASTING:
+        return None
+    _, given, _, direct = controller.linear_law()
+    noise = np.vstack([B @ direct[:, :m], given[:, :m]])
+    spread = noise @ R @ noise.T
+    spread[:plant, :plant] += Q
+    covariance = solve_discrete_lyapunov(whole, spread)
+    K = controller.steady_gains().K[:plant]
+    of_plant = np.eye(plant, model.states)
+    error = np.hstack([np.eye(plant) - K @ C, -(of_plant - K @ model.matrix("C"))])
+    G = controller.goal_matrix[:, :plant]
+    belief = error @ covariance @ error.T + K @ R @ K.T
+    return _std(G @ covariance[:plant, :plant] @ G.T), _std(G @ belief @ G.T)
+
+
+def pole_lines(poles: Any) -> list[str]:
+    """Return the poles of plant and belief together."""
+    return [f"Poles of the closed loop, the filter's included: {listed(poles)}."]
+
+
+def listed(poles: Any) -> str:
+    """Return poles in words, the slowest first."""
+    ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
+    slowest = abs(ordered[0]) if ordered else 0.0
+    return ", ".join(shown(pole) for pole in ordered) + f"; the slowest of magnitude {slowest:.3f}"
+
+
+def _differs(value: Any, setting: Any) -> bool:
+    """Return whether a setting of a dataclass is another than its default."""
+    default = setting.default if setting.default_factory is MISSING else setting.default_factory()
+    return repr(value) != repr(default)
+
+
+def _std(covariance: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def _count(number: int, one: str, several: str | None = None) -> str:
+    return f"{number} {one if number == 1 else several or one + 's'}"
+
+
+def _numbers(values: Floats) -> str:
+    return ", ".join(f"{value:.4g}" for value in values)
+
+
+def _rows(matrix: Floats) -> str:
+    return "; ".join(_numbers(row) for row in matrix)
+
+
+def _limits(controller: BayesianController) -> str:
+    low, high = np.atleast_1d(controller.u_min), np.atleast_1d(controller.u_max)
+    if np.isinf(low).all() and np.isinf(high).all():
+        return "none"
+    return ", ".join(f"{a:g} to {b:g}" for a, b in zip(low, high, strict=True))

@@ -1,0 +1,79 @@
+"""What controllers say of themselves, against the Riccati equation and runs."""
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from bayesftc import controllers, cosim
+from bayesftc.controllers import FixedPrecision
+from bayesftc.controllers.bayesian.describing import expected_accuracy
+
+A, B, H = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
+C, Q, R = np.vstack([H, H]), np.diag([1e-4, 2e-4]), np.diag([0.04, 0.09])
+MODEL = controllers.LinearModel(A, B, C, Q, R, dt=0.1)
+
+
+def lqg(model=MODEL, **options):
+    return controllers.LQGController(model, **{"goal_covariance": 0.01, "precision": FixedPrecision()} | options)
+
+
+def test_the_expected_error_of_the_belief_is_kalmans():
+    P = solve_discrete_are(A.T, C.T, Q, R)
+    K = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
+    (_, belief) = expected_accuracy(lqg())
+    assert belief[0] == pytest.approx(np.sqrt((P - K @ C @ P)[0, 0]), rel=1e-7)
+
+
+def test_the_expected_error_of_tracking_is_that_of_a_long_run():
+    plant = cosim.StateSpace(control.ss(A, B, H, 0, 0.1, inputs=["u"], outputs=["y"]), process_noise=Q)
+    loop = cosim.closed_loop(
+        plant, lqg(), control="u", measured="y", sensors=cosim.Sensors(2, np.sqrt(np.diag(R))), reference=0.0
+    )
+    run = loop.simulate(20_000.0, seed=1)
+    tracking, belief = expected_accuracy(lqg())
+    assert run["plant.y"].std() == pytest.approx(tracking[0], rel=0.05)
+    assert (run["controller.x_hat"][:, 0] - run["plant.y"]).std() == pytest.approx(belief[0], rel=0.05)
+
+
+@pytest.mark.parametrize("learner", controllers.LEARNERS, ids=lambda learner: learner.__name__)
+def test_every_learner_is_described(learner):
+    text = lqg(precision=learner()).describe()
+    assert text.startswith("Closed-loop poles of the control: ")
+    assert f"Trust in the sensors: {learner.__name__}." in text
+    assert "Model: 2 states, 1 control, 2 sensors of 1 quantity, every 0.1 s." in text
+    assert "Expected standard deviation" in text
+    assert len(text) < 3000
+
+
+def test_settings_faults_names_and_limits_are_named():
+    named = controllers.LinearModel.from_control(
+        control.ss(A, B, H, 0, 0.1, inputs=["force"], outputs=["place"]),
+        process_covariance=Q, sensor_covariance=R,
+    )  # fmt: skip
+    precision = controllers.SwitchingPrecision(
+        [controllers.Offset()], actuator_modes=[controllers.LostEffect()], loss=0.02
+    )
+    text = lqg(named.with_disturbance(), precision=precision, u_min=-2.0, u_max=3.0).describe()
+    assert "Model: 2 states and 1 disturbance, 1 control (force), 2 sensors of 1 quantity (place)" in text
+    assert "loss=0.02" in text
+    assert "Faults of sensors that it tells: Offset." in text
+    assert "Faults of actuators that it tells: LostEffect." in text
+    assert "limits of the control: -2 to 3" in text
+
+
+def test_a_bayesian_controller_says_its_poles_and_why_it_has_no_probability():
+    controller = controllers.BayesianController(
+        MODEL, precision=controllers.GammaPrecision(forgetting=0.8), goal_on="outputs",
+        goal_covariance=1e-3, control_covariance=50.0,
+    )  # fmt: skip
+    text = controller.describe()
+    largest = np.abs(controller.closed_loop_poles()).max()
+    assert f"the slowest of magnitude {largest:.3f}" in text.splitlines()[0]
+    assert "GammaPrecision, with forgetting=0.8." in text
+    assert "There is no fault probability: GammaPrecision has no calibration" in text
+
+
+def test_a_loop_in_which_noise_adds_up_for_ever_has_no_accuracy():
+    model = controllers.LinearModel([[1, 0.1], [0, 0.9]], [[0.0], [0.1]], [[0, 1.0], [1.0, 0]], 1e-3, 1e-2, dt=0.1)
+    assert "Expected accuracy: none" in lqg(model, goal_on=[[0.0, 1.0]]).describe()

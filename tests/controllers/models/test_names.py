@@ -1,0 +1,77 @@
+"""Names of signals that go with a linear model to python-control and back."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+from bayesftc import controllers, cosim, fmus
+from bayesftc.controllers import LinearModel
+from bayesftc.cosim.errors import ModelError
+
+SYSTEM = control.ss(
+    [[0.9, 0.1], [0.0, 0.8]], [[0.0], [0.1]], [[1.0, 0.0], [0.0, 1.0]], 0, 0.1,
+    inputs=["force"], outputs=["v", "current"], states=["speed", "motor"],
+)  # fmt: skip
+NOISE = {"process_covariance": 1e-3, "sensor_covariance": 0.1}
+
+
+def labels(system):
+    return system.input_labels, system.output_labels, system.state_labels
+
+
+def test_names_survive_both_ways():
+    model = LinearModel.from_control(SYSTEM, **NOISE)
+    back = model.to_control()
+    assert labels(back) == labels(SYSTEM)
+    assert back.dt == 0.1
+    for name in "ABC":
+        np.testing.assert_array_equal(getattr(back, name), getattr(SYSTEM, name))
+    assert not back.D.any()
+    again = LinearModel.from_control(back, **NOISE)
+    assert again.names == model.names
+
+
+def test_a_continuous_system_keeps_its_names():
+    slow = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["heat"], outputs=["T"], states=["energy"])
+    assert labels(LinearModel.from_control(slow, dt=0.1, **NOISE).to_control()) == (["heat"], ["T"], ["energy"])
+
+
+def test_redundant_sensors_get_numbers_and_disturbances_names():
+    model = LinearModel.from_control(SYSTEM, sensors=4, **NOISE).with_disturbance().with_sensor_errors(0.1, 10.0, [0])
+    system = model.about([1.0, 2.0], [0.5], [1.0, 2.0, 1.0, 2.0]).to_control()
+    assert system.output_labels == ["v[0]", "current[0]", "v[1]", "current[1]"]
+    assert system.state_labels == ["speed", "motor", "disturbance[0]", "disturbance[1]"]
+
+
+def test_a_model_without_names_has_those_of_python_control():
+    system = LinearModel([[0.5]], [[1.0]], [[1.0], [1.0]], 1e-3, 0.1, dt=0.1).to_control()
+    assert labels(system) == (["u[0]"], ["y[0]", "y[1]"], ["x[0]"])
+
+
+def test_an_fmu_and_a_design_give_the_names_of_their_variables():
+    servo = fmus.path("PositionServo")
+    model = LinearModel.from_fmu(servo, measured="angle", actuated="voltage", sensors=2)
+    assert labels(model.to_control())[:2] == (["voltage"], ["angle[0]", "angle[1]"])
+
+
+def test_wrong_names_are_refused():
+    model = LinearModel.from_control(SYSTEM, **NOISE)
+    with pytest.raises(ModelError, match="names for 1 sensors, but 2 sensors"):
+        replace(model, names=(("force",), ("v",), ("speed", "motor")))
+
+
+def test_a_model_may_stand_for_the_plant_of_a_loop():
+    system = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["force"], outputs=["v"])
+    model = LinearModel.from_control(system, sensors=2, process_covariance=1e-3, sensor_covariance=0.1)
+    controller = controllers.LQGController(model, goal_covariance=0.01)
+    loop = cosim.closed_loop(
+        cosim.StateSpace(system),
+        controller,
+        control="force",
+        measured="v",
+        sensors=cosim.Sensors(2, 0.3),
+        reference=1.0,
+    )
+    np.testing.assert_allclose(loop.linear(plant=model.to_control()).poles(), loop.poles(), atol=1e-12)
