@@ -36,7 +36,7 @@ from .identification.identify import Identification as Identification
 from .laws import PID as PID, Proportional as Proportional, ProportionalDerivative as ProportionalDerivative
 from .learning.learn_modes import LearnedModes as LearnedModes, RecordedRun as RecordedRun, learn_modes as learn_modes
 from .learning.resolution import find_resolution as find_resolution
-from .models.linear import LinearModel as LinearModel
+from .models.linear import LinearModel as LinearModel, SignalNames as SignalNames
 from .models.modality import Modality as Modality
 from .models.nonlinear import NonlinearModel as NonlinearModel
 from .models.pulse_responses import PoorFitWarning as PoorFitWarning

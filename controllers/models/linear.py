@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,12 +27,23 @@ def sizes_of(model: Any) -> str:
     return f"{', '.join(parts)}, dt = {float(model.step):g} s"
 
 
-class SignalNames(NamedTuple):
-    """Names of the controls, the sensors and the plant's states of a model, as they are in python-control or the FMU."""
+@dataclass(frozen=True)
+class SignalNames:
+    """Names of the signals of a model, as they are in python-control or the FMU.
+
+    Parameters
+    ----------
+    controls, sensors, states : sequence of str
+        One for each control, each sensor, and each of the plant's states (disturbances left out). Sensors may share a name.
+    """
 
     controls: tuple[str, ...]
     sensors: tuple[str, ...]
     states: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            object.__setattr__(self, each.name, tuple(getattr(self, each.name)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +71,7 @@ class LinearModel:
         Whether the last of these states is the constant 1, by which a model of deviations speaks of values (`about`). It is known
         and costs a belief nothing.
     names : SignalNames, optional
-        Names of controls, sensors and the plant's states (disturbances left out), three tuples of text; for `to_control` and
-        `describe` of controllers.
+        Names of controls, sensors and the plant's states, for `to_control` and for sentences.
 
     Raises
     ------
@@ -106,14 +116,12 @@ class LinearModel:
                 "The model has constant=True, but its last state is no constant: let about() make it, as the last thing."
             )
         if self.names is not None:
-            sizes = self.controls, self.sensors, n - self.disturbances
-            names = SignalNames(*(tuple(part) for part in self.names))
-            for what, part, size in zip(SignalNames._fields, names, sizes, strict=True):
-                if len(part) != size or not all(isinstance(name, str) for name in part):
+            sizes = {"controls": self.controls, "sensors": self.sensors, "states": n - self.disturbances}
+            for what, size in sizes.items():
+                if len(given := getattr(self.names, what)) != size:
                     raise ModelError(
-                        f"The model has names for {len(part)} {what}, but {size} {what}; give each one name, a text."
+                        f"The model has names for {len(given)} {what}, but {size} {what}; give each a name."
                     )
-            object.__setattr__(self, "names", names)
 
     @property
     def states(self) -> int:
@@ -196,20 +204,18 @@ class LinearModel:
 
         model = self.moving
         n, d = model.states, model.disturbances
-        generic = [
-            tuple(f"{letter}[{i}]" for i in range(size))
-            for letter, size in zip("uyx", (model.controls, model.sensors, n - d), strict=True)
-        ]
-        controls, sensors, states = self.names or generic
+        sizes = {"u": model.controls, "y": model.sensors, "x": n - d}
+        names = self.names or SignalNames(*(tuple(f"{x}[{i}]" for i in range(size)) for x, size in sizes.items()))
+        sensors = names.sensors
         again = {name for name in sensors if sensors.count(name) > 1}
         outputs = [f"{name}[{sensors[:i].count(name)}]" if name in again else name for i, name in enumerate(sensors)]
         return control.ss(
             *(model.matrix(name) for name in "ABC"),
             np.zeros((model.sensors, model.controls)),
             float(self.step),
-            inputs=[allowed(name) for name in controls],
+            inputs=[allowed(name) for name in names.controls],
             outputs=[allowed(name) for name in outputs],
-            states=[allowed(name) for name in (*states, *(f"disturbance[{i}]" for i in range(d)))],
+            states=[allowed(name) for name in (*names.states, *(f"disturbance[{i}]" for i in range(d)))],
         )
 
     @classmethod

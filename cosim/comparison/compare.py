@@ -94,7 +94,7 @@ class Comparison:
         import pandas as pd
 
         runs, units = self.runs, self._units
-        alarms = [name for name in runs if name.startswith("sensors.")]
+        alarms = [name for name in map(str, runs) if name.startswith("sensors.")]
         rows = []
         for signal in units:
             found = {phase: self._differences(f"tracking.{signal}.{phase}") for phase in PHASES}

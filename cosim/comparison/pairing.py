@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from inspect import getclosurevars
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -78,8 +80,8 @@ def alike(one: Any, other: Any) -> bool:
         return one.keys() == other.keys() and all(alike(one[key], other[key]) for key in one)
     if _is_plain_sequence(one) and _is_plain_sequence(other):
         return len(one) == len(other) and all(map(alike, one, other))
-    if callable(one) and callable(other):
-        return getattr(one, "__code__", one) == getattr(other, "__code__", other)
+    if isinstance(one, FunctionType) and isinstance(other, FunctionType):
+        return one.__code__ == other.__code__ and alike(*(getclosurevars(each).nonlocals for each in (one, other)))
     try:
         return bool(np.array_equal(one, other, equal_nan=True))
     except TypeError:

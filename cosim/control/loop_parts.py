@@ -232,13 +232,13 @@ def _of_system(system: Any, step: Fraction, rows: Floats) -> Matrices:
     a, b, c, d = given.matrices()
     if given.dt == 0:
         a, b = held(a, b, float(step))
-    elif given.dt not in (None, True) and rational_step(given.dt) != step:
+    elif given.dt is not None and given.dt is not True and rational_step(given.dt) != step:
         raise ModelError(
             f"plant= has a sample time of {given.dt:g} s, but the controller runs every {show(step)} s. Make the system with "
             "that sample time, or in continuous time."
         )
     if len(c) == len(rows) != rows.shape[1]:  # as of `LinearModel.to_control`
-        c, d = (np.linalg.lstsq(rows, matrix)[0] for matrix in (c, d))
+        c, d = (np.asarray(np.linalg.lstsq(rows, matrix)[0], float) for matrix in (c, d))
     return Matrices(a, b, c, d)
 
 

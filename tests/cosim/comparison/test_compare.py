@@ -120,6 +120,14 @@ def test_settings_are_alike_whatever_they_are_made_of():
     def measure(u, clean):
         clean[0] = u[0]
 
+    def scaled(gain):
+        def function(u, clean):
+            clean[0] = gain * u[0]
+
+        return function
+
+    assert alike(scaled(2.0), scaled(2.0))
+    assert not alike(scaled(2.0), scaled(3.0))
     one = cosim.Sensors(1, function=measure, bias=[0.5])
     assert alike(one, cosim.Sensors(1, function=measure, bias=(0.5,)))
     assert not alike(one, cosim.Sensors(1, function=measure, bias=[0.6]))

@@ -77,7 +77,7 @@ def compare_scenarios(
         with output.staged(out) as stage:
             found.table.to_csv(stage / TABLE, index=False)
             (stage / output.FIGURE).write_bytes(picture.getbuffer())
-    rows: list[dict[str, Any]] = found.table.astype(object).where(found.table.notna(), None).to_dict("records")
+    rows: Any = found.table.astype(object).where(found.table.notna(), None).to_dict("records")
     if json:
         typer.echo(output.as_json({"loops": without_nan(rows)}))
     elif not quiet:
