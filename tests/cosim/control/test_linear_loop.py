@@ -259,3 +259,33 @@ def test_an_integrator_that_no_goal_asks_about_does_not_disturb_the_response():
     loop = cosim.closed_loop(block, controller, control="force", measured=["v", "s"], reference=1.0)
     assert abs(loop.poles()[0]) > 1 - 1e-9
     assert loop.step_info()["SteadyStateValue"] == pytest.approx(1.0)
+
+
+def test_an_fmu_that_hides_its_states_needs_a_model_in_its_place():
+    path = fmus.path("PositionServo")
+    controller = controllers.design(path, measured="angle", actuated="voltage", sensors=2)
+    hidden, open_ = (
+        cosim.closed_loop(
+            block, controller, control="voltage", measured="angle", sensors=cosim.Sensors(2, 0.01), reference=1.0
+        )
+        for block in (cosim.FMU(path, isolate=True), cosim.FMU(path))
+    )
+    with pytest.raises(ModelError, match="does not show its states"):
+        hidden.bode()
+    model = controllers.LinearModel.from_fmu(path, measured="angle", actuated="voltage", sensors=2)
+    given = hidden.linear(plant=model.to_control()).margins()
+    assert given == pytest.approx(open_.margins(), rel=1e-6)
+
+
+def test_a_model_exchange_fmu_is_linearized_at_its_start(casadi_fmu):
+    """A pendulum, held at 0.5 rad: its own equations there, sampled by python-control."""
+    pendulum = cosim.FMU(casadi_fmu("pendulum", lambda q, u: q), kind="model exchange")
+    sampled = control.ss([[0.0, 1.0], [-9.81 * np.cos(0.5), -0.1]], [[0.0], [1.0]], H, 0).sample(DT)
+    model = controllers.LinearModel(sampled.A, sampled.B, C, Q, R, dt=DT)
+    controller = controllers.LQGController(model, goal_covariance=0.01)
+    loop = cosim.closed_loop(
+        pendulum, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.2), reference=0.5
+    )
+    np.testing.assert_allclose(
+        np.sort(np.abs(loop.poles())), np.sort(np.abs(controller.closed_loop_poles())), atol=1e-6
+    )
