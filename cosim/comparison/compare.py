@@ -123,7 +123,7 @@ class Comparison:
         kept = np.flatnonzero((dataset["loop"].values == loop) & (dataset["status"].values == "ok"))
         time, arrays = dataset["time"].values, {str(name): dataset[name].values for name in dataset.data_vars}
         made: list[Any] = [_Run(time, {name: values[i] for name, values in arrays.items()}) for i in kept]
-        return [loop_signals(self.loops[loop], run) for run in made]
+        return [loop_signals(self.loops[loop], run, drawn=False) for run in made]
 
     def plot(self) -> Figure:
         """Return a figure of each tracked signal: the median over the runs of each loop, a band, the reference, faults shaded.
@@ -131,11 +131,12 @@ class Comparison:
         Returns
         -------
         matplotlib.figure.Figure
-            To be saved (``figure.savefig("comparison.png")``) or shown by a notebook.
+            A notebook shows it; a script saves it (``figure.savefig("comparison.png")``) or shows it with ``pyplot.show()``.
         """
         from bayesftc.cosim.comparison.figure import plot_comparison
+        from bayesftc.cosim.judging.panels import shown_figure
 
-        return plot_comparison({name: self.signals(name) for name in self.loops}, list(self._units))
+        return plot_comparison({name: self.signals(name) for name in self.loops}, list(self._units), shown_figure())
 
     @property
     def _units(self) -> dict[str, str | None]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import finish, legend, make_panels
+from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, with_unit
 from bayesftc.cosim.judging.plotting import BLUE, LINES, SENSOR_COLOURS
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.cosim.types import Floats
@@ -21,7 +21,9 @@ BAND = (5.0, 95.0)
 """Percentiles between which the band lies."""
 
 
-def plot_comparison(runs: Mapping[str, Sequence[LoopSignals]], names: Sequence[str]) -> Figure:
+def plot_comparison(
+    runs: Mapping[str, Sequence[LoopSignals]], names: Sequence[str], figure: Figure | None = None
+) -> Figure:
     """Return a figure with a panel for each tracked signal.
 
     Parameters
@@ -30,9 +32,11 @@ def plot_comparison(runs: Mapping[str, Sequence[LoopSignals]], names: Sequence[s
         The runs of each loop.
     names : sequence of str
         The tracked signals.
+    figure : Figure, optional
+        An empty one to draw on; by default one for a file.
     """
     known = [run for own in runs.values() for run in own]
-    figure, axes = make_panels(max(len(names), 1))
+    figure, axes = make_panels([PANEL] * max(len(names), 1), figure)
     for axis, name in zip(axes, names, strict=False):
         for i, (loop, own) in enumerate(runs.items()):
             if own:
@@ -41,8 +45,7 @@ def plot_comparison(runs: Mapping[str, Sequence[LoopSignals]], names: Sequence[s
         _shade(axis, known)
         legend(axis)
         if known:
-            unit = _quantity(known[0], name).unit
-            axis.set_ylabel(f"{name} ({unit})" if unit else name)
+            axis.set_ylabel(with_unit(name, _quantity(known[0], name).unit))
     finish(axes, known[0].time if known else np.zeros(0))
     figure.suptitle(
         f"Median of {max(map(len, runs.values()), default=0)} runs and the band of 90 % of them; shaded: a fault is present",

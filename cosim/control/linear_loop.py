@@ -121,11 +121,12 @@ class LinearLoop:
         Returns
         -------
         matplotlib.figure.Figure
-            To be saved (``figure.savefig("bode.png")``) or shown by a notebook.
+            A notebook shows it; a script saves it (``figure.savefig("bode.png")``) or shows it with ``pyplot.show()``.
         """
         from bayesftc.cosim.control.loop_figures import bode_figure
+        from bayesftc.cosim.judging.panels import shown_figure
 
-        return bode_figure(self.open(at), self.margins(at), self._title("Loop transfer function", at))
+        return bode_figure(self.open(at), self.margins(at), self._title("Loop transfer function", at), shown_figure())
 
     def root_locus(self, at: str | None = None) -> Figure:
         """Return the root locus: the closed loop's poles while the gain at the plant's input grows from 0; crosses mark gain 0.
@@ -141,8 +142,9 @@ class LinearLoop:
             As of `bode`.
         """
         from bayesftc.cosim.control.loop_figures import root_locus_figure
+        from bayesftc.cosim.judging.panels import shown_figure
 
-        return root_locus_figure(self.open(at), self.poles(), self._title("Root locus", at))
+        return root_locus_figure(self.open(at), self.poles(), self._title("Root locus", at), shown_figure())
 
     def margins(self, at: str | None = None) -> Margins:
         """Return the stability margins of the loop that is broken at a control.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import control
 import numpy as np
 
-from bayesftc.cosim.judging.panels import WIDTH, make_panels
+from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels
 from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ GAINS = np.concatenate([[0.0], np.logspace(-3.0, 3.0, 4001)])
 """Of the root locus, in units of the designed gain."""
 
 
-def bode_figure(loop: Any, margins: Margins, title: str) -> Figure:
+def bode_figure(loop: Any, margins: Margins, title: str, figure: Figure) -> Figure:
     """Return gain and phase of a loop transfer function over the frequency, with its margins.
 
     Parameters
@@ -31,8 +31,10 @@ def bode_figure(loop: Any, margins: Margins, title: str) -> Figure:
         Of the loop.
     title : str
         Stands above.
+    figure : Figure
+        An empty one to draw on.
     """
-    figure, axes = make_panels(2)
+    _, axes = make_panels([PANEL, PANEL], figure)
     control.bode_plot(loop, display_margins=True, margins_method="frd", ax=np.array(axes)[:, None], color=BLUE, lw=1.3)
     axes[0].set_title(
         f"gain margin {margins.gain:.3g} (at {margins.phase_crossover:.3g} rad/s), phase margin {margins.phase:.1f} degrees "
@@ -46,7 +48,7 @@ def bode_figure(loop: Any, margins: Margins, title: str) -> Figure:
     return figure
 
 
-def root_locus_figure(loop: Any, poles: Any, title: str) -> Figure:
+def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figure:
     """Return the root locus of a loop transfer function near the poles at gain 0 and at the designed gain.
 
     Parameters
@@ -57,9 +59,10 @@ def root_locus_figure(loop: Any, poles: Any, title: str) -> Figure:
         Of the closed loop.
     title : str
         Stands above.
+    figure : Figure
+        An empty one to draw on.
     """
-    figure, (axis,) = make_panels(1)
-    figure.set_size_inches(WIDTH, 0.75 * WIDTH)
+    _, (axis,) = make_panels([0.7 * WIDTH], figure)
     control.root_locus_plot(loop, gains=GAINS, ax=axis, color=BLUE, legend_loc=False)
     for line in axis.lines:
         if line.get_linestyle() != "None":  # lines would cut the corners where branches meet

@@ -42,6 +42,7 @@ def compare_scenarios(
         If there is one file only, two have the same name, or their durations differ.
     """
     from bayesftc import cosim
+    from bayesftc.cosim.comparison.figure import plot_comparison
 
     scenarios = {Path(file).stem: load_scenario(file) for file in files}
     if len(scenarios) < len(files):
@@ -73,7 +74,10 @@ def compare_scenarios(
         )
     if out is not None:
         picture = io.BytesIO()
-        found.plot().savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+        signals = list(dict.fromkeys(found.table["signal"]))
+        plot_comparison({name: found.signals(name) for name in found.loops}, signals).savefig(
+            picture, dpi=output.DOTS_PER_INCH, format="png"
+        )
         with output.staged(out) as stage:
             found.table.to_csv(stage / TABLE, index=False)
             (stage / output.FIGURE).write_bytes(picture.getbuffer())
