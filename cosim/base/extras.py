@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from bayesftc.cosim.errors import BayesFTCError
@@ -26,9 +27,17 @@ def extra(module: str, purpose: str) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        raise BayesFTCError(
-            f"{purpose} needs the package {module.split('.')[0]}, which is not installed: pip install 'bayesftc[campaign]'."
-        ) from None
+        raise BayesFTCError(f"{purpose} needs {_missing(module.split('.')[0])}") from None
 
 
-__all__ = ["extra"]
+def why_missing(*packages: str, purpose: str) -> str | None:
+    """Return the sentence of `extra` if one of the packages is not installed, else None; nothing is imported."""
+    missing = next((package for package in packages if find_spec(package) is None), None)
+    return None if missing is None else f"{purpose} needs {_missing(missing)}"
+
+
+def _missing(package: str) -> str:
+    return f"the package {package}, which is not installed: pip install 'bayesftc[campaign]'."
+
+
+__all__ = ["extra", "why_missing"]

@@ -1,14 +1,19 @@
 import json
+import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from bayesftc import bench
 from bayesftc.bench import _child, _machine, _run
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
-from bayesftc.bench.measures import plain_loop
+from bayesftc.bench.measures import executors, plain_loop
+from bayesftc.cosim.base import extras
+from bayesftc.fmus._compiler import CompilerError
 
 BARS = {
     "export.c",
@@ -29,7 +34,7 @@ BARS = {
 
 @pytest.fixture(scope="module")
 def sections():
-    return bench.measure(quick=True)
+    return list(bench.measure(quick=True))
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +124,63 @@ def test_one_of_two_alternatives_is_enough():
     assert section.bars()["s.unknown"] == {"value": None, "at_least": 1.0, "met": None, "reason": "There is none."}
 
 
+@pytest.mark.parametrize("section", ["executors", "report"])
+def test_without_the_extra_the_rest_is_measured_and_a_reason_says_what_to_install(section, monkeypatch):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name in {"distributed", "pyarrow"} else object())
+    for slow in ("_campaign", "_rate"):  # what is measured without the extra is not what is tested
+        monkeypatch.setattr(executors, slow, lambda *_, **__: (1.0, 2.0))
+    figures = import_module(f"bayesftc.bench.measures.{section}").measure(quick=True).figures
+    reasons = {figure.reason for figure in figures if not figure.samples}
+    (reason,) = reasons
+    assert re.search(r"needs the package (distributed|pyarrow), .*: pip install 'bayesftc\[campaign\]'\.$", reason)
+    assert {f.key for f in figures if f.samples} == (
+        {"process", "process_start", "in_process", "overhead"} if section == "executors" else set()
+    )
+
+
+def _three_sections(monkeypatch, last):
+    """Let there be three measurements: one that is made, one that cannot be made, one that ends as given."""
+
+    def refused(quick):
+        raise CompilerError("No C compiler was found.")
+
+    made = SimpleNamespace(measure=lambda quick: Section("made", "Made", (Figure("a", "a figure", "s", [1.0]),)))
+    modules = {"made": made, "refused": SimpleNamespace(measure=refused), "last": SimpleNamespace(measure=last)}
+    monkeypatch.setattr(_run, "import_module", lambda name: modules[name.rpartition(".")[2]])
+    monkeypatch.setattr(_run, "SECTIONS", tuple(modules))
+
+
+@pytest.mark.parametrize("json_", [False, True])
+def test_what_was_measured_is_kept(monkeypatch, capsys, json_):
+    """One section that cannot be measured, and Ctrl-C in the next."""
+
+    def stopped(quick):
+        raise KeyboardInterrupt
+
+    _three_sections(monkeypatch, stopped)
+    with pytest.raises(KeyboardInterrupt):
+        bench.main(json=json_, sections=["made", "refused", "last"])
+    out = capsys.readouterr().out
+    if json_:
+        assert json.loads(out)["made"]["a"]["median"] == 1.0
+        assert json.loads(out)["refused"] == {"reason": "No C compiler was found."}
+    else:
+        assert "a figure" in out
+        assert "Refused: No C compiler was found." in out
+
+
+def test_a_table_is_there_before_the_next_section_is_measured(monkeypatch, capsys):
+    printed = []
+
+    def look(quick):
+        printed.append(capsys.readouterr().out)
+        return Section("last", "Last", ())
+
+    _three_sections(monkeypatch, look)
+    bench.main(sections=["made", "last"])
+    assert "a figure" in printed[0]
+
+
 def test_candidates_take_turns():
     order = []
     samples = in_turns({n: lambda n=n: order.append(n) or 2.0 for n in "abc"}, 2)
@@ -127,8 +189,6 @@ def test_candidates_take_turns():
 
 
 def test_without_a_compiler_there_is_a_reason(monkeypatch):
-    from bayesftc.fmus._compiler import CompilerError
-
     def refuse(folder):
         raise CompilerError("No C compiler was found.")
 

@@ -16,7 +16,9 @@ from bayesftc.cli.commands import run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.monitoring import load_monitor
 from bayesftc.scenario import Scenario, load_scenario, shipped_scenarios
+from bayesftc.scenario.campaigns import load_campaign
 
 # The shipped scenario with the paper's learner, whose lines stand there as comments: it is interpreted five times as fast.
 CAR = re.sub(
@@ -487,7 +489,14 @@ def test_bench_passes_its_options_on(bayesftc_, monkeypatch):
 
 
 def test_example(bayesftc_, tmp_path):
-    assert bayesftc_("example").output.split() == list(shipped_scenarios())
+    listed = {line.split()[0]: line for line in bayesftc_("example").output.splitlines()}
+    assert {"tracking", "model", "wheel_speed", *shipped_scenarios()} <= set(listed)
+    assert "bayesftc campaign tracking.toml" in listed["tracking"]
+    for name in ("tracking", "model", "gnss_speed", "imu", "wheel_speed"):
+        file = tmp_path / listed[name].split()[-1] if name in {"tracking", "model"} else tmp_path / f"{name}.csv"
+        file.write_text(bayesftc_("example", name).output, encoding="utf-8")
+    assert load_campaign(tmp_path / "tracking.toml").runs == 24 * 25
+    assert len(load_monitor(tmp_path / "model.toml").read([tmp_path]).y) > 1000
     (tmp_path / "car.toml").write_text(bayesftc_("example", "cruise_control").output)
     assert bayesftc_("run", "car.toml", "-q", "--duration", "0.1", "--engine", "interpreted").exit_code == 0
     assert bayesftc_("example", "cruise").exit_code == 3

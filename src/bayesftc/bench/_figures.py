@@ -58,6 +58,11 @@ class Section:
     key: str
     title: str
     figures: tuple[Figure, ...]
+    reason: str | None = None  # why there are no figures, as a sentence
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures by name as plain data; of a section without figures, the reason."""
+        return {f.key: f.as_json() for f in self.figures} | ({"reason": self.reason} if self.reason else {})
 
     def met(self, figure: Figure) -> bool | None:
         """Return whether a figure's bar is met, by itself or by its alternative; None where that is not known."""

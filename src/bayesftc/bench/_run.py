@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json as encoder
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.bench._child import ChildError
 from bayesftc.bench._figures import Figure, Section
 from bayesftc.bench._machine import describe_machine
 
@@ -32,8 +33,8 @@ SECTIONS = (
 """The measurements, each a module of this package."""
 
 
-def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> list[Section]:
-    """Make the measurements, one after the other.
+def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> Iterator[Section]:
+    """Check the names, and return the measurements, each of which is made when it is asked for.
 
     Parameters
     ----------
@@ -44,42 +45,61 @@ def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> list[
 
     Returns
     -------
-    list of Section
+    iterator of Section
+        One that cannot be measured here has no figures and a `reason`.
 
     Raises
     ------
     UnknownNameError
         If there is no such measurement.
     """
-    from rich.console import Console
-
     from bayesftc.cosim.errors import UnknownNameError, did_you_mean
 
-    sections, done = list(sections), []
+    sections = list(sections)
     for name in sections:
         if name not in SECTIONS:
             raise UnknownNameError(f"There is no measurement {name!r}; {did_you_mean(name, SECTIONS)}")
+    return (_measured(name, quick) for name in sections)
+
+
+def _measured(name: str, quick: bool) -> Section:
+    from rich.console import Console
+
+    from bayesftc.cosim.errors import BayesFTCError
+    from bayesftc.fmus._compiler import CompilerError
+
     console = Console(stderr=True)
-    for name in sections:
-        if console.is_terminal:  # a line each and no spinner: its thread would take turns with what is measured
-            console.print(f"measuring: {name.replace('_', ' ')}")
-        done.append(import_module(f"bayesftc.bench.measures.{name}").measure(quick))
-    return done
+    if console.is_terminal:  # a line each and no spinner: its thread would take turns with what is measured
+        console.print(f"measuring: {name.replace('_', ' ')}")
+    try:
+        section: Section = import_module(f"bayesftc.bench.measures.{name}").measure(quick)
+    except (BayesFTCError, CompilerError, ChildError, OSError) as error:
+        return Section(name, name.replace("_", " ").capitalize(), (), reason=str(error))
+    return section
 
 
 def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = SECTIONS) -> None:
-    """Measure `sections`, see `measure`, and print tables, or one JSON object; a bar that is missed is no error."""
-    done = measure(sections, quick=quick)
+    """Measure `sections`, see `measure`, and print each table when it is there, or one JSON object at the end.
+
+    A bar that is missed is no error. At Ctrl-C or an error, the object has what was measured until then.
+    """
+    measured = measure(sections, quick=quick)
     if json:
-        sys.stdout.write(encoder.dumps(as_json(done, quick), indent=2) + "\n")
+        done: list[Section] = []
+        try:
+            for section in measured:
+                done.append(section)
+        finally:
+            if done:
+                sys.stdout.write(encoder.dumps(as_json(done, quick), indent=2) + "\n")
         return
     from rich.console import Console
 
     console = Console() if sys.stdout.isatty() else Console(width=110)  # else rich takes 80 columns for granted
     machine = describe_machine()
     console.print(", ".join(f"{name} {value}" for name, value in machine.items()), highlight=False)
-    for section in done:
-        console.print(as_table(section))
+    for section in measured:
+        console.print(f"{section.title}: {section.reason}" if section.reason else as_table(section), highlight=False)
     if quick:
         console.print("These are quick figures: too few steps to judge speed by.")
 
@@ -90,7 +110,7 @@ def as_json(sections: Iterable[Section], quick: bool) -> dict[str, Any]:
     return {
         "machine": describe_machine(),
         "quick": quick,
-        **{s.key: {f.key: f.as_json() for f in s.figures} for s in sections},
+        **{s.key: s.as_json() for s in sections},
         "bars": {name: bar for s in sections for name, bar in s.bars().items()},
     }
 

@@ -23,7 +23,7 @@ COMMANDS = {
     "inspect": "Show what an FMU says of itself (variables, units, kinds, platforms, capabilities), and what works with it.",
     "export": "Write blocks of a scenario as an FMU that needs no Python, or as C.",
     "verify": "Run an FMU beside the blocks that it was exported from, with noise and faults, and print the differences.",
-    "example": "Print a shipped scenario, to be changed: bayesftc example cruise_control > car.toml.",
+    "example": "Print a shipped file (scenario, campaign, monitor), to be changed: bayesftc example cruise_control > car.toml.",
     "calibrate": "Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file.",
     "monitor": "Look for faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large.",
     "reproduce": """Run the paper's experiments, with our numbers beside its own, and ours beyond it.

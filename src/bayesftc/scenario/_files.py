@@ -1,4 +1,4 @@
-"""Finding and reading scenario files: a path, or the name of a scenario that is shipped."""
+"""Finding and reading scenario files: a path, or the name of a scenario that is shipped; and the other files that are shipped."""
 
 from __future__ import annotations
 
@@ -10,13 +10,26 @@ from typing import Any
 from bayesftc.cosim.base.paths import expanded, is_file, is_folder
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 
+KINDS = {
+    "scenario": "*/*.toml",
+    "campaign": "*/campaigns/*.toml",
+    "monitor's model": "*/data/*.toml",
+    "recording": "*/data/*.csv",
+}
+"""Where the files of each kind lie in the examples."""
 
-def shipped_scenarios() -> dict[str, Path]:
-    """Return the scenarios that come with the package: name to file."""
+
+def shipped_files(kind: str) -> dict[str, Path]:
+    """Return the files of one of `KINDS` that come with the package: name to file."""
     import bayesftc.examples
 
     folders = [Path(folder) for folder in bayesftc.examples.__path__]
-    return {file.stem: file for folder in folders for file in sorted(folder.glob("*/*.toml"))}
+    return {file.stem: file for folder in folders for file in sorted(folder.glob(KINDS[kind]))}
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """Return the scenarios that come with the package: name to file."""
+    return shipped_files("scenario")
 
 
 def find_scenario(path: str | os.PathLike[str]) -> Path:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from bayesftc.bench._figures import Figure, Section, ratios
 from bayesftc.bench.measures.full_loop import EXPERIMENT, SETTING, full_diagram
+from bayesftc.cosim.base.extras import why_missing
 
 if TYPE_CHECKING:
     from bayesftc.cosim.campaign.campaign import Campaign
@@ -28,8 +28,8 @@ def measure(quick: bool = False) -> Section:
         "in_process": (cosim.Processes(1), inside),
         "thread": (cosim.Threads(1), inside),
     }
-    there = find_spec("distributed") is not None
-    if there:
+    missing = why_missing("distributed", purpose="A campaign on a cluster")
+    if missing is None:
         measured["dask"] = cosim.DaskCluster(workers=2), isolated
     rates: dict[str, list[float]] = {name: [] for name in (*measured, "dask")}
     starts: dict[str, list[float]] = {name: [] for name in (*measured, "dask")}
@@ -39,8 +39,8 @@ def measure(quick: bool = False) -> Section:
             starts[name].append(start)
             rates[name].append(rate)
     unit = "steps/s"
-    two, first, over = "isolated FMU, Dask with two workers", "first runs of", ratios(rates["dask"], rates["process"])
-    missing = None if there else "The package distributed is not installed."
+    two, first = "isolated FMU, Dask with two workers", "first runs of"
+    over = ratios(rates["dask"], rates["process"]) if missing is None else ()
     return Section(
         "executors",
         f"Campaigns in other processes, runs of {EXPERIMENT} steps",

@@ -7,8 +7,10 @@ from pathlib import Path
 
 from bayesftc.bench._child import repeated
 from bayesftc.bench._figures import Figure, Section
+from bayesftc.cosim.base.extras import why_missing
 
 RUNS = 10_000
+PACKAGES = "zarr", "pyarrow", "jinja2"
 SIGNALS = (
     *("plant.v", "reference.y", "freeze_0.y", "freeze_0.active", "controller.u", "controller.x_hat", "controller.beta"),
     "sensors.y",
@@ -51,7 +53,10 @@ def measure(quick: bool = False) -> Section:
     runs = 200 if quick else RUNS
     with tempfile.TemporaryDirectory() as scratch:
         folder = str(Path(scratch) / "campaign")
-        writing, reason = repeated(WRITE.format(seeds=runs // 10, folder=folder))
+        writing: list[list[float]] = []
+        reason = why_missing(*PACKAGES, purpose="A stored campaign")
+        if reason is None:
+            writing, reason = repeated(WRITE.format(seeds=runs // 10, folder=folder))
         drawing: list[list[float]] = []
         if reason is None:
             drawing, reason = repeated(DRAW.format(folder=folder), 1 if quick else 3)
