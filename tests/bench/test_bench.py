@@ -1,3 +1,4 @@
+import io
 import json
 import re
 import subprocess
@@ -7,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from rich.console import Console
 
 from bayesftc import bench
 from bayesftc.bench import _child, _machine, _run
@@ -129,7 +131,11 @@ def test_without_the_extra_the_rest_is_measured_and_a_reason_says_what_to_instal
     monkeypatch.setattr(extras, "find_spec", lambda name: None if name in {"distributed", "pyarrow"} else object())
     for slow in ("_campaign", "_rate"):  # what is measured without the extra is not what is tested
         monkeypatch.setattr(executors, slow, lambda *_, **__: (1.0, 2.0))
-    figures = import_module(f"bayesftc.bench.measures.{section}").measure(quick=True).figures
+    measured = import_module(f"bayesftc.bench.measures.{section}").measure(quick=True)
+    console = Console(width=200, file=io.StringIO())
+    console.print(_run.as_table(measured))
+    assert "pip install 'bayesftc[campaign]'" in console.file.getvalue()
+    figures = measured.figures
     reasons = {figure.reason for figure in figures if not figure.samples}
     (reason,) = reasons
     assert re.search(r"needs the package (distributed|pyarrow), .*: pip install 'bayesftc\[campaign\]'\.$", reason)

@@ -99,7 +99,10 @@ def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = S
     machine = describe_machine()
     console.print(", ".join(f"{name} {value}" for name, value in machine.items()), highlight=False)
     for section in measured:
-        console.print(f"{section.title}: {section.reason}" if section.reason else as_table(section), highlight=False)
+        if section.reason:
+            console.print(f"{section.title}: {section.reason}", highlight=False, markup=False)
+        else:
+            console.print(as_table(section))
     if quick:
         console.print("These are quick figures: too few steps to judge speed by.")
 
@@ -148,8 +151,11 @@ def _bar(figure: Figure) -> str:
 
 
 def _verdict(section: Section, figure: Figure) -> str:
+    from rich.markup import escape  # of what is said, [campaign] is no markup
+
     met = section.met(figure) if figure.has_bar else None
     words = {True: "[green]yes[/]", False: "[bold red]no[/]", None: ""}[met]
     if met and not figure.clears:
         words = "by the other"
-    return " ".join(text for text in (words, figure.reason or "", f"({figure.note})" if figure.note else "") if text)
+    said = figure.reason or "", f"({figure.note})" if figure.note else ""
+    return " ".join(text for text in (words, *map(escape, said)) if text)
