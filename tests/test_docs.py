@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import readme
 
 from bayesftc import controllers, cosim, fmus, monitoring
 from bayesftc.fmus._compiler import why_no_compiler
@@ -19,18 +20,13 @@ PUBLIC = {
 }
 
 
-def snippets(page):
-    """The Python of a page, as one program: later snippets may use names of earlier ones."""
-    return "\n".join(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M))
-
-
-@pytest.mark.parametrize("page", [p for p in PAGES if snippets(p)], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [p for p in PAGES if readme.python(p)], ids=lambda p: p.name)
 def test_snippets_run(page, tmp_path, monkeypatch, capsys):
     """The README in a process of its own, as one who is new runs it; the pages here, where much is imported and compiled."""
-    if "needs a C compiler" in snippets(page) and why_no_compiler():
+    if "needs a C compiler" in readme.python(page) and why_no_compiler():
         pytest.skip(why_no_compiler())
     if page.name == "README.md":
-        command = [sys.executable, "-c", snippets(page)]
+        command = [sys.executable, "-c", readme.python(page)]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stderr
         printed = done.stdout
@@ -38,12 +34,12 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)
         names = {"__name__": "__main__"}
         try:
-            exec(compile(snippets(page), page.name, "exec"), names)
+            exec(compile(readme.python(page), page.name, "exec"), names)
         finally:  # as at the end of a process: what a page leaves open is closed
             names.clear()
             gc.collect()
         printed = capsys.readouterr().out
-    for expected in re.findall(r"^print\(.*\)  # (.*)$", snippets(page), re.M):
+    for expected in re.findall(r"^print\(.*\)  # (.*)$", readme.python(page), re.M):
         assert expected in printed.splitlines()
 
 
@@ -61,13 +57,6 @@ def test_what_the_page_on_extending_names_is_there():
             missing = [word for word in re.findall(r"\w+", name.partition("(")[0]) if word not in words]
             assert not missing, f"{name}: nothing is called {missing[0]}"
     assert len(named) > 100
-
-
-def test_readme_has_both_commands_and_they_are_what_ci_runs():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    for marker in ("run", "test"):
-        assert len(re.findall(rf"<!-- {marker} command -->\n```sh\n[^\n]+\n```", text)) == 1
-    assert "<!-- test command -->" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
 def anchors(page):

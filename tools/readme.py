@@ -1,12 +1,14 @@
 """The commands and snippets of the README, as a list: tests and ``.ci/run`` take them from here.
 
-``python tools/readme.py run`` prints the command below the marker ``<!-- run command -->``. ``python tools/readme.py walk FOLDER``
-does in FOLDER what a newcomer does: it makes an environment with the first command, and runs all the rest there, in order.
+``python tools/readme.py run`` prints the command below the marker ``<!-- run command -->``. ``python tools/readme.py walk
+FOLDER`` does in FOLDER what a newcomer does: it makes an environment with the first command, and runs all the rest there,
+in order.
 """
 
 import argparse
 import os
 import re
+import shutil
 import subprocess
 import sys
 import venv
@@ -30,7 +32,9 @@ class Block:
 
 def blocks(page: Path = README) -> list[Block]:
     """Return a page's blocks of code, in order."""
-    found = re.findall(r"^(?:<!-- (\w+) command -->\n)?```(\w+)\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
+    found = re.findall(
+        r"^(?:<!-- (\w+) command -->\n)?```(\w+)\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M
+    )
     return [Block(language, text, marker) for marker, language, text in found]
 
 
@@ -49,7 +53,7 @@ def python(page: Path = README) -> str:
 def walk(folder: Path) -> None:
     """Run every command and snippet in an environment that the first command makes; stop at the first that fails.
 
-    The first command runs in a clone, everything after it in an empty folder, without the clone's files. A snippet is run
+    The first command runs in a clone, which is then removed, and everything after it in an empty folder. A snippet is run
     with the earlier ones before it.
     """
     clone, empty, environment = folder / "clone", folder / "empty", folder / "environment"
@@ -58,7 +62,11 @@ def walk(folder: Path) -> None:
     venv.create(environment, with_pip=True)
     scripts = environment / ("Scripts" if os.name == "nt" else "bin")
     variables = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV"))}
-    variables |= {"PATH": f"{scripts}{os.pathsep}{variables['PATH']}", "MPLBACKEND": "agg", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    variables |= {
+        "PATH": f"{scripts}{os.pathsep}{variables['PATH']}",
+        "MPLBACKEND": "agg",
+        "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+    }
     variables |= {"BAYESFTC_CACHE": str(folder / "cache")}  # nothing compiled before may hide a missing step
     program = ""
     for block in blocks():
@@ -69,6 +77,8 @@ def walk(folder: Path) -> None:
         run = ["bash", "-euxc", block.text] if shell else [str(scripts / "python"), "-c", program]
         print(f"```{block.language}\n{block.text}```", flush=True)
         subprocess.run(run, cwd=clone if block.marker else empty, env=variables, check=True)
+        if block.marker:
+            shutil.rmtree(clone)
 
 
 def main() -> None:
