@@ -139,7 +139,7 @@ def closed_loop(
     for name, monitor in (monitors or {}).items():
         _watch(diagram, decider, diagram.add(monitor, name, decider.every), seen_by)
     for name, source in (noise or {}).items():
-        _feed(diagram, diagram.add(source, f"{_plain(name)}_noise")["y"], node[name], befallen.pop(name, ()), name)
+        _feed(diagram, diagram.add(source, noise_block(name))["y"], node[name], befallen.pop(name, ()), name)
     for name, chain in befallen.items():
         _feed(diagram, _at_rest(diagram, node[name], name), node[name], chain, name)
     return diagram.build()
@@ -189,13 +189,23 @@ def check_count(faults: Sequence[object]) -> None:
         )
 
 
-def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], prefix: str = "") -> PortRef:
-    """Lead a signal through faults; return what comes out."""
+def fault_block(fault: Fault, of: str = "") -> str:
+    """Return the name of a fault's block: of a sensor, or of an input of the plant, whose name comes first."""
+    return fault.name or (f"{_plain(of)}_" if of else "") + fault.default_name
+
+
+def noise_block(name: str) -> str:
+    """Return the name of the block of an input's noise."""
+    return f"{_plain(name)}_noise"
+
+
+def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], of: str = "") -> PortRef:
+    """Lead a signal through faults, of sensors or of an input; return what comes out."""
     check_count(faults)
     for fault in faults:
         if not isinstance(fault, Fault):
             raise ModelError(f"faults must be faults such as Freeze(sensor=0, start=6.0), not {fault!r}.")
-        modifier = diagram.add(replace(fault, channels=len(signal)), fault.name or prefix + fault.default_name)
+        modifier = diagram.add(replace(fault, channels=len(signal)), fault_block(fault, of))
         diagram.connect(signal, modifier["u"])
         signal = modifier["y"]
     return signal
@@ -216,7 +226,7 @@ def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Se
                 f"input_faults has a {type(fault).__name__} with sensor={fault.sensor} for {name!r}, which has {len(signal)} "
                 f"element{'s' if len(signal) > 1 else ''}, numbered from 0; leave sensor out where there is one."
             )
-    diagram.connect(_through(diagram, signal, chain, f"{_plain(name)}_"), target)
+    diagram.connect(_through(diagram, signal, chain, name), target)
 
 
 def _plain(name: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import StepSizeError
+from bayesftc.scenario._paths import line_of
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import Scenario, scenario_of
 from bayesftc.scenario._sections import Simulation
@@ -47,7 +48,8 @@ def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -
 def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
     """Return the same of the scenario of a campaign file, and a sentence for each factor that changes nothing."""
     loop: ScenarioLoop = campaign.job.loop  # type: ignore[assignment]
-    points, scenario = campaign.job.plan.points, scenario_of(loop.content, Path(loop.path))
+    scenario = scenario_of(loop.content, Path(loop.path))
+    points = [{line_of(name, loop.content): value for name, value in p.items()} for p in campaign.job.plan.points]
     of_campaign = [name for name in points[0] if name in OF_CAMPAIGNS]
     starts = {
         place: [point.get(f"{place}.start", start) for point in points]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -16,8 +15,9 @@ from bayesftc.cosim.base.paths import expanded, is_file
 from bayesftc.cosim.campaign.designs.design import Design, Grid, Points
 from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesign, SobolSequence
 from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
-from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
+from bayesftc.cosim.errors import BayesFTCError, ScenarioError
 from bayesftc.scenario._files import find_scenario, read_toml
+from bayesftc.scenario._paths import line_of, set_line
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
@@ -57,10 +57,13 @@ class ScenarioLoop:
     content: Mapping[str, Any] = field(repr=False)  # what it says
 
     def __call__(self, **factors: Any) -> Diagram:
-        """Return the diagram with these lines changed; the names are paths in the file, such as ``"faults[0].start"``."""
+        """Return the diagram with some lines changed: the names are their paths, or those of `bayesftc.cosim.varied`."""
         content = deepcopy(dict(self.content))
-        for name in sorted(factors, key=_depth):  # the whole before its parts, in whatever order they are named
-            _set(content, name, deepcopy(factors[name]))
+        lines = {line_of(name, self.content): value for name, value in factors.items()}
+        if len(lines) < len(factors):
+            raise ScenarioError(f"Two of the factors {', '.join(map(repr, factors))} are the same line; leave one out.")
+        for line in sorted(lines, key=_depth):  # the whole before its parts, in whatever order they are named
+            set_line(content, line, deepcopy(lines[line]))
         return scenario_of(content, Path(self.path)).loop()
 
 
@@ -227,35 +230,3 @@ def _metrics(given: Any, place: Place) -> list[Metric]:
 
 def _depth(path: str) -> int:
     return path.count(".") + path.count("[")
-
-
-def _set(content: Any, path: str, value: Any) -> None:
-    """Change what stands at a path of keys and numbers; of a table the last key may be new."""
-    steps: list[str | int] = [
-        int(number) if number else key for key, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", path)
-    ]
-    at, so_far = content, ""
-    for i, step in enumerate(steps):
-        last = i == len(steps) - 1
-        if isinstance(at, Mapping) and isinstance(step, str):
-            if last:
-                at[step] = value  # type: ignore[index]
-                return
-            if step not in at:
-                raise ScenarioError(
-                    f"The factor {path!r}: the scenario has no {step!r}{so_far}; {did_you_mean(step, at)}"
-                )
-        elif isinstance(at, list) and isinstance(step, int) and step < len(at):
-            if last:
-                at[step] = value
-                return
-        else:
-            raise ScenarioError(f"The factor {path!r}: the scenario has no {step!r}{so_far}; {_there(at)}")
-        at, so_far = at[step], f" in {'.'.join(map(str, steps[: i + 1]))}"
-
-
-def _there(part: Any) -> str:
-    """Return the tail of a sentence about an element that is not there."""
-    if isinstance(part, list):
-        return f"it has the elements 0 to {len(part) - 1}." if part else "the list is empty."
-    return "name what stands there."

@@ -10,7 +10,11 @@ import time
 import numpy as np
 import pytest
 
-from bayesftc.scenario.campaigns import load_campaign
+from bayesftc.cosim import ScenarioError, varied
+from bayesftc.scenario import find_scenario
+from bayesftc.scenario._files import read_toml
+from bayesftc.scenario._unused import unused_of_campaign
+from bayesftc.scenario.campaigns import ScenarioLoop, load_campaign
 
 pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
 
@@ -166,6 +170,50 @@ def test_comments_and_limits_may_change_and_what_is_run_may_not(bayesftc_, file,
     other = bayesftc_("campaign", file)
     assert other.exit_code == 20
     assert "description.scenario.faults[0].stop is 14.0 in the store and 13.0 now" in re.sub(r"\s+", " ", other.stderr)
+
+
+IN_PYTHON = {
+    "freeze_0.start": ("faults[0].start", [0.5, 1.0]),
+    "freeze_0": ("faults[0]", [{"kind": "Drift", "sensor": 1, "start": 0.5, "slope": 1.0}]),
+    "force_freeze_0.stop": ("input_faults.force[0].stop", [1.0, 1.5]),
+    "plant.m": ("plant.parameters.m", [80.0, 120.0]),
+    "disturbance_noise.std": ("noise.disturbance.std", [0.01, 0.02]),
+    "controller.precision.forgetting": ("controller.precision.forgetting", [0.8, 0.9]),
+}
+"""Paths of factors as they are in Python, lines of the scenario, and values."""
+
+
+@pytest.mark.parametrize("path", IN_PYTHON)
+def test_a_factor_may_be_named_as_in_python(path, tmp_path, same_bits):
+    content = read_toml(find_scenario("cruise_control"))
+    content["input_faults"] = {"force": [{"kind": "Freeze", "sensor": 0, "start": 0.2}]}
+    content["controller"]["precision"] = {"kind": "GammaPrecision", "forgetting": 0.7}
+    loop = ScenarioLoop(str(tmp_path / "car.toml"), content)
+    line, values = IN_PYTHON[path]
+    for value in values:
+        one, other = (
+            given.simulate(1.2, seed=1, engine="interpreted")
+            for given in (loop(**{path: value}), loop(**{line: value}))
+        )
+        same_bits(one["controller.u"], other["controller.u"])
+        if not isinstance(value, dict):  # a table is a thing of files
+            in_python = varied(loop(), {path: value}).simulate(1.2, seed=1, engine="interpreted")
+            same_bits(one["controller.u"], in_python["controller.u"])
+
+
+def test_two_names_of_one_line_are_refused(tmp_path):
+    loop = ScenarioLoop(str(tmp_path / "car.toml"), read_toml(find_scenario("cruise_control")))
+    with pytest.raises(ScenarioError, match=r"'faults\[0\]\.start', 'freeze_0\.start' are the same line"):
+        loop(**{"faults[0].start": 1.0, "freeze_0.start": 2.0})
+
+
+def test_a_fault_that_starts_too_late_is_found_by_either_name(tmp_path):
+    file = tmp_path / "late.toml"
+    for name in ("faults[0].start", "freeze_0.start"):
+        for start, count in ((1.0, 0), (3.0, 1)):
+            factors = f'[factors]\n"{name}" = [{start}]\n'
+            file.write_text(FILE[: FILE.index("[factors]")] + factors, encoding="utf-8")
+            assert len(unused_of_campaign(load_campaign(file), str(file))) == count
 
 
 def test_a_scenario_is_told_from_a_campaign(bayesftc_, tmp_path):
