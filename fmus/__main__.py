@@ -1,4 +1,7 @@
-"""``python -m bayesftc.fmus build [NAME ...] [--out DIR]`` and ``python -m bayesftc.fmus list``."""
+"""``python -m bayesftc.fmus build [NAME ...] [--out DIR] [--here]`` and ``python -m bayesftc.fmus list``.
+
+Shipped FMUs are built for all platforms by ``ziglang`` (``pip install 'bayesftc[export]'``): the same bytes on every machine.
+"""
 
 import argparse
 import sys
@@ -6,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayesftc.fmus._catalogue import check_name, names
+from bayesftc.fmus._platforms import PLATFORMS
 from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
 from bayesftc.fmus.plants import PLANTS
 
@@ -35,6 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="DIR",
         help="folder to write to; by default the package's own, which replaces the shipped FMUs",
     )
+    build.add_argument(
+        "--here", action="store_true", help="build for this machine only, by its own compiler; for trying a new plant"
+    )
     options = parser.parse_args(arguments)
     if options.command == "list":
         sys.stdout.write("".join(f"{name}\n" for name in names()))
@@ -42,10 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         for name in options.names:
             check_name(name)
+        platforms = None if options.here else PLATFORMS
         for plant in PLANTS:
             if not options.names or plant.name in options.names:
                 for fmi in FMI_VERSIONS:
-                    sys.stdout.write(f"{build_fmu(plant, options.out, fmi=fmi)}\n")
+                    sys.stdout.write(f"{build_fmu(plant, options.out, fmi=fmi, platforms=platforms)}\n")
     except (ValueError, RuntimeError, OSError) as error:
         sys.stderr.write(f"{error}\n")
         return 1

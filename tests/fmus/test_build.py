@@ -31,7 +31,7 @@ def built(tmp_path_factory):
     folders = [tmp_path_factory.mktemp("one"), tmp_path_factory.mktemp("two") / "new"]
     for fmi in FMI_VERSIONS:
         build_fmu(CRUISE_CONTROL, folders[0], fmi=fmi)
-    assert main(["build", "CruiseControl", "--out", str(folders[1])]) == 0
+    assert main(["build", "CruiseControl", "--here", "--out", str(folders[1])]) == 0
     return folders
 
 
