@@ -1,7 +1,10 @@
 """The command line in this process: tables, JSON, files, and every way in which a command can end."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -486,6 +489,15 @@ def test_bench_passes_its_options_on(bayesftc_, monkeypatch):
     wanted = [(False, False), (False, True), (True, True)]
     every = [{"json": j, "quick": q, "sections": SECTIONS} for j, q in wanted]
     assert seen == [*every, {"json": False, "quick": False, "sections": ["export", "memory"]}]
+
+
+@pytest.mark.parametrize(("line", "found"), [("bayesftc ru", {"run"}), ("bayesftc run --ou", {"--out"})])
+def test_a_shell_completes_commands_and_options(line, found):
+    words = {"COMP_WORDS": line, "COMP_CWORD": str(len(line.split()) - 1), "_BAYESFTC_COMPLETE": "complete_bash"}
+    done = subprocess.run(
+        [sys.executable, "-m", "bayesftc"], env={**os.environ, **words}, capture_output=True, text=True, timeout=60
+    )
+    assert set(done.stdout.split()) == found
 
 
 def test_example(bayesftc_, tmp_path):

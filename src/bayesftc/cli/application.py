@@ -86,7 +86,6 @@ app = typer.Typer(
     help="Fault-tolerant control by Bayesian inference: run closed loops with faulty sensors, look into FMUs.",
     epilog="Try: bayesftc run cruise_control",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 for command, text in COMMANDS.items():
