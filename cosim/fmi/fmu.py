@@ -72,7 +72,8 @@ class FMU(ExternalBlock):
     atol : float, optional
         For model exchange: absolute tolerance of all states, by default rtol times each state's nominal value.
     isolate : bool
-        Run each instance in a process of its own: what would take this process down becomes `FMUCrashed`.
+        Run each instance in a process of its own: what would take this process down becomes `FMUCrashed`. On Linux
+        only; elsewhere an `FMUError` says so.
     time_limit : float, optional
         With `isolate`: seconds that a call of the FMU, its initialization or one step, may take before its process is ended;
         10 by default, ``math.inf`` for no end.

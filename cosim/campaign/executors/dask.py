@@ -50,7 +50,7 @@ class DaskCluster:
     ----------
     address : str or distributed.Client, optional
         Of the scheduler, as ``"tcp://10.0.0.1:8786"``, or a client that is connected to it. By default a cluster on this
-        machine, which ends with the campaign.
+        machine, which ends with the campaign; that needs Linux or macOS.
     workers : int, optional
         How many workers a cluster on this machine has; by default one for each core.
     """

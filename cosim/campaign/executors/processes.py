@@ -15,6 +15,8 @@ from bayesftc.cosim.campaign.runs.pickling import pickled
 class Processes:
     """Runs in processes of their own: for FMUs of which a process may have only one, and for what Python computes.
 
+    On Linux and macOS; elsewhere the campaign ends with a `BayesFTCError` before its first run.
+
     The campaign is pickled, once for each process; with cloudpickle installed (the extra ``campaign`` brings it) also what a
     script or notebook defines. A script needs no ``if __name__ == "__main__"``.
 
