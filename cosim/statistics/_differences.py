@@ -182,7 +182,8 @@ def rank_sum(ours: Floats, theirs: Floats) -> RankTest:
 
     found = mannwhitneyu(ours, theirs)
     u = float(found.statistic)
-    return RankTest(u, float(found.pvalue), 2.0 * u / (len(ours) * len(theirs)) - 1.0)
+    same = len(np.unique([*ours, *theirs])) == 1  # of which scipy says NaN from 1.18 on, and said 1 before
+    return RankTest(u, 1.0 if same else float(found.pvalue), 2.0 * u / (len(ours) * len(theirs)) - 1.0)
 
 
 def corrected(p: ArrayLike, correction: Correction | None) -> Floats:
