@@ -119,13 +119,14 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
     """Return the curves of all levels: found faults against false alarms, and delay against false alarms."""
     from matplotlib.ticker import NullLocator
 
+    from bayesftc.cosim.judging.signals import ALARM
     from bayesftc.cosim.statistics import delay_curve, roc
 
     made, (left, right) = figure(3.2 + LINE * len(detection), 1, 2)
     time = contents.store.time
     step = float(time[1] - time[0]) if len(time) > 1 else 1.0
     names = {own.score_name for own in detection.values()}
-    least = 1.0
+    least, alarms = 1.0, []
     for level, own in detection.items():
         style, curve = contents.drawn()[level], roc(*own.by_seed())
         x, mean = curve.false_positive_rate, curve.true_positive_rate
@@ -139,6 +140,13 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
         least = min([least, *share[share > 0]])
         look: dict[str, Any] = {"color": style.colour, "ls": style.line, "marker": style.marker}
         right.plot(share, delays["median_delay"], lw=1.5, ms=2.5, **look)
+        if own.is_probability:
+            (at,) = delay_curve(own.score, own.truth, step=step, thresholds=[ALARM]).itertuples()
+            right.plot([at.false_share], [at.median_delay], ms=8, mfc="none", **look)
+            alarms.append(
+                f"{'' if level is None else f'{contents.name(level)}: '}alarms in {at.false_share:.2%} of the fault-free time, "
+                f"{at.missed_share:.1%} of the faults missed, median delay {_seconds(at.median_delay)}"
+            )
     left.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.02))
     right.set_xscale("symlog", linthresh=least)
@@ -154,8 +162,14 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
     return made, (
         f"Faults of sensors, found by {' or '.join(sorted(names))}, {_chosen(detection)}. Left: the mean of the curves of the "
         f"seeds; AUC is of all samples together{seeds}. Right: delay of an alarm over how often there is a false one, at all "
-        "thresholds; a curve ends where most faults are missed." + _without(contents, detection)
+        "thresholds; a curve ends where most faults are missed."
+        + (f" At a fault probability of {ALARM:g} (circle): {'; '.join(alarms)}." if alarms else "")
+        + _without(contents, detection)
     )
+
+
+def _seconds(delay: float) -> str:
+    return "unknown" if delay != delay else f"{delay:.3g} s"
 
 
 def _chosen(detection: dict[Any, Level]) -> str:

@@ -273,6 +273,16 @@ def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
         found, low, high = map(float, re.findall(r"\d\.\d+", label))
         assert found == round(area, 3)
         assert low < found < high
+        said = re.search(
+            rf"{level}: alarms in ([\d.]+)% of the fault-free time, ([\d.]+)% of the faults missed", caption
+        )
+        probability, faulty = signals["controller.fault_probability"][own], truth[own]
+        alarms = [
+            cosim.judge_alarms(p, f > 0, threshold=0.5, step=0.5) for p, f in zip(probability, faulty, strict=True)
+        ]
+        pooled = sum(alarms[1:], alarms[0])
+        assert float(said[1]) == round(100 * pooled.false_share, 2)
+        assert float(said[2]) == round(100 * pooled.missed_share, 1)
     assert {"Detection", "Reliability"} <= set(read(report(store)).headings)
 
 
