@@ -127,7 +127,7 @@ def depends_on(function: FunctionType) -> list[Any]:
         values = [reached.__globals__.get(name) for name in reached.__code__.co_names]
         values += reached.__closure__ or ()
         values += [cell.cell_contents for cell in reached.__closure__ or () if _filled(cell)]
-        found += [reached.__code__, *values]
+        found += [reached.__code__, reached.__defaults__, reached.__kwdefaults__, *values]
         functions += [value for value in values if isinstance(value, FunctionType) and value not in functions]
     return found
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
+from bayesftc.cosim.errors import KernelError
+
 _SPEED = 3
 _DIGEST = 32
 """Bytes of the hash before the code in a file."""
@@ -46,7 +48,10 @@ def load(code: bytes, name: str) -> int:
     engine = _engine()
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    return int(engine.get_function_address(name))
+    address = int(engine.get_function_address(name))
+    if not address:
+        raise KernelError(f"The compiled step function {name} cannot be loaded; empty the cache folder.")
+    return address
 
 
 @cache

@@ -29,7 +29,7 @@ _FLOATING = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
 _COUNTING = {"+": "add", "-": "sub", "*": "mul", "/": "sdiv", "%": "srem"}
 _ORDERED = {"<": "lt", "<=": "le", ">": "gt", ">=": "ge"}
 
-_SELECT = """define internal double @op_select(i1 %c, double %a, double %b) {
+_SELECT = """define internal double @f.op_select(i1 %c, double %a, double %b) {
   %chosen = select i1 %c, double %a, double %b
   %sum = fadd double %chosen, 0.0
   ret double %sum
@@ -117,8 +117,8 @@ def _table(unit: Unit, node: c_ast.Decl) -> str:
     kind = unit.type_of(node.type.type)
     values = ", ".join(f"{kind} {_number(kind, _literal(value))}" for value in node.init.exprs)
     count = len(node.init.exprs)
-    unit.tables[node.name] = Table(kind, f"@{node.name}", count)
-    return f"@{node.name} = internal constant [{count} x {kind}] [{values}]"
+    unit.tables[node.name] = Table(kind, f"@t.{node.name}", count)
+    return f"@t.{node.name} = internal constant [{count} x {kind}] [{values}]"
 
 
 def _literal(node: c_ast.Node) -> int | float:
@@ -134,6 +134,8 @@ def _literal(node: c_ast.Node) -> int | float:
 
 def _number(kind: str, value: float) -> str:
     """Return a number of a type as LLVM reads it back, to the last bit."""
+    if kind == POINTER:  # a row that is chosen later
+        return "null"
     if kind == DOUBLE:
         return "0x" + struct.pack(">d", float(value)).hex().upper()
     return str(int(bool(value)) if kind == TRUTH else int(value))
@@ -171,7 +173,9 @@ class _Function:
         )
         own = "static" in self.node.decl.storage
         returns = "i32" if not own else self.signature.returns
-        head = f"define {'internal ' if own else ''}{returns} @{self.name}({taken}) {{"
+        # With a name of its own kind, for LLVM calls functions of the C library by their names as it sees fit, such as sincos.
+        head = f"define internal {returns} @f.{self.name}" if own else f"define {returns} @{self.name}"
+        head = f"{head}({taken}) {{"
         return "\n".join([head, *self.places, *self.lines, "}"])
 
     # Lines
@@ -202,8 +206,9 @@ class _Function:
     def result(self, kind: str, line: str) -> Term:
         """Add an instruction that has a result, and return that."""
         self.count += 1
-        self.emit(f"%r{self.count} = {line}")
-        return Term(kind, f"%r{self.count}")
+        name = f"%r{self.count}"  # before `emit`, which may need a label, and counts on
+        self.emit(f"{name} = {line}")
+        return Term(kind, name)
 
     def variable(self, name: str, kind: str) -> Term:
         """Make a place in memory for a variable."""
@@ -425,7 +430,7 @@ class _Function:
             return self.result(DOUBLE, f"call double @{_LIBRARY[name]}(double {self.turned(values[0], DOUBLE)})")
         signature = self.unit.functions[name]
         given = ", ".join(f"{k} {self.turned(v, k)}" for k, v in zip(signature.arguments, values, strict=True))
-        line = f"call {signature.returns} @{name}({given})"
+        line = f"call {signature.returns} @f.{name}({given})"
         if signature.returns == "void":
             self.emit(line)
             return Term("void", "")

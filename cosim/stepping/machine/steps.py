@@ -15,23 +15,30 @@ import platform
 import threading
 from functools import cache
 from importlib import resources
+from itertools import pairwise
+from math import prod
 from types import FunctionType
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import llvmlite
 import llvmlite.binding as llvm
+import pycparser
+from pycparser.c_parser import ParseError
 
 from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.errors import KernelError
-from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint
+from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint, where
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
 from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, sealed
 from bayesftc.cosim.stepping.machine.lowering import lowered
-from bayesftc.cosim.stepping.source.tree import Sections
+from bayesftc.cosim.stepping.source.tree import Sections, parameters
 from bayesftc.cosim.stepping.translate.functions import Functions
 from bayesftc.cosim.types import Kernel, argument_names
+
+lenient = True
+"""Whether numba takes over where something here is wrong, and not only where C is not written for something; not in tests."""
 
 _lock = threading.RLock()
 _addresses: dict[str, int] = {}
@@ -75,7 +82,8 @@ def compile_kernel(kernel: Kernel, sections: Sections) -> int:
         known = _kernels.setdefault(kernel, {})
         if places in known:
             seen, address = known[places]
-            if all(map(operator.is_, seen, depends_on(kernel))):
+            now = depends_on(kernel)
+            if len(seen) == len(now) and all(map(operator.is_, seen, now)):
                 return address
         seen = depends_on(kernel)
         name = f"step_{Functions.allowed(kernel.__name__)[:40]}_{fingerprint(kernel, f'{environment()} {places}')}"
@@ -92,7 +100,7 @@ def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
     if code is None:
         try:
             with announced(True):
-                code = machine_code(lowered(*text_of(kernel, sections, name)))
+                code = _compiled(kernel, sections, name)
         except KernelError as refused:
             from bayesftc.cosim.stepping.compiler import compile_by_numba
 
@@ -104,10 +112,21 @@ def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
     return load(code, name)
 
 
+def _compiled(kernel: FunctionType, sections: Sections, name: str) -> bytes:
+    try:
+        return machine_code(lowered(*text_of(kernel, sections, name)))
+    except (RuntimeError, RecursionError, ValueError, LookupError, ParseError) as error:  # RuntimeError is LLVM's
+        if not lenient:
+            raise
+        raise KernelError(
+            f"Step function {where(kernel)} cannot become machine code by way of C ({error}); please report it."
+        ) from error
+
+
 def text_of(kernel: FunctionType, sections: Sections, name: str) -> tuple[str, list[str]]:
     """Return the C of a step function, with a function of the engine's signature around it.
 
-    Of these two, no arrays overlap; their names come second.
+    The names of those of these two whose arrays do not overlap come second.
 
     Raises
     ------
@@ -120,11 +139,15 @@ def text_of(kernel: FunctionType, sections: Sections, name: str) -> tuple[str, l
     call = f"{written.name}({', '.join(given)});"
     head = f"int {name}(double *state, double *parameters, double *inputs, double *outputs, double t, int64_t k)"
     text = "\n".join([functions.text([call]), head, "{", f"    {call}", "    return 0;", "}", ""])
-    return text, [name, written.name]
+    # A port may be taken beside all of its section: then only the sections are known to lie apart.
+    ranges = sorted((sections[n][0], sections[n][1], prod(sections[n][2])) for n in parameters(kernel) if n in sections)
+    overlap = any(a[0] == b[0] and a[1] + a[2] > b[1] for a, b in pairwise(ranges))
+    return text, [name] if overlap else [name, written.name]
 
 
 @cache
 def environment() -> str:
     """Return what else machine code depends on: versions, the processor, and what compiles."""
-    parts = [platform.python_version(), llvmlite.__version__, llvm.get_host_cpu_name(), features(), _OWN_TEXT]
+    parts = [platform.python_version(), llvmlite.__version__, pycparser.__version__, llvm.get_process_triple()]
+    parts += [llvm.get_host_cpu_name(), features(), _OWN_TEXT]
     return "|".join(parts)

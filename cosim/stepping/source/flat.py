@@ -58,7 +58,10 @@ class _Flat:
 
 
 _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
-_made: WeakKeyDictionary[FunctionType, dict[tuple[Shape | None, ...], tuple[list[Any], _Flat]]] = WeakKeyDictionary()
+# None for a function that stays itself: with it as a value, it would live for ever.
+_made: WeakKeyDictionary[FunctionType, dict[tuple[Shape | None, ...], tuple[list[Any], _Flat | None]]] = (
+    WeakKeyDictionary()
+)
 
 
 def without_records(function: FunctionType) -> FunctionType:
@@ -80,11 +83,11 @@ def _flat(function: FunctionType, shapes: tuple[Shape | None, ...], callers: tup
     known = _made.setdefault(function, {})
     seen = depends_on(function)
     if shapes in known and len(known[shapes][0]) == len(seen) and all(map(operator.is_, known[shapes][0], seen)):
-        return known[shapes][1]
+        return known[shapes][1] or plain
     concerned = any(shapes) or _knows_records(function, set())
-    found = _Flattening(function, shapes, callers).done() if concerned else plain
+    found = _Flattening(function, shapes, callers).done() if concerned else None
     known[shapes] = seen, found
-    return found
+    return found or plain
 
 
 def _knows_records(function: FunctionType, seen: set[FunctionType]) -> bool:
@@ -111,6 +114,7 @@ class _Flattening(ast.NodeTransformer):
         self.taken = {n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name)} | set(self.arguments)
         self.records: dict[str, _Record] = {}
         self.before: list[ast.stmt] = []  # what must stand before the statement at hand
+        self.now: set[str] = set()  # the variables that this statement makes for the fields of its records
         self.calls = 0  # how many step functions this statement calls
         self.copying = False  # whether what a record is made of may be computed before this statement
         self.seen: dict[int, tuple[ast.expr, _Record | None]] = {}
@@ -175,7 +179,7 @@ class _Flattening(ast.NodeTransformer):
     def _statements(self, body: list[ast.stmt]) -> list[ast.stmt]:
         made: list[ast.stmt] = []
         for statement in body:
-            self.before = []
+            self.before, self.now = [], set()
             self.calls = sum(map(self._is_step, ast.walk(_head(statement))))
             after = self.visit(statement)
             made += [*self.before, *(after if isinstance(after, list) else [after])]
@@ -265,7 +269,21 @@ class _Flattening(ast.NodeTransformer):
     def _name(self, target: ast.Name, record: _Record) -> None:
         if target.id not in self.once or target.id in self.arguments:
             self.refuse(target, f"assigns the record {target.id!r} more than once; take two names")
-        self.records[target.id] = record
+        self.records[target.id] = self._lasting(record, target)
+
+    def _lasting(self, record: _Record, at: ast.AST) -> _Record:
+        """Return a record with variables of its own: what another one is made of may change in the next round of a loop."""
+        fields: list[str | _Record] = []
+        for field in record.fields:
+            if isinstance(field, _Record):
+                fields.append(self._lasting(field, at))
+            elif field in self.steady or field in self.now:
+                fields.append(field)
+            else:
+                own = self.new(field)
+                self.before.append(ast.copy_location(ast.Assign([ast.Name(own, ast.Store())], _load(field, at)), at))
+                fields.append(own)
+        return _Record(record.record, tuple(fields))
 
     # Expressions
 
@@ -320,6 +338,7 @@ class _Flattening(ast.NodeTransformer):
         if not self.copying:
             self.refuse(value, "makes a record beside other calls; make it in a line before, with a name of its own")
         kept = self.new(name)
+        self.now.add(kept)
         self.before.append(ast.copy_location(ast.Assign([ast.Name(kept, ast.Store())], value), value))
         return kept
 

@@ -7,6 +7,7 @@ import copy
 import dis
 import inspect
 import textwrap
+from bisect import bisect_left
 from collections.abc import Mapping
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -74,11 +75,22 @@ def _alike(tree: ast.FunctionDef, code: CodeType) -> bool:
 
 def _gist(code: CodeType) -> list[tuple[str, Any]]:
     """Return what a function does, without what depends on the module around it: how an attribute is called, and places."""
-    return [
-        (instruction.opname.replace("METHOD", "ATTR"), None if "JUMP" in instruction.opname else instruction.argval)
+    kept = [
+        instruction
         for instruction in dis.get_instructions(code)
         if instruction.opname not in {"PUSH_NULL", "PRECALL", "NOP", "EXTENDED_ARG"}
-        and "ITER" not in instruction.opname
+    ]
+    offsets = [instruction.offset for instruction in kept]
+
+    def meant(instruction: dis.Instruction) -> Any:
+        if instruction.opcode in dis.hasjrel or instruction.opcode in dis.hasjabs:
+            return bisect_left(offsets, instruction.argval)  # the how-manieth instruction it leads to
+        return repr(instruction.argval) if "CONST" in instruction.opname else instruction.argval
+
+    return [
+        (instruction.opname.replace("METHOD", "ATTR"), meant(instruction))
+        for instruction in kept
+        if "ITER" not in instruction.opname
     ]
 
 

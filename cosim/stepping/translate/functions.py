@@ -34,6 +34,8 @@ _RESERVED = (
     "int32_t int64_t uint8_t uint16_t uint32_t uint64_t intptr_t uintptr_t intmax_t uintmax_t size_t NULL errno memset "
     "alignas alignof and and_eq bitand bitor bool catch char8_t char16_t char32_t class compl concept constexpr "
     "const_cast co_await co_return co_yield decltype delete dynamic_cast explicit export false friend mutable namespace "
+    "sincos memcpy memmove exp10 abs offsetof _Alignas _Alignof _Atomic _Generic _Noreturn _Pragma _Static_assert "
+    "_Thread_local __builtin_va_arg __int128 "
     "new noexcept not not_eq nullptr operator or or_eq private protected public reinterpret_cast requires static_assert "
     "static_cast template this thread_local throw true try typeid typename using virtual wchar_t xor xor_eq "
 )
@@ -259,5 +261,5 @@ def wrapped(line: str) -> list[str]:
         return [line]
     margin = len(line) - len(line.lstrip())
     held = line[margin:].replace(" ", "\0").replace(",\0", ", ") if ", " in line else line[margin:]
-    pieces = textwrap.wrap(held, WIDTH - margin - 4, break_long_words=False, break_on_hyphens=False)
+    pieces = textwrap.wrap(held, max(WIDTH - margin - 4, 40), break_long_words=False, break_on_hyphens=False)
     return [" " * (margin + 4 * (i > 0)) + piece.replace("\0", " ") for i, piece in enumerate(pieces)]

@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import FunctionType
+from types import CodeType, FunctionType
 from weakref import WeakKeyDictionary
 
 from bayesftc.cosim.stepping.source.tree import stores, tree_of
 
-_read: WeakKeyDictionary[FunctionType, Source] = WeakKeyDictionary()
+_read: WeakKeyDictionary[FunctionType, tuple[CodeType, Source]] = WeakKeyDictionary()
 
 
 @dataclass
@@ -49,9 +49,11 @@ class Source:
 
 def source_of(function: FunctionType) -> Source:
     """Return the source of a function."""
-    if function not in _read:
-        _read[function] = Source(tree_of(function))
-    return _read[function]
+    code, source = _read.get(function, (None, None))
+    if source is None or code is not function.__code__:  # notebooks that load edited files anew exchange it
+        source = Source(tree_of(function))
+        _read[function] = function.__code__, source
+    return source
 
 
 def counters(tree: ast.FunctionDef) -> set[str]:
