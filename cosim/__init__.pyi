@@ -63,7 +63,8 @@ from .campaign.runs.metrics import (
 )
 from .comparison.compare import Comparison as Comparison, compare as compare
 from .control.control_system import initial_state as initial_state
-from .control.linear_loop import LinearLoop as LinearLoop, Margins as Margins
+from .control.linear_loop import LinearLoop as LinearLoop
+from .control.margins import Margins as Margins
 from .diagram.closed_loop import closed_loop as closed_loop
 from .diagram.coupling import Coupling as Coupling
 from .diagram.diagram import Diagram as Diagram

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.linalg import schur, solve_sylvester
 
 from bayesftc.cosim.control.control_system import allowed
 from bayesftc.cosim.control.loop_parts import Matrices, Parts, loop_parts
+from bayesftc.cosim.control.margins import Margins, margins_of
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 
 if TYPE_CHECKING:
@@ -20,31 +21,6 @@ if TYPE_CHECKING:
 
 LASTING = 1e-9
 """A mode does not die out if its pole is nearer to the unit circle than this; one that weighs less than this does not show."""
-
-
-class Margins(NamedTuple):
-    """How far a loop is from instability; infinite or NaN where there is no such crossing.
-
-    Attributes
-    ----------
-    gain : float
-        Gain margin: the factor by which the loop gain can change.
-    phase : float
-        Phase margin in degrees.
-    delay : float
-        Delay margin in seconds: the phase margin at the gain crossover.
-    gain_crossover, phase_crossover : float
-        Frequencies in rad/s at which the gain is 1, and at which the phase is -180 degrees.
-    modulus : float
-        Least distance of the loop transfer function from -1.
-    """
-
-    gain: float
-    phase: float
-    delay: float
-    gain_crossover: float
-    phase_crossover: float
-    modulus: float
 
 
 @dataclass(frozen=True)
@@ -126,7 +102,8 @@ class LinearLoop:
         from bayesftc.cosim.control.loop_figures import bode_figure
         from bayesftc.cosim.judging.panels import shown_figure
 
-        return bode_figure(self.open(at), self.margins(at), self._title("Loop transfer function", at), shown_figure())
+        margins = self.margins(at) if self._is_stable else None
+        return bode_figure(self.open(at), margins, self._title("Loop transfer function", at), shown_figure())
 
     def root_locus(self, at: str | None = None) -> Figure:
         """Return the root locus: the closed loop's poles while the gain at the plant's input grows from 0; crosses mark gain 0.
@@ -153,12 +130,15 @@ class LinearLoop:
         ----------
         at : str, optional
             Name of the plant's input; needed where there are several controls.
+
+        Raises
+        ------
+        ModelError
+            If the closed loop is not stable.
         """
-        # By the frequency response: the polynomials of a sampled loop of some states lose their digits.
-        found = control.stability_margins(self.open(at), method="frd")
-        gain, phase, modulus, phase_crossover, gain_crossover, _ = found
-        delay = np.deg2rad(phase) / gain_crossover if gain_crossover > 0 else np.inf
-        return Margins(*map(float, (gain, phase, delay, gain_crossover, phase_crossover, modulus)))
+        if not self._is_stable:
+            raise ModelError(f"{self._unstable()} A loop that is lost has no margins; bode() shows how far off it is.")
+        return margins_of(self.open(at))
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the poles of the closed loop, the largest first: those of plant, control and belief together."""
@@ -198,10 +178,9 @@ class LinearLoop:
         """
         response = _settling(self._response(goal, output))
         if response is None:
-            shown = ", ".join(f"{pole:.4g}" for pole in self.poles()[:3])
             raise ModelError(
-                f"The closed loop is not stable: its largest poles are {shown}. A step response that does not settle has no "
-                "figures; change the controller, or give the plant other start values."
+                f"{self._unstable()} A step response that does not settle has no figures; change the controller, or give the "
+                "plant other start values."
             )
         info: dict[str, float] = control.step_info(response, **settings)
         return info
@@ -212,6 +191,15 @@ class LinearLoop:
             f"<LinearLoop of {states} states at {self.dt:g} s: goals for {', '.join(self.parts.tracked) or 'none measured'}; "
             f"controls {', '.join(self.parts.controls)}>"
         )
+
+    @property
+    def _is_stable(self) -> bool:
+        """Whether no mode grows; one that only stays, as the position behind a speed, may be of no interest to any goal."""
+        return bool((np.abs(self.poles()) < 1.0 + LASTING).all())
+
+    def _unstable(self) -> str:
+        shown = ", ".join(f"{pole:.4g}" for pole in self.poles()[:3])
+        return f"The closed loop is not stable: its largest poles are {shown}."
 
     @property
     def _opened(self) -> Matrices:
@@ -280,4 +268,4 @@ def _largest_first(values: Any) -> NDArray[np.complex128]:
     return found[np.lexsort((-found.imag, -np.abs(found)))]
 
 
-__all__ = ["LinearLoop", "Margins", "linear_loop"]
+__all__ = ["LinearLoop", "linear_loop"]

@@ -13,34 +13,45 @@ from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bayesftc.cosim.control.linear_loop import Margins
+    from bayesftc.cosim.control.margins import Margins
 
 
 GAINS = np.concatenate([[0.0], np.logspace(-3.0, 3.0, 4001)])
 """Of the root locus, in units of the designed gain."""
 
 
-def bode_figure(loop: Any, margins: Margins, title: str, figure: Figure) -> Figure:
+def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) -> Figure:
     """Return gain and phase of a loop transfer function over the frequency, with its margins.
 
     Parameters
     ----------
     loop : control.StateSpace
         The loop transfer function.
-    margins : Margins
-        Of the loop.
+    margins : Margins or None
+        Of the loop; None where it is not stable.
     title : str
         Stands above.
     figure : Figure
         An empty one to draw on.
     """
     _, axes = make_panels([PANEL, PANEL], figure)
-    control.bode_plot(loop, display_margins=True, margins_method="frd", ax=np.array(axes)[:, None], color=BLUE, lw=1.3)
-    axes[0].set_title(
-        f"gain margin {margins.gain:.3g} (at {margins.phase_crossover:.3g} rad/s), phase margin {margins.phase:.1f} degrees "
-        f"(at {margins.gain_crossover:.3g} rad/s)",
-        fontsize=9,
-    )
+    control.bode_plot(loop, ax=np.array(axes)[:, None], color=BLUE, lw=1.3)
+    axes[0].axhline(1.0, color="0.5", lw=0.8)
+    axes[1].axhline(-180.0, color="0.5", lw=0.8)
+    if margins is None:
+        said = ["the closed loop is not stable"]
+    else:
+        said = [
+            f"{name} {value} (at {at:.3g} rad/s)" if np.isfinite(at) else f"no {name}: no such crossing"
+            for name, value, at in (
+                ("gain margin", f"{margins.gain:.3g}", margins.phase_crossover),
+                ("phase margin", f"{margins.phase:.1f} degrees", margins.gain_crossover),
+            )
+        ]
+        for axis, at in zip(axes, (margins.phase_crossover, margins.gain_crossover), strict=True):
+            if np.isfinite(at) and at > 0.0:
+                axis.axvline(at, color="0.5", lw=0.8, ls=":")
+    axes[0].set_title(", ".join(said), fontsize=9)
     axes[0].set_ylabel("gain")
     axes[1].set_ylabel("phase (degrees)")
     axes[1].set_xlabel("frequency (rad/s); dashed: half of the sampling frequency")

@@ -64,6 +64,15 @@ def test_an_lqg_loop_is_the_one_made_by_hand():
     assert found["SteadyStateValue"] == pytest.approx(1.0)
 
 
+def test_margins_need_a_loop_that_is_stable():
+    strong = control.ss(MODEL.matrix("A"), 40.0 * MODEL.matrix("B"), MODEL.matrix("C")[:1], 0.0, DT)
+    loop = loop_of(lqg()).linear(plant=strong)
+    assert np.abs(loop.poles()).max() > 1.0
+    with pytest.raises(ModelError, match=r"not stable: its largest poles are .*has no margins"):
+        loop.margins()
+    assert "not stable" in loop.bode().axes[0].get_title()
+
+
 @pytest.mark.filterwarnings("ignore:stability_margins")
 def test_margins_are_those_of_the_loop_made_by_hand():
     broken, _ = by_hand()

@@ -1,0 +1,83 @@
+"""Margins against a scan of the closed loop's poles: over gains, over phases, over delays of whole samples."""
+
+import control
+import numpy as np
+import pytest
+
+from bayesftc.cosim.control.margins import margins_of
+
+DT = 0.1
+
+
+def loop(A, B, C, D=0.0):
+    return control.ss(A, B, C, D, DT)
+
+
+def largest_pole(system, gain):
+    """Largest pole of the loop that is closed with this gain, which may be complex: of a changed phase."""
+    gain = gain / (1.0 + gain * system.D[0, 0])
+    return np.abs(np.linalg.eigvals(system.A - gain * system.B @ system.C)).max()
+
+
+def late(system, steps):
+    """The loop with a delay of whole samples."""
+    delay = control.ss(np.eye(steps, k=-1), np.eye(steps, 1), np.eye(1, steps, k=steps - 1), 0.0, DT)
+    return system * delay
+
+
+def random_loops(count=25):
+    rng = np.random.default_rng(3)
+    while count:
+        n = rng.integers(1, 6)
+        A = rng.standard_normal((n, n))
+        A *= rng.uniform(0.5, 1.1) / np.abs(np.linalg.eigvals(A)).max()
+        system = loop(A, rng.standard_normal((n, 1)), rng.standard_normal((1, n)) * rng.uniform(0.05, 1.0))
+        if largest_pole(system, 1.0) < 0.999:
+            count -= 1
+            yield system
+
+
+LOOPS = {
+    "limit at half of the sampling frequency": loop([[0.9]], [[1.0]], [[0.9]]),
+    "unstable plant": loop([[1.2]], [[1.0]], [[0.8]]),
+    "lightly damped": loop(
+        0.999 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]), [[0.0], [1.0]], [[-0.0007, 0.0006]]
+    ),
+    "integrator": loop([[1.0, 0.1], [0.0, 0.6]], [[0.0], [1.0]], [[0.5, 0.0]]),
+    **{f"random {i}": system for i, system in enumerate(random_loops())},
+}
+
+
+@pytest.mark.parametrize("system", LOOPS.values(), ids=LOOPS)
+def test_margins_are_where_poles_reach_the_unit_circle(system):
+    found = margins_of(system)
+    assert largest_pole(system, 1.0) < 1.0
+    scan = np.concatenate([np.geomspace(1e-4, 1.0, 4000), np.geomspace(1.0, 1e4, 4000)])
+    lost = np.array([largest_pole(system, k) >= 1.0 for k in scan])
+    if np.isfinite(found.gain):
+        assert largest_pole(system, found.gain) == pytest.approx(1.0, abs=1e-7)
+        edge = abs(np.log(found.gain))
+        assert not lost[np.abs(np.log(scan)) < 0.999 * edge].any()
+    else:
+        assert not lost.any()
+    turns = np.deg2rad(np.linspace(0.0, 180.0, 2001))
+    lost = np.array([max(largest_pole(system, np.exp(s * 1j * a)) for s in (1, -1)) >= 1.0 for a in turns])
+    if np.isfinite(found.phase):
+        assert largest_pole(system, np.exp(-1j * np.deg2rad(found.phase))) == pytest.approx(1.0, abs=1e-7)
+        assert not lost[turns < np.deg2rad(abs(found.phase)) * 0.999].any()
+    else:
+        assert not lost.any()
+    if abs(system(-1.0)) >= 1.0:
+        assert np.isnan(found.delay)
+    else:
+        for steps in range(1, min(60, int(np.ceil(min(found.delay / DT, 60.0) - 1e-6)))):
+            assert np.abs(control.feedback(late(system, steps), 1).poles()).max() < 1.0
+        # Just behind it a delay of whole samples, of a loop that is sampled as often as that takes, is too much.
+        if np.isfinite(found.delay):
+            unit = np.exp(1j * np.linspace(1e-5, np.pi, 200_001))
+            turned = system(unit) * unit ** (-found.delay / DT)
+            assert np.abs(1.0 + turned).min() < 1e-3
+    angles = np.linspace(1e-4, np.pi, 40_000)
+    distances = np.abs(1.0 + system(np.exp(1j * angles)))
+    assert found.modulus <= distances.min() * (1 + 1e-9)
+    assert found.modulus == pytest.approx(distances.min(), rel=2e-3)
