@@ -38,7 +38,7 @@ def model_lines(controller: BayesianController) -> list[str]:
 
 
 def learner_lines(controller: BayesianController) -> list[str]:
-    """Return how far sensors are trusted, and which faults the controller tells."""
+    """Return how far sensors are trusted, and which faults the controller distinguishes."""
     precision: Any = controller.precision
     changed = [each.name for each in fields(precision) if _differs(getattr(precision, each.name), each)]
     settings = (
@@ -46,9 +46,9 @@ def learner_lines(controller: BayesianController) -> list[str]:
     )
     lines = [f"Trust in the sensors: {type(precision).__name__}{settings}."]
     if modes := tuple(type(mode).__name__ for mode in getattr(precision, "modes", ())):
-        lines.append(f"Faults of sensors that it tells: {', '.join(modes)}.")
+        lines.append(f"Sensor faults that it distinguishes: {', '.join(modes)}.")
     if controller.actuator_kinds:
-        lines.append(f"Faults of actuators that it tells: {', '.join(controller.actuator_kinds)}.")
+        lines.append(f"Actuator faults that it distinguishes: {', '.join(controller.actuator_kinds)}.")
     if precision.why_no_probability:
         lines.append(f"There is no fault probability: {precision.why_no_probability}")
     return lines

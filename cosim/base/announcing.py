@@ -15,7 +15,7 @@ from contextlib import contextmanager
 
 from bayesftc.cosim.base.processes import has_host
 
-SENTENCE = "Compiling step functions, once for this machine: about 10 s, longer where other programs compute."
+SENTENCE = "Compiling step functions that are new on this machine, for some seconds; later runs reuse them."
 PATIENCE = 1.0
 """Seconds of compiling before it is said: small step functions take less."""
 

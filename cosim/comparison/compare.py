@@ -20,7 +20,7 @@ from bayesftc.cosim.comparison.pairing import check_pairs
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.wiring import find_controller, find_sensors
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.cosim.statistics import compare as compare_levels
@@ -119,6 +119,8 @@ class Comparison:
         loop : str
             Its name.
         """
+        if loop not in self.loops:
+            raise UnknownNameError(f"No loop {loop!r} was compared; {did_you_mean(loop, self.loops)}")
         dataset = self.result.dataset
         kept = np.flatnonzero((dataset["loop"].values == loop) & (dataset["status"].values == "ok"))
         time, arrays = dataset["time"].values, {str(name): dataset[name].values for name in dataset.data_vars}
@@ -188,7 +190,8 @@ def compare(
     Parameters
     ----------
     loops : mapping of str to Diagram
-        At least two closed loops by name; the others are compared with the first. They may differ in plant and controller.
+        At least two closed loops by name; the others are compared with the first. They may differ in controller and plant, but
+        a plant that draws noise must be the same in all.
     duration : float, str or Fraction
         Seconds of each run.
     seeds : int or sequence of int

@@ -243,7 +243,7 @@ def _of_system(system: Any, step: Fraction, rows: Floats) -> Matrices:
 
 
 def _law(block: Block, step: Fraction, y: Floats) -> Matrices:
-    """Return the controller: as it says itself (``linear_law``), else linearized at its beginning, where it reads `y`."""
+    """Return the controller: by its own ``linear_law``, else linearized at its beginning, where it reads `y`."""
     if hasattr(block, "linear_law"):
         return Matrices(*block.linear_law())
     system = block.to_control(step, inputs=["y", "goal"], outputs=["u"], seed=None, engine="interpreted")

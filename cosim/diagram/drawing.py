@@ -66,6 +66,8 @@ def drawing(diagram: Diagram) -> str:
         ins = _used(node.inputs, {w[3] for w in wires if w[2] == node.name})
         outs = _used(node.outputs, {w[1] for w in wires if w[0] == node.name})
         boxes[node.name] = _Box(node.name, kind, ins, outs, hint)
+    if not boxes:
+        return f"<p><b>{escape(title)}</b></p>\n<p>No blocks yet.</p>"
     columns = _columns(list(boxes), wires)
     width, height = _place(boxes, columns, wires)
     paths, below = _paths(boxes, columns, wires, height)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class LoopMethods:
-    """What a closed loop, as `closed_loop` makes it, can say of itself; any other diagram refuses with the reason."""
+    """Figures of a closed loop, as `closed_loop` makes it; any other diagram refuses with the reason."""
 
     def linear(self, *, plant: Any = None) -> LinearLoop:
         """Return the closed loop as a linear system, with a figure for each question.

@@ -141,11 +141,12 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
         look: dict[str, Any] = {"color": style.colour, "ls": style.line, "marker": style.marker}
         right.plot(share, delays["median_delay"], lw=1.5, ms=2.5, **look)
         if own.is_probability:
-            (at,) = delay_curve(own.score, own.truth, step=step, thresholds=[ALARM]).itertuples()
-            right.plot([at.false_share], [at.median_delay], ms=8, mfc="none", **look)
+            at = delay_curve(own.score, own.truth, step=step, thresholds=[ALARM]).iloc[0]
+            false, missed, delay = (float(at[name]) for name in ("false_share", "missed_share", "median_delay"))
+            right.plot([false], [delay], ms=8, mfc="none", **look)
             alarms.append(
-                f"{'' if level is None else f'{contents.name(level)}: '}alarms in {at.false_share:.2%} of the fault-free time, "
-                f"{at.missed_share:.1%} of the faults missed, median delay {_seconds(at.median_delay)}"
+                f"{'' if level is None else f'{contents.name(level)}: '}alarms in {false:.2%} of the fault-free time, "
+                f"{missed:.1%} of the faults missed, median delay {_seconds(delay)}"
             )
     left.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.02))

@@ -57,8 +57,8 @@ def test_settings_faults_names_and_limits_are_named():
     text = lqg(named.with_disturbance(), precision=precision, u_min=-2.0, u_max=3.0).describe()
     assert "Model: 2 states and 1 disturbance, 1 control (force), 2 sensors of 1 quantity (place)" in text
     assert "loss=0.02" in text
-    assert "Faults of sensors that it tells: Offset." in text
-    assert "Faults of actuators that it tells: LostEffect." in text
+    assert "Sensor faults that it distinguishes: Offset." in text
+    assert "Actuator faults that it distinguishes: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
 
 

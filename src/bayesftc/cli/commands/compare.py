@@ -98,7 +98,7 @@ def _print(found: Comparison, rows: Sequence[dict[str, Any]], out: Path | None) 
             if all(row[f"error{ending}"] is None for row in own):
                 continue
             say(f"Tracking error of {signal}{unit}, {phase}", "bold")
-            columns = ("error", "difference", "95 % interval", "wins", "false alarms")
+            columns = ("error", "difference", "95 % interval", "wins", "false alarms*", "failed")
             table = output.plain_table("loop", *columns, right=columns)
             for row in own:
                 table.add_row(row["loop"], *_cells(row, ending))
@@ -106,7 +106,8 @@ def _print(found: Comparison, rows: Sequence[dict[str, Any]], out: Path | None) 
     runs, failed = rows[0]["runs"], sum(row["failed"] for row in rows if row["signal"] == rows[0]["signal"])
     say(
         f"Each loop made {runs} runs with the same seeds; errors are means of root mean squares. Differences and wins are "
-        f"against {first}." + (f" {failed} runs have failed." if failed else "")
+        f"against {first}; they leave out seeds of which a run failed. * Share of the samples without a fault, of the whole run."
+        + (f" {failed} runs have failed." if failed else "")
     )
     for reason, count in found.runs.loc[found.runs["status"] != "ok", "reason"].value_counts().head(3).items():
         say(f"{count} of them: {reason}")
@@ -124,4 +125,4 @@ def _cells(row: dict[str, Any], ending: str) -> list[str]:
         interval = f"{shown(f'low{ending}')} to {shown(f'high{ending}')}"
     wins = output.DASH if row[f"pairs{ending}"] is None else f"{row[f'wins{ending}']} of {row[f'pairs{ending}']}"
     alarms = shown("false_alarms", "{:.2%}")
-    return [shown(f"error{ending}"), shown(f"difference{ending}"), interval, wins, alarms]
+    return [shown(f"error{ending}"), shown(f"difference{ending}"), interval, wins, alarms, str(row["failed"])]
