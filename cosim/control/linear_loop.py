@@ -268,4 +268,4 @@ def _largest_first(values: Any) -> NDArray[np.complex128]:
     return found[np.lexsort((-found.imag, -np.abs(found)))]
 
 
-__all__ = ["LinearLoop", "linear_loop"]
+__all__ = ["LinearLoop", "Margins", "linear_loop"]

@@ -8,8 +8,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from bayesftc.cosim.control.linear_loop import LinearLoop
-    from bayesftc.cosim.control.margins import Margins
+    from bayesftc.cosim.control.linear_loop import LinearLoop, Margins
 
 
 class LoopMethods:
