@@ -292,7 +292,7 @@ def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(text.replace(*WRONG_SIGN), encoding="utf-8")
     with pytest.warns(controllers.ModelMismatchWarning, match="the other way"):
-        run_command(str(wrong))
+        run_command([str(wrong)])
     assert "Is the sign of B right?" in " ".join(capsys.readouterr().out.split())
 
 
@@ -301,7 +301,7 @@ def test_bayesftc_run_says_nothing_of_a_right_model(capsys):
 
     with warnings.catch_warnings():
         warnings.simplefilter("error", controllers.ModelMismatchWarning)
-        run_command("cruise_control", json=True)
+        run_command(["cruise_control"], json=True)
     assert '"model": null' in capsys.readouterr().out
 
 

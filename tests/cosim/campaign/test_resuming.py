@@ -129,8 +129,8 @@ except cosim.StoreError as error:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
 def test_a_full_disk_stops_it_with_a_sentence(car, tmp_path, same_bits):
-    campaign = cosim.Campaign(car(), duration=2.0, seeds=300, record=["plant.v"], piece=100)
-    (tmp_path / "work").write_bytes(pickle.dumps((campaign, tmp_path / "store", 40_000)))
+    campaign = cosim.Campaign(car(), duration=8.0, seeds=300, record=["plant.v"], piece=100)
+    (tmp_path / "work").write_bytes(pickle.dumps((campaign, tmp_path / "store", 150_000)))
     command = [sys.executable, "-c", FULL, str(tmp_path / "work")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=os.environ, check=True)
     assert "Nothing more can be written to the campaign" in done.stdout

@@ -360,7 +360,6 @@ def test_an_edited_file_is_noticed(tmp_path, monkeypatch):
     import edited
 
     block = Written(edited.step)
-    write_c(program_of(block, dt=0.1))
     file.write_text("def step(u, y):\n    y[0] = u[0] + 2.0\n")
     linecache.checkcache()
     with pytest.raises(cosim.KernelError, match="has been edited since it was loaded; start Python again"):
