@@ -19,6 +19,7 @@ from bayesftc.cosim.campaign.runs.metrics import LoopFigures
 from bayesftc.cosim.comparison.pairing import check_pairs
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import find_controller, find_sensors
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.judging.roles import loop_signals
@@ -143,9 +144,8 @@ class Comparison:
     @property
     def _units(self) -> dict[str, str | None]:
         """The tracked signals with their units."""
-        loop = next(iter(self.loops.values()))
-        empty: Any = _Run(np.zeros(0), {})
-        return {q.name: q.unit for q in loop_signals(loop, empty).quantities if q.has_goal}
+        roles = find_roles(next(iter(self.loops.values())))
+        return {q.name: q.unit for q in roles.quantities if q.goal is not None}
 
     def _differences(self, metric: str) -> dict[str, dict[str, float]]:
         """Return for each loop but the first how its runs differ from those of the first."""

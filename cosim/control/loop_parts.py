@@ -15,7 +15,8 @@ from bayesftc.cosim.blocks.linear_system import LinearSystem, held, normalised
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
-from bayesftc.cosim.diagram.wiring import element_name, find_controller, find_sensors, healthy_source, label_of
+from bayesftc.cosim.diagram.roles import find_roles
+from bayesftc.cosim.diagram.wiring import element_name, find_controller, find_sensors, healthy_source
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.equations import ModelEquations
 from bayesftc.cosim.fmi.fmu import FMU
@@ -113,7 +114,9 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     law = _law(controller.block, step, rows @ start)
     names = tuple(element_name(port, i) for port, i in driven)
     goals = tuple(element_name(controller.port("goal"), i) for i in range(controller.port("goal").size))
-    return Parts(given, law, rows, _tracked(diagram, seen, controller, rows), names, goals, step)
+    quantities = find_roles(diagram).quantities
+    tracked = {each.name: (each.goal, rows[each.sensors[0]]) for each in quantities if each.goal is not None}
+    return Parts(given, law, rows, tracked, names, goals, step)
 
 
 # --- where they are --------------------------------------------------------------------------------------------------
@@ -149,20 +152,6 @@ def _driven(diagram: Diagram, node: Node, controller: Node) -> list[Element]:
             f"Control {missing[0]} of {controller.name!r} does not lead to the plant {node.name!r} through faults alone. {_WHOLE}"
         )
     return [found[j] for j in sorted(found)]
-
-
-def _tracked(diagram: Diagram, seen: Node, controller: Node, rows: Floats) -> dict[str, tuple[int, Floats]]:
-    """Return the measured quantities that have a goal: as `loop_signals` finds them."""
-    C, G = (getattr(controller.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
-    distinct, members = np.unique(rows, axis=0, return_index=True)
-    found = {}
-    for number, sensor in enumerate(sorted(members)):
-        goal: int | None = number if controller.port("goal").size == len(distinct) else None
-        if C is not None and G is not None:
-            goal = next((g for g, row in enumerate(G) if np.array_equal(row, C[sensor])), None)
-        if goal is not None:
-            found[label_of(diagram, seen, tuple(rows[sensor]), sensor)[0]] = goal, rows[sensor]
-    return found
 
 
 # --- what they are ---------------------------------------------------------------------------------------------------

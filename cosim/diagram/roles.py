@@ -54,8 +54,8 @@ class QuantityRole:
         The element of the goal for it.
     belief : tuple of float, or None
         Weights of the controller's ``x_hat``; None if it is no linear function of it.
-    has_goal : bool
-        Whether an element of the goal is for it.
+    goal : int or None
+        The element of the goal that is for it.
     """
 
     name: str
@@ -64,7 +64,7 @@ class QuantityRole:
     truth: tuple[tuple[float, Place], ...] | None
     reference: Place | None
     belief: tuple[float, ...] | None
-    has_goal: bool
+    goal: int | None
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def _quantities(diagram: Diagram, seen: Node, controller: Node) -> tuple[Quantit
             goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, read)), None)
         reference = None if goal is None else _source(diagram, controller, controller.port("goal"), goal)
         belief = None if read is None else tuple(map(float, read))
-        found.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal is not None))
+        found.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
     return tuple(found)
 
 

@@ -164,7 +164,7 @@ def _quantity(reader: _Reader, role: QuantityRole, drawn: bool) -> QuantitySigna
         truth,
         reader.at(role.reference),
         belief,
-        role.has_goal,
+        role.goal is not None,
         role.belief is not None,
         spread,
     )

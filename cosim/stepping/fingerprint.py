@@ -111,7 +111,7 @@ def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
             raise KernelError(f"Step function {where(function)} uses {name!r}, which has no value yet.") from None
 
 
-@lru_cache(maxsize=4096)  # to take instructions apart is most of what a start from the cache costs
+@lru_cache(maxsize=4096)  # each function is asked a dozen times on its way to machine code
 def _globals_read(code: CodeType) -> tuple[str, ...]:
     return tuple(dict.fromkeys(str(i.argval) for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"))
 

@@ -45,15 +45,6 @@ class Term:
     text: Any
 
 
-@dataclass(frozen=True)
-class Table:
-    """A constant table: its elements' type, and how many there are."""
-
-    type: str
-    name: str
-    count: int
-
-
 @dataclass
 class Signature:
     """What a function returns and takes."""
@@ -67,7 +58,7 @@ class Unit:
     """What a file of C declares."""
 
     records: dict[str, str] = field(default_factory=dict)
-    tables: dict[str, Table] = field(default_factory=dict)
+    tables: dict[str, str] = field(default_factory=dict)  # of each, its elements' type
     functions: dict[str, Signature] = field(default_factory=dict)
 
     def type_of(self, node: c_ast.Node) -> str:
@@ -116,9 +107,8 @@ def _record(unit: Unit, node: c_ast.Typedef) -> list[str]:
 def _table(unit: Unit, node: c_ast.Decl) -> str:
     kind = unit.type_of(node.type.type)
     values = ", ".join(f"{kind} {_number(kind, _literal(value))}" for value in node.init.exprs)
-    count = len(node.init.exprs)
-    unit.tables[node.name] = Table(kind, f"@t.{node.name}", count)
-    return f"@t.{node.name} = internal constant [{count} x {kind}] [{values}]"
+    unit.tables[node.name] = kind
+    return f"@t.{node.name} = internal constant [{len(node.init.exprs)} x {kind}] [{values}]"
 
 
 def _literal(node: c_ast.Node) -> int | float:
@@ -141,6 +131,14 @@ def _number(kind: str, value: float) -> str:
     return str(int(bool(value)) if kind == TRUTH else int(value))
 
 
+def _common(one: Term, other: Term) -> str:
+    """Return the type in which C works with two values."""
+    kind = max(one.type, other.type, key=_RANKS.index)
+    if kind in {LITERAL, WHOLE}:  # a literal is a double if it has a point
+        return DOUBLE if float in {type(one.text), type(other.text)} else WHOLE
+    return kind
+
+
 class _Function:
     """One function of C."""
 
@@ -148,9 +146,11 @@ class _Function:
         self.unit, self.node = unit, node
         self.name, declared = node.decl.name, node.decl.type
         self.parameters = [p for p in declared.args.params if p.name] if declared.args else []
-        signature = Signature(unit.type_of(declared.type), [unit.type_of(p.type) for p in self.parameters])
-        unit.functions[self.name] = signature
-        self.signature, self.apart = signature, apart
+        self.own = "static" in node.decl.storage
+        returns = unit.type_of(declared.type) if self.own else "i32"  # to the engine an int is no truth value
+        self.signature = Signature(returns, [unit.type_of(p.type) for p in self.parameters])
+        unit.functions[self.name] = self.signature
+        self.apart = apart
         self.places: list[str] = []  # of its variables, at its beginning
         self.lines: list[str] = []
         self.scopes: list[dict[str, Term]] = [{}]
@@ -171,11 +171,13 @@ class _Function:
         taken = ", ".join(
             f"{kind}{mark if kind == POINTER else ''} %a{i}" for i, kind in enumerate(self.signature.arguments)
         )
-        own = "static" in self.node.decl.storage
-        returns = "i32" if not own else self.signature.returns
         # With a name of its own kind, for LLVM calls functions of the C library by their names as it sees fit, such as sincos.
-        head = f"define internal {returns} @f.{self.name}" if own else f"define {returns} @{self.name}"
-        head = f"{head}({taken}) {{"
+        name = (
+            f"internal {self.signature.returns} @f.{self.name}"
+            if self.own
+            else f"{self.signature.returns} @{self.name}"
+        )
+        head = f"define {name}({taken}) {{"
         return "\n".join([head, *self.places, *self.lines, "}"])
 
     # Lines
@@ -265,7 +267,7 @@ class _Function:
         if node.expr is None:
             self.end("ret void")
             return
-        kind = self.signature.returns if "static" in self.node.decl.storage else "i32"
+        kind = self.signature.returns
         self.end(f"ret {kind} {self.turned(self.value(node.expr), kind)}")
 
     def do_Break(self, _: c_ast.Break) -> None:
@@ -329,9 +331,7 @@ class _Function:
     def get_ID(self, node: c_ast.ID) -> Term:
         if node.name in _NUMBERS:
             return Term(LITERAL, _NUMBERS[node.name])
-        if node.name in self.unit.tables and not any(node.name in scope for scope in self.scopes):
-            return Term(POINTER, self.unit.tables[node.name].name)
-        return self.loaded(self.place(node))
+        return Term(POINTER, f"@t.{node.name}") if self.is_table(node) else self.loaded(self.place(node))
 
     def get_ArrayRef(self, node: c_ast.ArrayRef) -> Term:
         return self.loaded(self.place(node))
@@ -374,9 +374,7 @@ class _Function:
             found.append((self.value(part), self.label()))
             self.begin(found[-1][1])  # where it ends, so that what it is turned into stands there, too
             self.open = False  # until both types are known
-        kind = max((value.type for value, _ in found), key=_RANKS.index)
-        if kind == LITERAL:
-            kind = DOUBLE if any(isinstance(value.text, float) for value, _ in found) else WHOLE
+        kind = _common(*(value for value, _ in found))
         place = self.variable("", kind)
         for value, label in found:
             kept, self.lines, self.open = self.lines, [], True
@@ -405,11 +403,7 @@ class _Function:
             return self.result(
                 POINTER, f"getelementptr inbounds double, ptr {left.text}, i64 {self.turned(right, WHOLE)}"
             )
-        kind = max((left.type, right.type), key=_RANKS.index)
-        if kind == LITERAL:
-            kind = DOUBLE if isinstance(left.text, float) or isinstance(right.text, float) else WHOLE
-        if kind == WHOLE and float in {type(left.text), type(right.text)}:
-            kind = DOUBLE
+        kind = _common(left, right)
         comparing = op in _ORDERED or op in {"==", "!="}
         if kind == TRUTH and not comparing:
             kind = WHOLE
@@ -446,10 +440,14 @@ class _Function:
             at = self.result(POINTER, f"getelementptr inbounds {owner.type}, ptr {owner.text}, i32 0, i32 {i}")
             return Term(self.unit.records[owner.type].split(", ")[i], at.text)
         owner = self.value(node.name)
-        tables = {table.name: table.type for table in self.unit.tables.values()}
-        kind = tables.get(owner.text, DOUBLE)
+        kind = self.unit.tables[node.name.name] if self.is_table(node.name) else DOUBLE
         index = self.turned(self.value(node.subscript), WHOLE)
         return Term(kind, self.result(POINTER, f"getelementptr inbounds {kind}, ptr {owner.text}, i64 {index}").text)
+
+    def is_table(self, node: c_ast.Node) -> bool:
+        """Return whether an expression is the name of a table, and of no variable that hides it."""
+        name = node.name if isinstance(node, c_ast.ID) else None
+        return name in self.unit.tables and not any(name in scope for scope in self.scopes)
 
     def loaded(self, place: Term) -> Term:
         """Return what is at a place."""

@@ -26,6 +26,7 @@ import llvmlite.binding as llvm
 import pycparser
 from pycparser.c_parser import ParseError
 
+from bayesftc.cosim import ops
 from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.errors import KernelError
@@ -149,5 +150,5 @@ def text_of(kernel: FunctionType, sections: Sections, name: str) -> tuple[str, l
 def environment() -> str:
     """Return what else machine code depends on: versions, the processor, and what compiles."""
     parts = [platform.python_version(), llvmlite.__version__, pycparser.__version__, llvm.get_process_triple()]
-    parts += [llvm.get_host_cpu_name(), features(), _OWN_TEXT]
+    parts += [llvm.get_host_cpu_name(), features(), str(ops.OF_LIBRARY), _OWN_TEXT]
     return "|".join(parts)
