@@ -126,4 +126,7 @@ OF_LIBRARY = {
 }
 """Those that are functions of C's library, with the names that they have there; in NumPy they are called as here."""
 
+COMPOSED = ("maximum", "minimum", "square")
+"""Those that are written with other operations; every engine reads what stands above."""
+
 __all__ = list(NAMES)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim import ops
+from bayesftc.cosim.stepping.tracing import rebound
 
 
 def _select(condition: Any, a: Any, b: Any) -> Any:
@@ -20,12 +21,11 @@ _BATCH: dict[str, Callable[..., Any]] = {
     "both": np.logical_and,
     "either": np.logical_or,
     "isnan": np.isnan,
-    "maximum": lambda a, b: _select(np.greater(a, b), a, b),
-    "minimum": lambda a, b: _select(np.less(a, b), a, b),
     "negate": np.logical_not,
     "select": _select,
-    "square": lambda x: x * x,
 }
+_BATCH |= {name: getattr(np, name) for name in ops.OF_LIBRARY}
+_COMPOSED = {name: rebound(getattr(ops, name), _BATCH) for name in ops.COMPOSED}
 
-OPERATIONS: dict[str, Callable[..., Any]] = {name: _BATCH.get(name) or getattr(np, name) for name in ops.NAMES}
+OPERATIONS: dict[str, Callable[..., Any]] = {name: (_BATCH | _COMPOSED)[name] for name in ops.NAMES}
 """For each name in `ops.NAMES` a function of arrays with an entry for each run, and of numbers."""

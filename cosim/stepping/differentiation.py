@@ -334,17 +334,15 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
             tape, value := call(name, x), [(x, derivative(_value(x), value))] if x.partials else []
         )
 
-    def chosen(name: str, *arguments: Any) -> Any:
-        """Return ``select``, ``minimum`` or ``maximum``, whose derivative is that of the alternative that is chosen."""
-        *condition, a, b = arguments
-        value = call(name, *condition, _value(a), _value(b))
-        test = condition[0] if condition else _compared(tape, "<" if name == "minimum" else ">", a, b)
+    def chosen(name: str, condition: Any, a: Any, b: Any) -> Any:
+        """Return ``select``, whose derivative is that of the alternative that is chosen."""
+        value = call(name, condition, _value(a), _value(b))
         of_a, of_b = (x.partials if isinstance(x, _Dual) else {} for x in (a, b))
         partials = {}
         for place in sorted({*of_a, *of_b}):
             left, right = of_a.get(place, 0.0), of_b.get(place, 0.0)
             same = isinstance(left, Real) and isinstance(right, Real) and left == right
-            partials[place] = left if same else call("select", test, left, right)
+            partials[place] = left if same else call("select", condition, left, right)
         return _Dual(tape, value.name, partials)
 
     def square(name: str, x: Any) -> Any:
@@ -356,16 +354,14 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
         "cos": unary(lambda x, value: -call("sin", x)),
         "exp": unary(lambda x, value: value),
         "log": unary(lambda x, value: 1.0 / x),
-        "maximum": chosen,
-        "minimum": chosen,
         "select": chosen,
         "sin": unary(lambda x, value: call("cos", x)),
         "sqrt": unary(lambda x, value: 0.5 / value),
         "square": square,
     }
 
-    def operation(name: str) -> Callable[..., Any]:
-        count, rule = getattr(ops, name).__code__.co_argcount, rules[name]
+    def operation(name: str, rule: Callable[..., Any]) -> Callable[..., Any]:
+        count = getattr(ops, name).__code__.co_argcount
 
         def apply(*arguments: Any) -> Any:
             if len(arguments) != count:
@@ -376,7 +372,9 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
 
         return apply
 
-    return {name: operation(name) for name in ops.NAMES}
+    operations = {name: operation(name, rule) for name, rule in rules.items()}
+    rest = {name: rebound(getattr(ops, name), operations) for name in ops.COMPOSED if name not in rules}
+    return operations | rest
 
 
 __all__ = ["jacobian"]

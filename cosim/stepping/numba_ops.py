@@ -21,14 +21,6 @@ def _select(condition, a, b):
     return (float(a) if condition else float(b)) + 0.0  # the same number as from two terms, in half the operations
 
 
-def _minimum(a, b):
-    return _select(a < b, a, b)
-
-
-def _maximum(a, b):
-    return _select(a > b, a, b)
-
-
 def _both(a, b):
     return bool(a) & bool(b)
 
@@ -43,10 +35,6 @@ def _negate(a):
 
 def _isnan(x):
     return x != x
-
-
-def _square(x):
-    return float(x) * float(x)
 
 
 OPTIONS = {"error_model": "numpy", "forceinline": True}
@@ -74,9 +62,9 @@ def _pipeline(module: str, name: str) -> Any:
 if callee := _pipeline("numba_callee", "Callee"):
     OPTIONS |= {"pipeline_class": callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
-extending.register_jitable(**OPTIONS)(_select)
 _IMPLEMENTATIONS = {name[1:]: value for name, value in globals().items() if name[1:] in ops.NAMES}
 _IMPLEMENTATIONS |= {name: _of_library(name) for name in ops.OF_LIBRARY}
+_IMPLEMENTATIONS |= {name: getattr(ops, name) for name in ops.COMPOSED}
 for _name in ops.NAMES:
     extending.overload(getattr(ops, _name), jit_options=OPTIONS, strict=False)(
         lambda *arguments, implementation=_IMPLEMENTATIONS[_name]: implementation

@@ -18,9 +18,9 @@ def rebound(function: Callable[..., Any], operations: Mapping[str, Callable[...,
     function : function
         A step function, or a function that one calls.
     operations : mapping of str to function
-        A function for each name in `ops.NAMES`.
+        A function for each name in `ops.NAMES` that is called.
     """
-    given = {getattr(ops, name): operations[name] for name in ops.NAMES}
+    given = {getattr(ops, name): operation for name, operation in operations.items()}
     namespace = SimpleNamespace(**operations)
     copies: dict[FunctionType, FunctionType] = {}
 

@@ -120,7 +120,11 @@ class Conditions(Arithmetic):
             return _all(values) if name == "both" else _any(values)
         if name == "negate":
             return Value(f"!{enclosed(values[0], ATOM)}", BOOL, UNARY)
-        called = ops.OF_LIBRARY.get(name, f"op_{name}")
+        if name in ops.COMPOSED:
+            called = self.functions.require(getattr(ops, name), [FLOAT] * len(values)).name
+            self.called.add(called)
+        else:
+            called = ops.OF_LIBRARY.get(name, f"op_{name}")
         return Value(f"{called}({', '.join(value.text for value in values)})", BOOL if name == "isnan" else FLOAT)
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import ast
 from types import FunctionType
 
+import numpy as np
+
 from bayesftc.cosim.stepping.translate.conditions import Conditions
 from bayesftc.cosim.stepping.translate.context import OPERATIONS
 from bayesftc.cosim.stepping.translate.kinds import Array, Constant, as_number
-from bayesftc.cosim.stepping.translate.values import Value, constant
+from bayesftc.cosim.stepping.translate.values import Value, as_float, constant
 
 
 class Expressions(Conditions):
@@ -30,6 +32,8 @@ class Expressions(Conditions):
                 return constant(owner.shape[0])
             if isinstance(owner, Constant) and isinstance(owner.value, tuple):
                 return constant(len(owner.value))
+        if function is np.float64 and len(node.args) == 1:
+            return as_float(self.value(node.args[0]))
         if callable(function) and function in OPERATIONS:
             return self.operation(node, OPERATIONS[function])
         if not isinstance(function, FunctionType):

@@ -60,9 +60,6 @@ _TAKEN_BEGINNINGS = (
 OPERATIONS = {
     "op_select": "static double op_select(int condition, double a, double b)\n"
     "{\n    return (condition ? a : 0.0) + (condition ? 0.0 : b);\n}",
-    "op_minimum": "static double op_minimum(double a, double b)\n{\n    return op_select(a < b, a, b);\n}",
-    "op_maximum": "static double op_maximum(double a, double b)\n{\n    return op_select(a > b, a, b);\n}",
-    "op_square": "static double op_square(double x)\n{\n    return x * x;\n}",
     "op_isnan": "static int op_isnan(double x)\n{\n    return x != x;\n}",
     "op_index": "static int64_t op_index(int64_t i, int64_t length)\n{\n    return i < 0 ? i + length : i;\n}",
     "op_quotient": "static int64_t op_quotient(int64_t a, int64_t b)\n"
@@ -167,8 +164,6 @@ class Functions:
                 kept.append(text)
         body = "\n\n".join(reversed(kept))
         needed = [name for name in OPERATIONS if f"{name}(" in body]
-        if {"op_minimum", "op_maximum"} & set(needed) and "op_select" not in needed:
-            needed.insert(0, "op_select")
         records = {w.returns.c: w.returns for w in self._written.values() if isinstance(w.returns, Record)}
         parts = [
             f"typedef struct {{ {' '.join(f'{item.c} v{i};' for i, item in enumerate(record.items))} }} {name};"

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class Number:
@@ -84,7 +86,7 @@ def number_of(value: Any) -> Number | None:
     """Return the kind of number that a constant is; None where it is none."""
     if isinstance(value, bool):
         return BOOL
-    if hasattr(value, "item"):  # a NumPy scalar
+    if isinstance(value, np.generic):
         return number_of(value.item())
     if isinstance(value, int):
         return NATURAL if value >= 0 else INT
