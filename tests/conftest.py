@@ -13,6 +13,7 @@ import subprocess
 import sys
 import warnings
 import zipfile
+from collections import defaultdict
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from threading import Timer
@@ -47,6 +48,20 @@ def pytest_collection():
     finally:
         gc.enable()
         gc.freeze()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Of the cases of a test that is marked ``sampled(n)``, leave n to the quick tests, evenly spread; the others are slow."""
+    cases = defaultdict(list)
+    for item in items:
+        if (mark := item.get_closest_marker("sampled")) and not item.get_closest_marker("slow"):
+            cases[item.nodeid.partition("[")[0], mark.args[0]].append(item)
+    for (_, count), found in cases.items():
+        kept = {round(i * (len(found) - 1) / max(count - 1, 1)) for i in range(count)}
+        for i, item in enumerate(found):
+            if i not in kept:
+                item.add_marker(pytest.mark.slow)
 
 
 def assert_bits(a, b, what=""):

@@ -20,7 +20,15 @@ PUBLIC = {
 }
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if readme.python(p)], ids=lambda p: p.name)
+LONG = {"detectability.md", "precision.md", "reproduce.md"}
+"""Pages whose snippets take long."""
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=[pytest.mark.slow] * (p.name in LONG)) for p in PAGES if readme.python(p)],
+    ids=lambda p: p.name,
+)
 def test_snippets_run(page, tmp_path, monkeypatch, capsys):
     """The README in a process of its own, as one who is new runs it; the pages here, where much is imported and compiled."""
     if "needs a C compiler" in readme.python(page) and why_no_compiler():

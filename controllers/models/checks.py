@@ -157,6 +157,8 @@ def as_number(
 ) -> float:
     """Return `value` as a float between the bounds; NaN, text and truth values are no numbers.
 
+    A finite number must have a square that a float holds, and an inverse of its square: many settings are squared.
+
     Parameters
     ----------
     title : str
@@ -185,6 +187,13 @@ def as_number(
     number = real(value)
     proper = not np.isnan(number) and (np.isfinite(number) or not (finite or whole))
     if proper and (not whole or number.is_integer()) and all(holds(number) for _, holds in given):
+        size = abs(number)
+        if LARGEST < size < np.inf or 0 < size < SMALLEST:
+            change = "smaller" if size > LARGEST else "larger"
+            raise ModelError(
+                f"{title}={brief(value)}; its size must be between {SMALLEST:g} and {LARGEST:g}, or zero: choose a unit in "
+                f"which it is {change}."
+            )
         return number
     kind = "whole number" if whole else "finite number" if finite else "number"
     wanted = " and ".join(text for text, _ in given)

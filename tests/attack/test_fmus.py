@@ -72,6 +72,7 @@ def both(rng, i):
 COUNTS = [6, pytest.param(120, marks=pytest.mark.slow)]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 @pytest.mark.parametrize("kind", list(BEHAVIOUR))
 def test_without_hostility_it_runs(line, libraries, fmi, kind):

@@ -384,6 +384,7 @@ def test_a_folder_that_cannot_be_written_is_known_before_the_run(bayesftc_, tmp_
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "taken"]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize("raised", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("file", ["result.npz", "figures.json", "figure.png"])
@@ -524,6 +525,7 @@ def test_figures_of_the_compiled_engine_are_the_same():
     assert runs[0] == runs[1]
 
 
+@pytest.mark.slow
 def test_a_run_keeps_pace_with_the_clock_and_says_where_it_was_late(bayesftc_):
     begin = time.monotonic()
     done = run_car(bayesftc_, "--duration", "12", "--pace", "10", "--json")  # more steps than powers of two in a float

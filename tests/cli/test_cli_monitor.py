@@ -299,6 +299,7 @@ def watch_pumped(folder, dt=0.1, A=0.98, B=0.2, *options):
     return done
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("model", "kind", "words"),
     [

@@ -19,6 +19,7 @@ def run(*arguments, folder, **options):
     return done
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("code", "old", "new", "words"),
     [

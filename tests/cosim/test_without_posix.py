@@ -49,6 +49,7 @@ def test_all_modules_can_be_imported(tmp_path):
     assert int(hidden(ALL, tmp_path)) > 300
 
 
+@pytest.mark.slow
 def test_the_first_example_of_the_readme_runs(tmp_path):
     text = next(block.text for block in readme.blocks() if block.language == "python")
     shown = hidden(text + "\nresult.save('run.npz')\nprint(len(result.time))", tmp_path)

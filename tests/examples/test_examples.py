@@ -109,6 +109,7 @@ def test_in_python_controls_style_only_the_line_of_the_plant_changes(capsys):
     assert alert < 2.0
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("index", [0, 3])
 def test_a_controller_in_one_call_bears_a_failing_sensor(index, capsys):
     """The beginning of each run, interpreted."""

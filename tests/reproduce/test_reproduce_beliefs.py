@@ -18,7 +18,6 @@ from bayesftc.reproduce.experiments.beliefs import (
     streams as _beliefs_streams,
     tables as _beliefs_tables,
 )
-from bayesftc.reproduce.experiments.tracking import bench as _tracking_bench
 from bayesftc.reproduce.experiments.tracking.bench import Bench, Scenario
 from bayesftc.reproduce.settings import Beliefs, Car, Detection, Tracking
 from bayesftc.reproduce.shared.car import model
@@ -43,19 +42,12 @@ FEW = controllers.SwitchingPrecision((controllers.Frozen(), controllers.Offset()
 """Few modes are compiled soon, and these for the detection experiment as well."""
 
 
-def interpreted(loop, duration, own_seeds, record):
-    """Return runs of a loop without compiling it."""
-    return [loop.simulate(duration, seed=seed, record=record, engine="interpreted") for seed in own_seeds]
-
-
 def small(jobs):
-    """Return a report of one form, whose streams alone are compiled."""
+    """Return a report of one form."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_beliefs, "FORMS", {FORM: False})
         patch.setattr(_beliefs, "switching", lambda settings, joint: FEW)
         patch.setattr(_beliefs, "default", lambda joint: FEW)
-        patch.setattr(_tracking_bench, "repeat", interpreted)
-        patch.setattr(Ensemble, "prepare", lambda self, loops: None)
         return reproduce.beliefs(seed=3, jobs=jobs, settings=SMALL, tracking=SHORT, detection=STREAMS)
 
 
@@ -114,7 +106,7 @@ def test_errors_are_those_of_the_runs(report):
     ):
         this, squares = replace(bench, car=car), []
         for learns, told in ((learner, False), (controllers.FixedPrecision(), True)):
-            results = interpreted(this.loop(cell, learns, told=told), 1.0, own, None)
+            results = [this.loop(cell, learns, told=told).simulate(1.0, seed=seed) for seed in own]
             squares.append(np.mean([np.mean((r["plant.v"][1:] - r["reference.y"][:-1]) ** 2) for r in results]))
             steps = results[0]["sensors.y"] / 0.1
             assert np.allclose(steps, np.round(steps)) == bool(car.resolution)

@@ -32,11 +32,13 @@ def test_tracking_prints_its_table_and_writes_its_files(bayesftc_, tmp_path):
     assert report["merit"].keys() == report["paper"]["merit"].keys()
 
 
+@pytest.mark.slow
 def test_json_is_one_object_with_the_experiments(bayesftc_):
     done = bayesftc_("reproduce", "tracking", *FEW, "--json")
     assert json.loads(done.stdout)["tracking"]["scenarios"]["drift/sine"]["PL"]["n"] == 2
 
 
+@pytest.mark.slow
 def test_quiet_prints_nothing(bayesftc_):
     assert bayesftc_("reproduce", "tracking", *FEW, "--quiet").output == ""
 

@@ -24,7 +24,6 @@ from bayesftc.reproduce.experiments.family.groups import by_group
 from bayesftc.reproduce.experiments.family.loop import family_loop, faulty_samples, goal_error, signals_of_goals
 from bayesftc.reproduce.experiments.family.unseen import KINDS, unseen_cases
 from bayesftc.reproduce.settings import Family, Tracking
-from bayesftc.reproduce.shared.ensemble import Ensemble
 
 BY_NAME = {case.name: case for case in CASES}
 TWO = {"explicit": controllers.ExplicitDetection(), "gamma": controllers.GammaPrecision()}
@@ -32,16 +31,8 @@ FEW = ("injection of 5 sd on and off every second", "two at once: freeze, 3 sens
 FIXED = controllers.FixedPrecision()
 
 
-def interpreted(loop, duration, own_seeds, record):
-    """Return runs of a loop without compiling it."""
-    return [loop.simulate(duration, seed=seed, record=record, engine="interpreted") for seed in own_seeds]
-
-
 def small(jobs, **options):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_family, "repeat", interpreted)
-        patch.setattr(Ensemble, "prepare", lambda self, loops: None)
-        return reproduce.family(seed=5, jobs=jobs, runs=2, **options)
+    return reproduce.family(seed=5, jobs=jobs, runs=2, **options)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +118,7 @@ def test_numbers_are_those_of_the_runs(report):
         case, squares, sizes, false, delays = BY_NAME[name], {}, {}, [], []
         for learner, told in (("gamma", False), ("explicit", False), ("oracle", True)):
             loop = family_loop(case, TWO.get(learner, FIXED), told=told)
-            results = interpreted(loop, 20.0, (5, 6), None)
+            results = [loop.simulate(20.0, seed=seed) for seed in (5, 6)]
             errors = [r["plant.v"][1:] - r["reference.y"][:-1] for r in results]
             squares[learner] = np.mean(np.square(errors))
             sizes[learner] = np.sqrt(np.mean(np.square(errors), axis=1))
@@ -194,8 +185,14 @@ class GivesUp(controllers.PrecisionLearner):
         return controllers.Learner(gives_up, np.zeros(1), np.array([np.nan]))
 
 
-def test_runs_that_cannot_go_on_are_counted_and_worst():
-    """A gain of a thousand is too much for the learner; the oracle does not see that sensor."""
+def test_runs_that_cannot_go_on_are_counted_and_worst(monkeypatch):
+    """A gain of a thousand is too much for the learner, which no compiler takes; the oracle does not see that sensor."""
+
+    def interpreted(loop, duration, seeds, record):
+        return [loop.simulate(duration, seed=seed, record=record, engine="interpreted") for seed in seeds]
+
+    monkeypatch.setattr(_family, "repeat", interpreted)
+    monkeypatch.setattr(Ensemble, "prepare", lambda self, loops: None)
     lost = Case("beyond all bounds", (cosim.GainFault(factor=1e3, start=1.0),))
     made = small(1, cases=[lost], learners={"wild": GivesUp()})
     cell = made["table"]["beyond all bounds"]["wild"]
@@ -407,6 +404,7 @@ def test_sizes_of_unseen_cases_are_in_the_sensors_own_units():
     assert 15.0 < max(sizes) < 30.1
 
 
+@pytest.mark.slow
 def test_an_unseen_case_in_which_the_oracle_loses_the_plant_is_drawn_again(monkeypatch):
     """Of a car both whose sensors are silent for ten seconds nobody knows anything; the next one takes its place."""
     blind = Case("blind", tuple(cosim.Dropout(sensor=i, start=2.0, stop=18.0) for i in (0, 1)))

@@ -30,15 +30,8 @@ SMALL = Probabilities(
 )
 
 
-def interpreted(loop, duration, own_seeds, record):
-    """Return runs of a loop without compiling it."""
-    return [loop.simulate(duration, seed=seed, record=record, engine="interpreted") for seed in own_seeds]
-
-
 def small(jobs):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_probabilities, "repeat", interpreted)
-        patch.setattr(Ensemble, "prepare", lambda self, loops: None)
         patch.setattr(_exact_cases, "ROWS", {name: _exact_cases.ROWS[name] for name in ("DroppedOut", "Ramping")})
         return reproduce.probabilities(seed=3, jobs=jobs, settings=SMALL, learners=FEW)
 
@@ -96,7 +89,7 @@ def test_the_gaps_are_those_of_all_samples(report):
         said, there, kinds = [], [], []
         for fault, seed in zip(faults, seeds, strict=True):
             loop = _probabilities.closed_loop(Car(), FEW["shifts"], fault.faults, reference, 20.0)
-            result = loop.simulate(3.0, seed=seed, engine="interpreted")
+            result = loop.simulate(3.0, seed=seed)
             said.append(result["controller.fault_probability"])
             there.append(fault.truth(result.time, 2))
             kinds.append(np.full(said[-1].shape, fault.kind))

@@ -157,6 +157,7 @@ def test_a_singular_belief_is_conditioned_on_the_goal_where_it_is_not_certain():
     np.testing.assert_array_equal(certain.x_hat, [1.0, 2.0])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (1.0, 1e-6)])
 def test_an_unstable_plant_is_found_again_after_a_blackout(scales):
     """Thousands of steps without a sample: the belief knows nothing then, and is right again after one sample."""

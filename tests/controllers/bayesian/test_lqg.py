@@ -289,6 +289,7 @@ def test_a_constant_load_leaves_no_steady_error():
     assert u[0] == pytest.approx(-0.7, abs=1e-6)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("arrives", "load"), [(1.0, 0.5), (0.5, 0.0)])
 def test_an_actuator_fault_that_is_found_leaves_no_steady_error(arrives, load):
     model = LinearModel([[0.9]], [[0.1]], [[1], [1]], 1e-6, 1e-4, dt=0.1)

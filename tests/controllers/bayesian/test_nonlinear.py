@@ -113,6 +113,7 @@ LEARNERS = [
 ]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("belief", ["filtered", "joint"])
 @pytest.mark.parametrize("precision", LEARNERS, ids=lambda p: type(p).__name__)
 def test_for_a_linear_model_it_is_the_closed_form(belief, precision):
@@ -256,7 +257,7 @@ def test_no_optimiser_of_scipys_finds_less_in_the_same_basin(seed):
                 assert problem.cost(theirs) >= cost * (1.0 - 1e-8)
 
 
-@pytest.mark.parametrize("problems", [150, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("problems", [40, pytest.param(2000, marks=pytest.mark.slow)])
 def test_every_search_converges_and_how_often_a_better_minimum_lies_elsewhere(problems):
     """Two things that are not the same.
 
@@ -430,6 +431,7 @@ def track(make_block, precision, faults):
     )
 
 
+@pytest.mark.slow
 def test_tracking_goes_on_while_a_sensor_fails(make_block, same_bits):
     fault = [cosim.Injection(sensor=0, start=1.5, stop=4.0, magnitude=0.6)]
     learned = GammaPrecision(forgetting=0.9)
@@ -469,6 +471,7 @@ def absurd(rng, steps, sensors, around):
     return y
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("belief", ["filtered", "joint"])
 @pytest.mark.parametrize("precision", [FixedPrecision(), GammaPrecision(), WishartPrecision()], ids=repr)
 def test_absurd_samples_are_survived(belief, precision):

@@ -161,6 +161,7 @@ def active_inference(model, **options):
     return controllers.UnbiasedActiveInference(law=law, model=model, control="law", belief_rate=10.0, **options)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("effect", "raised"), [(1.0, False), (-1.0, True), (0.4, True)])
 def test_active_inference_that_has_a_model_is_checked_as_an_estimator_is(effect, raised):
     model = replace(SERVO, B=effect * SERVO.B)

@@ -88,6 +88,7 @@ def same_but_for_the_fault(got, expected, absurd, probability):
             np.testing.assert_array_equal(out[name], values, err_msg=f"{name} at {k}")
 
 
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("values", VALUES)
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 def test_every_learner_takes_them_as_missing_and_faulty_and_is_back_within_a_second(precision, values):
@@ -165,6 +166,7 @@ def test_a_sensor_that_stays_absurd_is_a_faulty_one_for_ever():
         assert probabilities(outs)[-1].max() < 0.05
 
 
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 @pytest.mark.parametrize("case", ["start", "rest", "jump", "stuck"])
 def test_no_estimator_is_deaf_for_ever(precision, case):

@@ -153,6 +153,7 @@ def test_the_smoother_is_one_large_gaussian():
     assert found == pytest.approx(density)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("slow", [["y2"], ["y0", "y1", "y2"]])
 def test_sensors_that_are_slower_than_the_rest(slow):
     """They deliver at every fifth sample: no two rows that follow each other are whole."""
@@ -174,6 +175,7 @@ def test_sensors_that_are_slower_than_the_rest(slow):
     found.plot()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("slow", "settings"), [([], {}), (["y0", "y1", "y2"], {}), ([], {"C": C[:1], "R": R[:1, :1]})])
 def test_innovations_are_as_large_as_the_noise_promises(slow, settings):
     """On recordings that the models have not seen: the squares of normalised innovations against chi-square."""

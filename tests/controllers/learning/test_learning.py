@@ -166,6 +166,7 @@ def test_times_and_sizes_are_found_from_a_start_that_is_wrong_by_a_factor_of_fiv
         assert factor == 1.0 or learned.log_likelihood[-1] > learned.log_likelihood[0] + 500.0
 
 
+@pytest.mark.slow
 def test_a_mode_that_never_shows_gets_rare_and_stays_possible():
     y = 20.0 + np.random.default_rng(0).standard_normal((500, 2))
     modes = (Frozen(5.0), Offset(20.0), Ramping(7.0))

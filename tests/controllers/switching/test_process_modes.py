@@ -95,6 +95,7 @@ def error(precision, **events):
     return np.sqrt(np.mean(np.square(missed[230:])))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("kick", "scale", "alike"),
     [(2.0, 50.0, 0.0), (2.0, 50.0, 0.2), (5.0, 50.0, 0.2), (7.0, 50.0, 0.0), (20.0, 300.0, 0.2)],
@@ -138,6 +139,7 @@ def test_a_plant_that_is_not_as_the_model_is_no_fault_of_the_sensors():
         assert learned < fixed < blind
 
 
+@pytest.mark.slow
 def test_a_late_control_does_not_make_the_loop_swing():
     """Its model is wrong, so the belief fades; were the sensors then followed as fast as they may be, the loop would swing."""
     late = {"late": 10, "wave": 2.0}

@@ -276,6 +276,7 @@ def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
     assert out.process_mode_probability[1] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_a_belief_that_fades_is_not_lost_where_no_sensor_sees_it():
     """Of a position of which only the speed is measured any more: its variance is bounded by that of its sensors."""
     for mode in (NoisierProcess(1e-15, NEVER, scale=1.0, fading=2.0), *SwitchingPrecision().process_modes[1:]):

@@ -83,6 +83,7 @@ def cluster(folder):
     cluster.close()
 
 
+@pytest.mark.slow
 def test_workers_need_no_file_of_the_clients(cluster, folder, car, tmp_path, same_bits):
     own = tmp_path / "own.fmu"
     shutil.copyfile(fmus.path("CruiseControl"), own)
@@ -211,6 +212,7 @@ campaign.run(store, executor=cosim.DaskCluster(address), progress=lambda *counts
 """
 
 
+@pytest.mark.slow
 def test_the_drill(cluster, car, lying, tmp_path, same_bits):
     """One worker is killed in the middle, then the client: started again, that fills the store as an undisturbed run does."""
     pytest.importorskip("zarr", reason="needs the package zarr")

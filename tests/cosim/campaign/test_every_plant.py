@@ -21,6 +21,7 @@ def with_noise(block, port, dt=0.02, every=1, size=10.0, slower=1):
     return diagram
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 @pytest.mark.parametrize(
     "options", [{}, {"timing": "sampled"}, {"isolate": True}, {"isolate": True, "timing": "sampled"}], ids=str

@@ -141,6 +141,7 @@ def test_a_run_that_ends_its_process_fails_alone(executor, car, lying, living, s
     assert living() <= before
 
 
+@pytest.mark.slow
 def test_a_step_that_does_not_end_reaches_the_time_limit(car, lying, living):
     path, ways = lying("2.0")
     before, points = living(), {"plant.b": [ways["ENDLESS"], 50.0]}
@@ -185,6 +186,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 @pytest.mark.parametrize("executor", [case(e) for e in EXECUTORS[1:]])
 def test_what_ends_the_client_ends_all(executor, name, living):

@@ -19,6 +19,7 @@ exec sleep 60
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals and a shell are of POSIX")
 def test_ctrl_c_for_this_process_alone_ends_the_compiler_too(tmp_path):
     compiler, started, folder = tmp_path / "slow-cc", tmp_path / "started", tmp_path / "here"

@@ -125,6 +125,7 @@ class Large(cosim.Block):
         return cosim.Definition(remember, state={"x": np.zeros(1_100_000)})
 
 
+@pytest.mark.sampled(1)
 def test_a_state_may_be_larger_than_the_stack(instance, tmp_path, fmi, c_compiler):
     it = instance(cosim.export_fmu(Large(), tmp_path / "large.fmu", fmi=fmi, dt=H)).begin()
     it.step(0, H, u=3.0)

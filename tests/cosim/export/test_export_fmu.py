@@ -53,6 +53,7 @@ def car(tmp_path_factory):
     }
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("kind", "fmi"),
     [

@@ -158,6 +158,7 @@ def test_ten_megabytes_of_log_in_one_message(lying, fmi, isolate, caplog):
     assert [len(r.getMessage()) for r in caplog.records] == [len("car: ") + _fmi_messages.LENGTH] * 3
 
 
+@pytest.mark.sampled(1)
 @WHERE
 def test_ten_megabytes_of_log_in_a_million_messages(lying, isolate, caplog):
     path, ways = lying(FMI[isolate])

@@ -56,6 +56,7 @@ QUICK = {("SEGFAULT", "compiled"), ("EXIT", "interpreted"), ("CRASH_IN_GET", "co
 }  # fmt: skip
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("way", "rows", "sentence", "engine"),
     [
@@ -84,6 +85,7 @@ def test_a_crash_stops_the_run_and_keeps_the_result(way, rows, sentence, engine,
     np.testing.assert_allclose(error.result["car.v"], v, rtol=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("way", "fmi"),
     [("CRASH_AT_START", "2.0"), ("EXIT_AT_START", "3.0"), ("ENDLESS_AT_START", "2.0"), *(("at once", f) for f in FMI)],
@@ -140,6 +142,7 @@ def test_a_crash_is_seen_and_all_is_ended_where_a_child_holds_everything_open(ly
     until(lambda: not [comm for comm in Path("/proc").glob("[0-9]*/comm") if "left-by-an-fmu" in read(comm)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["interpreted", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_what_an_fmu_does_to_its_connections(engine, lying, nothing_left):
     fmi = FMI[engine == "compiled"]

@@ -38,6 +38,7 @@ def is_running(pid):
         return False
 
 
+@pytest.mark.slow
 def test_many_at_once_and_one_of_them_crashes(lying, nothing_left, car):
     path, ways = lying("2.0")
     diagram = cosim.Diagram(dt=0.02)
@@ -65,6 +66,7 @@ def test_one_that_may_exist_only_once_may_exist_twice(tmp_path):
     second.close()
 
 
+@pytest.mark.slow
 def test_threads_do_not_mix_and_may_end(nothing_left, car, cruise):
     wanted = [cruise(car(FMI[s % 2], isolate=False)).simulate(2.0, seed=s)["car.v"] for s in range(3)]
     found, kept = [None] * 3, []
@@ -145,6 +147,7 @@ def _in_a_fork(engine, session, tell, car, cruise):
     tell((said, session.advance(2.0)["car.v"], cruise(car()).simulate(2.0, engine=engine)["car.v"]))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_parent_and_fork_go_on_at_once_and_know_nothing_of_each_other(engine, nothing_left, same_bits, car, cruise):
     """As a pool of `multiprocessing` that forks does it, while the parent's run goes on."""
@@ -169,6 +172,7 @@ def test_parent_and_fork_go_on_at_once_and_know_nothing_of_each_other(engine, no
     same_bits(anew, whole[:101], "the fork's own")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_reset_takes_the_process_again_and_gives_the_bits_of_a_new_one(
     engine, nothing_left, same_bits, car, cruise, children
@@ -313,6 +317,7 @@ print(json.dumps(diagram.simulate(0.2, engine="interpreted")["car.v"].tolist()))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("isolate", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_pickled_plant_runs_in_other_processes_which_share_one_extraction(isolate, tmp_path, car):
     block = car("3.0", isolate=isolate, parameters={"force": 100.0, "m": 110.0})

@@ -139,6 +139,7 @@ def test_two_components(tmp_path, fmi):
     check_chain(run(tmp_path / "folder" / "SystemStructure.ssd"))
 
 
+@pytest.mark.slow
 def test_isolated_components(tmp_path, same_bits):
     text = ssd(system(component("a", bindings=START) + component("b"), link("a.v", "b.disturbance")))
     path = packed(tmp_path, text)

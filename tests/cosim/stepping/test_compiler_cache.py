@@ -413,6 +413,7 @@ def test_a_numba_that_is_not_known_compiles_to_the_same_bits_and_says_so(python,
     assert file == "<string>"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("other", "reason"), OTHERS)
 def test_a_numba_that_is_not_known_is_told_at_once(python, tmp_path, other, reason):
     begin, end = OTHER_NUMBA.index("\nloop ="), OTHER_NUMBA.index("\nwith warnings")
@@ -573,6 +574,7 @@ SMALL = textwrap.dedent("""
 """)
 
 
+@pytest.mark.slow
 def test_processes_at_once_on_an_empty_cache_and_code_without_a_file(tmp_path):
     environment = {**os.environ, "BAYESFTC_CACHE": str(tmp_path / "cache")}
     command = [sys.executable, "-c", SMALL]
@@ -708,6 +710,7 @@ _compiler.is_own = lambda path: path.suffix != SUFFIX and is_own(path)
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("suffix", [".py", ".nbi", ".nbc"])
 def test_files_that_others_have_left_are_made_anew(python, tmp_path, suffix):
     """The folder is the user's own now, but was open to others before."""

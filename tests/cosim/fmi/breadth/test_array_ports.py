@@ -52,6 +52,7 @@ def rewritten(path, target, before, after):
     return target
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize(
     ("own", "rtol", "told"), [("", None, -1.0), ("", 1e-3, 1e-3), ("1e-5", None, 1e-5), ("1e-5", 0.5, 0.5)]
@@ -67,6 +68,7 @@ def test_a_co_simulation_is_told_the_tolerance(breadth, run_both, tmp_path, own,
     np.testing.assert_allclose(run_both(diagram, 1)["told.y"][-1], told, rtol=1e-13)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize("n", [2, 3])
 def test_an_input_that_nothing_feeds_keeps_its_start_value(breadth, run_both, tmp_path, n, isolate):
@@ -218,7 +220,8 @@ def test_campaigns_of_arrays(mixer, breadth, isolate, campaign_as_alone):
         "plant.K": {"unit": np.eye(3), "mixed": np.ones((3, 3))},
         "plant.x0[1]": [0.0, 1.0],
     }
-    assert (campaign_as_alone(diagram, 1.0, points=points)["status"] == "ok").all()
+    seeds = (3,) if isolate else (3, 1, 4, 159)  # a process for each run
+    assert (campaign_as_alone(diagram, 1.0, seeds, points=points)["status"] == "ok").all()
     points = {"plant.n": [3], "plant.K": {"three": np.eye(3)}, "plant.x0": {"three": [1.0, 2.0, 3.0]}}
     two = cosim.Diagram(0.1)
     two.add(FMU(breadth("3"), inputs=[], outputs=["total"]), "plant")

@@ -18,6 +18,7 @@ def noisy(path, model, **options):
     return diagram
 
 
+@pytest.mark.sampled(24)
 @pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 @pytest.mark.parametrize("save", ["true", "false"])
 @pytest.mark.parametrize(
@@ -36,5 +37,6 @@ def test_each_failure_is_the_failure_alone(built, model, campaign_as_alone):
     assert (table["status"] == "failed").any()
 
 
+@pytest.mark.slow
 def test_in_a_process_of_its_own(built, campaign_as_alone):
     assert (campaign_as_alone(noisy(built("heater"), "heater", isolate=True), 0.4)["status"] == "ok").all()

@@ -328,6 +328,7 @@ def test_a_chain_needs_no_way_back(tmp_path, same_bits):
     same_bits(runs["iterated"]["two.x"], runs["gauss-seidel"]["two.x"])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("settings", [{}, {"step_error": 1e-4}])
 def test_isolated_fmus_are_iterated_with_the_same_bits(settings, same_bits, run_both):
     runs = []
