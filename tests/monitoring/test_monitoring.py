@@ -1,5 +1,6 @@
 """Recordings at their own times, the model file, the likelihood, and what a monitor finds."""
 
+import re
 from dataclasses import replace
 from fractions import Fraction
 from itertools import combinations
@@ -169,6 +170,13 @@ def test_named_models_are_what_the_theory_says():
     A, B, Q = Matrices([[1.0, 0.1], [0.0, 0.9]], [0.0, 1e-3], [[0.0], [0.1]]).matrices(0.1)
     assert A.shape == Q.shape == (2, 2)
     assert B.shape == (2, 1)
+
+
+@pytest.mark.parametrize(("std", "change"), [(1e200, "smaller"), (1e-150, "larger")])
+def test_numbers_whose_squares_are_beyond_all_floats(std, change):
+    for setting, make in (("RandomWalk has std", RandomWalk), ("Offset has jump", lambda jump: Offset(jump=jump))):
+        with pytest.raises(ModelError, match=rf"{setting}={re.escape(repr(std))}; its size .* in which it is {change}"):
+            make(std)
 
 
 def test_the_likelihood_is_that_of_all_samples_together():

@@ -24,6 +24,7 @@ from bayesftc.reproduce.experiments.family.groups import by_group
 from bayesftc.reproduce.experiments.family.loop import family_loop, faulty_samples, goal_error, signals_of_goals
 from bayesftc.reproduce.experiments.family.unseen import KINDS, unseen_cases
 from bayesftc.reproduce.settings import Family, Tracking
+from bayesftc.reproduce.shared.ensemble import Ensemble
 
 BY_NAME = {case.name: case for case in CASES}
 TWO = {"explicit": controllers.ExplicitDetection(), "gamma": controllers.GammaPrecision()}
