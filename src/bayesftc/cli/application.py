@@ -1,7 +1,7 @@
-"""The commands of ``bayesftc``; each is a module that is loaded when it is called, so that ``--help`` is instant.
+"""The commands of ``bayesftc``. Each has a module, which is loaded only when it is called, so that ``--help`` is instant.
 
-To add one, write a function of its name in a module of its name, with its options as those of the others are, and name it in
-`COMMANDS`. Every command also gets ``--debug``, and ends as `guard` says.
+To add a command, write a function and a module of its name, with options like those of the others, and add it to `COMMANDS`.
+Every command also gets ``--debug``, and ends as `guard` describes.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from bayesftc.cli.options import Debug
 
 COMMANDS = {
     "run": "Run a scenario and print the figures of the run.",
-    "inspect": "Show what an FMU says of itself (variables, units, kinds, platforms, capabilities), and what works with it.",
+    "inspect": "Show an FMU's description (variables, units, kinds, platforms, capabilities), and what works with it.",
     "export": "Write blocks of a scenario as an FMU that needs no Python, or as C.",
     "verify": "Run an FMU beside the blocks that it was exported from, with noise and faults, and print the differences.",
-    "example": "Print a shipped file (scenario, campaign, monitor), to be changed: bayesftc example cruise_control > car.toml.",
+    "example": "Print a shipped file (scenario, campaign, monitor) to start from: bayesftc example cruise_control > car.toml.",
     "calibrate": "Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file.",
-    "monitor": "Look for faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large.",
-    "reproduce": """Run the paper's experiments, with our numbers beside its own, and ours beyond it.
+    "monitor": "Find faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large.",
+    "reproduce": """Run the paper's experiments and print our numbers beside the paper's. Further experiments go beyond the paper.
 
 \b
 arm            A robot arm with a frozen encoder (the paper's table 1).
 tracking       A car whose speed sensor fails: tracking errors (table 2).
-detection      Sensors that fail at random: which residual tells (table 3).
-bound          Beyond the paper: how good could a detector be at best?
-models         Beyond the paper: learners where the model is wrong.
-beliefs        Beyond the paper: fault modes whose settings are wrong.
-probabilities  Beyond the paper: are fault probabilities true?
-family         Beyond the paper: every learner in faults that none expects.
+detection      Sensors that fail at random: which residual detects it (table 3).
+bound          Beyond the paper: how good can a detector be at best?
+models         Beyond the paper: learners with a wrong model.
+beliefs        Beyond the paper: fault modes with wrong settings.
+probabilities  Beyond the paper: are fault probabilities correct?
+family         Beyond the paper: every learner with faults that none models.
 """,
-    "campaign": "Run a campaign: a scenario at many settings with many seeds. One that was stopped goes on.",
+    "campaign": "Run a campaign: a scenario at many settings with many seeds. A stopped campaign continues.",
     "report": "Write a campaign's report: one page with its tables and figures, for any browser and for print.",
-    "replay": "Make one run of a campaign again, with everything recorded. It unpickles: only for stores that you trust.",
+    "replay": "Repeat one run of a campaign, with everything recorded. It loads pickles: use it only for stores that you trust.",
     "bench": "Measure speed, start-up, memory and compilation on this machine.",
 }
-"""The commands in the order of the help, and the help of each; lines after a backspace are not joined."""
+"""The help text of each command, in the order of the help. Lines after a backspace are not joined."""
 
 
 def load(name: str) -> Any:
-    """Return a command, made of the function of its name with ``--debug`` added."""
+    """Return a command: the function of its name, with ``--debug`` added."""
     function = getattr(import_module(f"bayesftc.cli.commands.{name}"), name)
     shown = signature(function, eval_str=True)
     debug = Parameter("debug", Parameter.KEYWORD_ONLY, default=False, annotation=Debug)
@@ -72,7 +72,7 @@ def load(name: str) -> Any:
 
 
 class Commands(TyperGroup):
-    """The commands, of which only the one that is called is loaded."""
+    """The commands. Only the command that is called is loaded."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name, the command and its arguments."""
@@ -83,7 +83,7 @@ class Commands(TyperGroup):
 app = typer.Typer(
     cls=Commands,
     name="bayesftc",
-    help="Fault-tolerant control by Bayesian inference: run closed loops with faulty sensors, look into FMUs.",
+    help="Fault-tolerant control by Bayesian inference: run closed loops with faulty sensors, and inspect FMUs.",
     epilog="Try: bayesftc run cruise_control",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -92,8 +92,8 @@ for command, text in COMMANDS.items():
     app.command(command, help=text)(lambda: None)
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         from bayesftc import __version__
 
         typer.echo(f"bayesftc {__version__}")

@@ -1,7 +1,7 @@
-"""How a command ends when something goes wrong: one sentence on stderr and an exit code, no traceback.
+"""How a command ends after an error: one sentence on stderr and an exit code, no traceback.
 
-Exit codes: 2 a wrong command line; 3 to 18 and 20 the kinds of `BayesFTCError` (each has its ``exit_code``); 19 an FMU
-that differs from its blocks; 70 a bug of ours; 71 not enough memory; 130 stopped by Ctrl-C.
+Exit codes: 2 a wrong command line; 3 to 18 and 20 the kinds of `BayesFTCError` (attribute ``exit_code``); 19 an FMU that
+differs from its blocks; 70 a bug of bayesftc; 71 not enough memory; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BUG, NO_MEMORY, INTERRUPTED, BROKEN_PIPE = 70, 71, EXIT_CODE, 141
 
 @contextmanager
 def guarded(debug: bool = False) -> Iterator[None]:
-    """Turn what is raised inside into a sentence (with `debug` a traceback too) and a `typer.Exit` with its exit code."""
+    """Turn an exception into a sentence (with `debug` also a traceback) and a `typer.Exit` with its exit code."""
     from bayesftc.cosim.errors import BayesFTCError
 
     try:
@@ -39,22 +39,22 @@ def guarded(debug: bool = False) -> Iterator[None]:
             traceback.print_exc()
         _say(f"Error: {error}")
         raise typer.Exit(error.exit_code) from None
-    except KeyboardInterrupt:  # where the program is not ours: else `bayesftc._interrupt` has made it `Interrupted`
+    except KeyboardInterrupt:  # only inside another program: elsewhere `bayesftc._interrupt` makes it `Interrupted`
         _say(SENTENCE)
         raise typer.Exit(INTERRUPTED) from None
     except MemoryError:
         _say(
-            "Error: there is not enough memory for this run; record fewer signals or take a decimation, in [simulation]."
+            "Error: there is not enough memory for this run. Record fewer signals or set a decimation, in [simulation]."
         )
         raise typer.Exit(NO_MEMORY) from None
-    except BrokenPipeError:  # the reader of our output, such as `head`, has what it wanted
+    except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         raise typer.Exit(BROKEN_PIPE) from None
-    except Exception as error:  # the last net
+    except Exception as error:
         if isinstance(error, typer.Exit | typer.BadParameter):
             raise
         traceback.print_exc()
-        _say("Error: this is a bug of bayesftc, not of yours; please report it with the lines above and what you ran.")
+        _say("Error: this is a bug in bayesftc. Please report it, with the lines above and the command that you ran.")
         raise typer.Exit(BUG) from None
 
 

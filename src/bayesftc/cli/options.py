@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 
 Timing = StrEnum("Timing", ["plant", "sampled"])
-"""When the outputs of an FMU hold."""
+"""The instant that the outputs of an FMU belong to."""
 
 Json = Annotated[bool, typer.Option("--json", help="Print plain JSON instead of tables.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")]
 AScenario = Annotated[str, typer.Argument(help="A scenario file, or the name of a shipped one.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds, instead of the scenario's.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of all noise, instead of the scenario's.")]

@@ -1,4 +1,4 @@
-"""What a run leaves behind: tables on the terminal, and files that appear under their names only when they are whole."""
+"""The output of the commands: tables on the terminal, and files that get their names only when they are complete."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"
-TRACKING = "Tracking compares with the reference at the same instant; the controller aims at it with the next state, one step on."
-ACTUATORS = "Size: of LostEffect the share that is lost, else in the unit of the control."
+TRACKING = "The tracking error uses the reference at the same instant. The controller steers the state to it one step later."
+ACTUATORS = "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control."
 DOTS_PER_INCH = 150
 PERIOD = 10.0
-"""Seconds between two lines that say how far a command is, where there is no terminal for a bar."""
+"""Seconds between two progress lines, which replace the bar where there is no terminal."""
 
 SENSOR_ROWS = (
     ("share of time in fault", "fault_share", "{:.1%}"),
@@ -57,42 +57,46 @@ ACTUATOR_ROWS = (
     ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
     ("AUC", "auc", "{:.3f}"),
     ("kind during alarms, mostly", "kind", "{}"),
-    ("its mean size", "size", "{:.4g}"),
+    ("mean size of that kind", "size", "{:.4g}"),
 )
 OF_INPUTS = (
-    ("inputs", "Faults on the way to the plant", INPUT_ROWS, ""),
-    ("actuators", "Actuators' faults as the controller sees them", ACTUATOR_ROWS, ACTUATORS),
+    ("inputs", "Faults between the controller and the plant", INPUT_ROWS, ""),
+    ("actuators", "Actuator faults that the controller estimates", ACTUATOR_ROWS, ACTUATORS),
 )
-"""The tables with a column for each input of the plant: which numbers, heading, rows, and a sentence below."""
+"""The tables with a column for each input of the plant: key of the numbers, heading, rows, and a sentence below."""
 MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
 """Rows that are shown only if a sensor has missing samples."""
 PHASES = (("overall", "whole run"), ("before", "before faults"), ("during", "during"), ("after", "after"))
 
 
 def check_folder(folder: Path, names: Iterable[str] = (RESULT, FIGURE, NUMBERS)) -> None:
-    """Check, before the run rather than after it, that files (of a run, by default) can be written to a folder.
+    """Check before a run that files (by default those of a run) can be written to a folder.
 
-    The folder may not be there yet. Nothing is made: whatever way the run ends, an empty folder does not stay behind. If the
-    files cannot be written, a ResultFileError is raised.
+    The folder need not exist. The check creates nothing, so no empty folder stays behind if the run fails.
+
+    Raises
+    ------
+    ResultFileError
+        If the files cannot be written.
     """
     try:
-        there = next(p for p in (folder, *folder.absolute().parents) if os.path.lexists(p))
-        if not there.is_dir():
+        existing = next(p for p in (folder, *folder.absolute().parents) if os.path.lexists(p))
+        if not existing.is_dir():
             raise ResultFileError(
-                f"Nothing can be written into {folder}: {there} is no folder, but a file; choose another name."
+                f"Nothing can be written into {folder}: {existing} is a file, not a folder. Choose another name."
             )
-        with tempfile.TemporaryFile(dir=there):
+        with tempfile.TemporaryFile(dir=existing):
             pass
-        folder.exists()  # says if the name is one that cannot be
+        folder.exists()  # raises an OSError if the name is not valid
         taken = [name for name in names if (folder / name).is_dir()]
     except OSError as error:
         raise _unwritable(folder, error) from None
     if taken:
-        raise ResultFileError(f"{folder / taken[0]} cannot be written: it is a folder; choose another name.")
+        raise ResultFileError(f"{folder / taken[0]} cannot be written: it is a folder. Choose another name.")
 
 
 def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signals: LoopSignals) -> None:
-    """Write ``result.npz``, ``figures.json`` and ``figure.png``: all of them, or none and no folder made for them.
+    """Write ``result.npz``, ``figures.json`` and ``figure.png``, or, if one fails, none of them and no folder.
 
     Raises
     ------
@@ -113,7 +117,7 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """Give an empty folder inside `folder`; what is in it at the end moves into `folder`, and a failure leaves nothing."""
+    """Give an empty folder inside `folder`. At the end its files move into `folder`; after a failure nothing remains."""
     from bayesftc.cosim.base.temporary import BESIDE, temporary_folder
 
     made = [p for p in (folder, *folder.parents) if not p.exists()]
@@ -126,7 +130,7 @@ def staged(folder: Path) -> Iterator[Path]:
                 file.replace(folder / file.name)
     except BaseException as error:
         for path in made:
-            with suppress(OSError):  # not made yet, or somebody else's files are in it by now
+            with suppress(OSError):  # the folder was not made yet, or it contains other files by now
                 path.rmdir()
         if isinstance(error, OSError):
             raise _unwritable(folder, error) from None
@@ -137,7 +141,7 @@ def staged(folder: Path) -> Iterator[Path]:
 
 def _unwritable(folder: Path, error: OSError) -> ResultFileError:
     return ResultFileError(
-        f"Nothing can be written to the folder {folder} ({error.strerror or error}); choose another."
+        f"Nothing can be written to the folder {folder} ({error.strerror or error}). Choose another folder."
     )
 
 
@@ -145,20 +149,22 @@ def _unwritable(folder: Path, error: OSError) -> ResultFileError:
 def progress_bar(
     name: str, *columns: str, shown: bool, breath: float = 0.0, **fields: Any
 ) -> Iterator[Callable[..., None] | None]:
-    """Give what moves a progress bar on stderr, called as ``move(done, of, **fields)``, or None if there is none.
+    """Show a progress bar on stderr and give the function that moves it, or None if no bar is shown.
+
+    The function is called as ``move(done, of, **fields)``.
 
     Parameters
     ----------
     name : str
-        What stands before it, until a ``description`` is given.
+        Text before the bar, until a ``description`` is given.
     *columns : str
-        What stands behind it: ``count``, ``elapsed``, ``remaining``, or a text of rich.
+        Columns after the bar: ``count``, ``elapsed``, ``remaining``, or a text of rich.
     shown : bool
-        Whether there is one.
+        Whether to show the bar.
     breath : float
-        Seconds between two moves.
+        Least seconds between two moves.
     **fields
-        Fields of the texts, and what they are at first.
+        Fields of the texts, with their first values.
     """
     if not shown:
         yield None
@@ -187,9 +193,10 @@ def progress_bar(
 
 @contextmanager
 def progress_lines(name: str, *, period: float = PERIOD) -> Iterator[Callable[..., None]]:
-    """Give what is called as ``move(done, of, **fields)``, and print on stderr how far that is, every few seconds.
+    """Print the progress on stderr every few seconds, and give the function that updates it.
 
-    It takes the place of a bar where stderr is no terminal, as in the log of a cluster: each line stands for itself.
+    The function is called as ``move(done, of, **fields)``. The lines replace the bar where stderr is no terminal, as in the log
+    of a cluster.
     """
     state: dict[str, Any] = {}
     ended = threading.Event()
@@ -198,14 +205,14 @@ def progress_lines(name: str, *, period: float = PERIOD) -> Iterator[Callable[..
     def move(done: int, of: int, **now: Any) -> None:
         state.update(done=done, of=of, now=now)
 
-    def tell() -> None:
+    def print_lines() -> None:
         while not ended.wait(period):
             texts = [str(state["now"][key]) for key in sorted(state["now"]) if state["now"][key]] if state else []
-            far = ", ".join([f"{state['done']} of {state['of']}", *texts]) if state else "preparing"
-            sys.stderr.write(f"{name}: {far}, after {time.monotonic() - begun:.0f} s\n")
+            progress = ", ".join([f"{state['done']} of {state['of']}", *texts]) if state else "preparing"
+            sys.stderr.write(f"{name}: {progress}, after {time.monotonic() - begun:.0f} s\n")
             sys.stderr.flush()
 
-    thread = threading.Thread(target=tell, daemon=True)
+    thread = threading.Thread(target=print_lines, daemon=True)
     thread.start()
     try:
         yield move
@@ -215,7 +222,7 @@ def progress_lines(name: str, *, period: float = PERIOD) -> Iterator[Callable[..
 
 
 def say_notes(notes: Iterable[str]) -> None:
-    """Print on stderr what is no error, but may be a slip."""
+    """Print notes on stderr: facts that are no errors, but may be mistakes."""
     import typer
 
     for note in notes:
@@ -223,7 +230,7 @@ def say_notes(notes: Iterable[str]) -> None:
 
 
 def as_json(numbers: Mapping[str, Any]) -> str:
-    """Return the text of a JSON file, which has null where a number is not finite: JSON knows neither NaN nor infinity."""
+    """Return the text of a JSON file. Numbers that are not finite become null: JSON has neither NaN nor infinity."""
     return json.dumps(without_nan(numbers), indent=2, allow_nan=False, ensure_ascii=False)
 
 
@@ -299,7 +306,7 @@ def _kalman(check: Mapping[str, Any]) -> tuple[str, Table]:
 
 
 def empty_table(*columns: str) -> Table:
-    """Return a table in the house's style: a column for what a row is, and these."""
+    """Return a table in the common style: a first column for the row labels, then these columns."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -312,7 +319,7 @@ def empty_table(*columns: str) -> Table:
 
 
 def plain_table(*columns: str, right: Collection[str] = ()) -> Table:
-    """Return a table in the house's style with these columns, some of them to the right."""
+    """Return a table in the common style with these columns; those in `right` are aligned to the right."""
     from rich import box
     from rich.table import Table
 
@@ -323,7 +330,7 @@ def plain_table(*columns: str, right: Collection[str] = ()) -> Table:
 
 
 def sayer() -> tuple[Console, Callable[..., None]]:
-    """Return the terminal, and what prints a sentence there, in a style of rich."""
+    """Return the terminal, and a function that prints a sentence there in a style of rich."""
     from rich.console import Console
     from rich.text import Text
 

@@ -1,4 +1,4 @@
-"""``bayesftc bench``: what this package costs on this machine."""
+"""``bayesftc bench``: measure speed, start-up, memory and compilation on this machine."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from bayesftc.cli.options import Json
 
 def bench(
     section: Annotated[
-        list[str] | None, typer.Argument(help="What to measure, as campaign or export; by default everything.")
+        list[str] | None, typer.Argument(help="What to measure, such as campaign or export; by default everything.")
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Few and short repetitions: shows that all works, not how fast.")
+        bool, typer.Option("--quick", help="Few and short repetitions: a check that all works, not a measurement.")
     ] = False,
     json: Json = False,
 ) -> None:

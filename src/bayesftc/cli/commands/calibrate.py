@@ -1,4 +1,4 @@
-"""``bayesftc calibrate``: from a scenario to the logistic map that beta needs, or to how good the learner's probability is."""
+"""``bayesftc calibrate``: fit the logistic map of beta, or evaluate the learner's own probability, for a scenario."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def calibrate(
 ) -> None:
     """Fit the map for a scenario's model, learner, controller and reference, and print it as a line of TOML.
 
-    The scenario's plant and faults are not used, its model is simulated. A learner that gives a probability itself needs no map:
-    then it is said how good that probability is.
+    The scenario's model is simulated; its plant and faults are not used. A learner that gives a probability itself needs no map.
+    Then only the quality of that probability is printed.
     """
     hazards, path = controllers.Hazards(time_to_fault, time_to_recovery), scenario
     magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
@@ -48,13 +48,15 @@ def calibrate(
     loaded = load_scenario(path)
     controller = loaded.controller
     if not isinstance(controller, controllers.BayesianController):
-        raise ModelError(f"{path}: calibrate simulates a BayesianController, not a {type(controller).__name__}.")
-    own = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
+        raise ModelError(
+            f"{path} has a {type(controller).__name__}. bayesftc calibrate needs a scenario with a BayesianController."
+        )
+    settings = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
     learner = controller.precision
-    tells = not isinstance(learner, RateLearner) and learner.why_no_probability is None
+    has_probability = not isinstance(learner, RateLearner) and learner.why_no_probability is None
     with Place(path).named():
-        report = (judge_own_probability if tells else controllers.calibrate)(
-            controller.model, hazards, magnitudes, reference=loaded.reference, steps=steps, seed=seed, **own
+        report = (judge_own_probability if has_probability else controllers.calibrate)(
+            controller.model, hazards, magnitudes, reference=loaded.reference, steps=steps, seed=seed, **settings
         )
     assert report.reliability is not None
     numbers = asdict(replace(report, reliability=None)) | {"reliability": report.reliability.to_dict()}
@@ -65,30 +67,30 @@ def calibrate(
         return
     c = report.calibration
     typer.echo(
-        f"On {report.samples} samples that were not fitted, {report.fault_share:.1%} of them in fault: AUC {report.auc:.3f}, "
-        f"Brier score {report.brier:.4f} (a constant: {report.brier_of_constant:.4f}), calibration error "
+        f"On {report.samples} samples not used for the fit, {report.fault_share:.1%} of them in fault: AUC {report.auc:.3f}, "
+        f"Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), calibration error "
         f"{report.calibration_error:.3f}."
     )
     if out is not None:
         typer.echo(f"Written to {out}: {DIAGRAM}, {NUMBERS}.")
     if c is None:
         typer.echo(
-            f"{type(learner).__name__} gives a fault probability itself, so there is no map to fit. For a map of the residual "
-            'beta write kind = "GammaPrecision" in [controller.precision].'
+            f"{type(learner).__name__} gives a fault probability itself, so there is no map to fit. To fit a map of the residual "
+            'beta, write kind = "GammaPrecision" in [controller.precision].'
         )
         return
     typer.echo("For [controller.precision]:\n")
     typer.echo(f'calibration = {{ slope = {c.slope:.4g}, intercept = {c.intercept:.4g}, feature = "{c.feature}" }}')
 
 
-def _write(folder: Path, scenario: str, found: Reliability, numbers: Mapping[str, Any]) -> None:
+def _write(folder: Path, scenario: str, reliability: Reliability, numbers: Mapping[str, Any]) -> None:
     """Write the reliability diagram and the numbers."""
     from bayesftc.cosim.judging.panels import bare_figure
     from bayesftc.cosim.judging.reliability_figure import plot_reliability
 
     picture = io.BytesIO()
     title = f"{Path(scenario).stem}: {numbers['samples']} samples of simulated faults"
-    plot_reliability(found, bare_figure(), title).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+    plot_reliability(reliability, bare_figure(), title).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
     with output.staged(folder) as stage:
         (stage / DIAGRAM).write_bytes(picture.getbuffer())
         (stage / NUMBERS).write_text(output.as_json(numbers) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""``bayesftc campaign``: a campaign file to a store, and a table of what came out."""
+"""``bayesftc campaign``: run a campaign file, keep its results in a store and print a table of them."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from bayesftc.cosim.campaign.working import Progress
 
 POINTS = 40
-"""Rows of the printed table; the store has all."""
+"""Rows of the printed table; the store has all points."""
 METRICS = 4
 """Metrics in the printed table."""
 BREATH = 0.2
-"""Seconds between two moves of the progress bar."""
+"""Least seconds between two moves of the progress bar."""
 
 
 Executor = StrEnum("Executor", ["threads", "processes", "dask"])
@@ -42,21 +42,21 @@ def campaign(
             "--out",
             "-o",
             metavar="STORE",
-            help="Folder of the results; by default named after the file. What it has stays.",
+            help="Folder of the results; by default named after the file. Results in it are kept.",
         ),
     ] = None,
     executor: Annotated[
-        Executor | None, typer.Option(help="What makes the runs; by default threads where they use all cores.")
+        Executor | None, typer.Option(help="What executes the runs; by default threads, if they can use all cores.")
     ] = None,
     jobs: Annotated[int | None, typer.Option(help="Number of workers; by default one for each core.")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, as tcp://10.0.0.1:8786.")
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, such as tcp://10.0.0.1:8786.")
     ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Make runs that have failed again.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Repeat the runs that failed.")] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a campaign, or what is left of it, and print its figures."""
+    """Run a campaign, or its missing runs, and print its figures."""
     from bayesftc.scenario._unused import unused_of_campaign
     from bayesftc.scenario.campaigns import described, load_campaign
 
@@ -85,7 +85,7 @@ def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Runn
     if scheduler is not None:
         if name not in {None, "dask"} or jobs is not None:
             raise ModelError(
-                "--scheduler is for a Dask cluster, which has its own workers: leave --executor and --jobs out."
+                "--scheduler is for a Dask cluster, which has its own workers. Leave out --executor and --jobs."
             )
         return cosim.DaskCluster(scheduler)
     if name == "dask":
@@ -98,11 +98,11 @@ def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Runn
 
 
 def _numbers(table: pd.DataFrame, factors: list[str], metrics: list[str]) -> dict[str, Any]:
-    """Return what is printed: for each point its factors, and of each metric the mean with its confidence interval."""
+    """Return what is printed: for each point its factors, and the mean of each metric with its confidence interval."""
     from bayesftc.cosim.campaign.runs.columns import OWN
     from bayesftc.cosim.statistics import summary
 
-    # A factor that is called like a column of every table, as seed, has another name there.
+    # A factor with the name of a fixed column, such as seed, has the prefix "factor:" in the table.
     names = [name if name in table and name not in OWN else f"factor:{name}" for name in factors]
     points: list[dict[str, Any]] = [
         {
@@ -145,7 +145,7 @@ def _print(numbers: Mapping[str, Any]) -> None:
         hidden += [f"{more} more metrics"] if more > 0 else []
         if hidden:
             console.print(Text(f"{' and '.join(hidden)} are in the store."))
-    done = f"{numbers['runs']} runs" + (f", of which {numbers['failed']} have failed" if numbers["failed"] else "")
+    done = f"{numbers['runs']} runs" + (f", of which {numbers['failed']} failed" if numbers["failed"] else "")
     console.print(Text(f"{done}, in {numbers['store']} ({numbers['seconds']:.1f} s)."))
     for reason, count in numbers["reasons"].items():
         console.print(Text(f"{count} of them: {reason}"))
@@ -184,7 +184,7 @@ def _interval(cell: Mapping[str, float] | None) -> str:
 
 @contextmanager
 def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
-    """Give a function that moves a progress bar on stderr, or has lines printed there if it is no terminal; else None."""
+    """Give a function that shows the progress on stderr, as a bar or, without a terminal, as lines; None if not shown."""
     if shown and not sys.stderr.isatty():
         with output.progress_lines(name) as move:
             yield _mover(move)
@@ -195,10 +195,10 @@ def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
 
 
 def _mover(move: Callable[..., None]) -> Progress:
-    """Return a function that tells a bar how far it is, and at which rate since it was first told."""
+    """Return a function that moves a bar, with the rate since its first call."""
     first: list[tuple[float, int]] = []
 
-    def told(done: int, of: int, failed: int) -> None:
+    def update(done: int, of: int, failed: int) -> None:
         now = time.monotonic()
         if not first:
             first.append((now, done))
@@ -206,7 +206,7 @@ def _mover(move: Callable[..., None]) -> Progress:
         rate = _rate((done - before) / (now - began)) if now > began and done > before else ""
         move(done, of, rate=rate, failed=f"{failed} failed" if failed else "")
 
-    return told
+    return update
 
 
 def _rate(runs: float) -> str:

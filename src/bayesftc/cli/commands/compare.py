@@ -1,4 +1,4 @@
-"""``bayesftc run --compare``: several scenario files with the same seeds, to one table and one figure."""
+"""``bayesftc run --compare``: several scenario files with the same seeds, in one table and one figure."""
 
 from __future__ import annotations
 
@@ -34,29 +34,29 @@ def compare_scenarios(
     json: bool,
     quiet: bool,
 ) -> None:
-    """Run scenario files with the same seeds; print the table, and write table and figure.
+    """Run scenario files with the same seeds, print the table, and write table and figure.
 
     Raises
     ------
     ScenarioError
-        If there is one file only, two have the same name, or their durations differ.
+        If there is only one file, two have the same name, or their durations differ.
     """
     from bayesftc import cosim
     from bayesftc.cosim.comparison.figure import plot_comparison
 
     scenarios = {Path(file).stem: load_scenario(file) for file in files}
     if len(scenarios) < len(files):
-        raise ScenarioError("Two of the files have the same name, which is that of their rows. Rename one of them.")
+        raise ScenarioError("Two of the files have the same name, which labels the table's rows. Rename one of them.")
     if len(files) < 2:
         raise ScenarioError(
-            f"--compare has only one scenario, {files[0]}. Name at least two: bayesftc run a.toml b.toml --compare."
+            f"--compare has only one scenario, {files[0]}. Give at least two: bayesftc run a.toml b.toml --compare."
         )
     durations = {name: scenario.simulation.duration for name, scenario in scenarios.items()}
     (first, chosen), *others = durations.items()
     for name, other in others:
         if duration is None and rational_step(other) != rational_step(chosen):
             raise ScenarioError(
-                f"The scenario {first!r} lasts {chosen} s and {name!r} lasts {other} s. Give both the same duration, or give "
+                f"The scenario {first!r} lasts {chosen} s and {name!r} lasts {other} s. Set the same duration in both, or use "
                 "--duration."
             )
     if out is not None:
@@ -65,7 +65,7 @@ def compare_scenarios(
     with output.progress_bar(
         "Comparing", "count", "remaining", shown=sys.stderr.isatty() and not quiet and not json
     ) as move:
-        found = cosim.compare(
+        comparison = cosim.compare(
             loops,
             duration=chosen if duration is None else duration,
             seeds=SEEDS if seeds is None else seeds,
@@ -74,42 +74,44 @@ def compare_scenarios(
         )
     if out is not None:
         picture = io.BytesIO()
-        signals = list(dict.fromkeys(found.table["signal"]))
-        plot_comparison({name: found.signals(name) for name in found.loops}, signals).savefig(
+        signals = list(dict.fromkeys(comparison.table["signal"]))
+        plot_comparison({name: comparison.signals(name) for name in comparison.loops}, signals).savefig(
             picture, dpi=output.DOTS_PER_INCH, format="png"
         )
         with output.staged(out) as stage:
-            found.table.to_csv(stage / TABLE, index=False)
+            comparison.table.to_csv(stage / TABLE, index=False)
             (stage / output.FIGURE).write_bytes(picture.getbuffer())
-    rows: Any = found.table.astype(object).where(found.table.notna(), None).to_dict("records")
+    rows: Any = comparison.table.astype(object).where(comparison.table.notna(), None).to_dict("records")
     if json:
         typer.echo(output.as_json({"loops": without_nan(rows)}))
     elif not quiet:
-        _print(found, rows, out)
+        _print(comparison, rows, out)
 
 
-def _print(found: Comparison, rows: Sequence[dict[str, Any]], out: Path | None) -> None:
+def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], out: Path | None) -> None:
     console, say = output.sayer()
     first = rows[0]["loop"]
     for signal in dict.fromkeys(row["signal"] for row in rows):
-        own = [row for row in rows if row["signal"] == signal]
-        unit = f" ({own[0]['unit']})" if own[0]["unit"] else ""
+        selected = [row for row in rows if row["signal"] == signal]
+        unit = f" ({selected[0]['unit']})" if selected[0]["unit"] else ""
         for ending, phase in PHASES.items():
-            if all(row[f"error{ending}"] is None for row in own):
+            if all(row[f"error{ending}"] is None for row in selected):
                 continue
             say(f"Tracking error of {signal}{unit}, {phase}", "bold")
             columns = ("error", "difference", "95 % interval", "wins", "false alarms*", "failed")
             table = output.plain_table("loop", *columns, right=columns)
-            for row in own:
+            for row in selected:
                 table.add_row(row["loop"], *_cells(row, ending))
             console.print(table)
     runs, failed = rows[0]["runs"], sum(row["failed"] for row in rows if row["signal"] == rows[0]["signal"])
     say(
-        f"Each loop made {runs} runs with the same seeds; errors are means of root mean squares. Differences and wins are "
-        f"against {first}; they leave out seeds of which a run failed. * Share of the samples without a fault, of the whole run."
-        + (f" {failed} runs have failed." if failed else "")
+        f"Each loop has {runs} runs with the same seeds. An error is the mean of the runs' root-mean-square errors. Differences "
+        f"and wins are relative to {first}, without the seeds where a run failed. * Share of the fault-free samples, over the "
+        "whole run." + (f" {failed} runs failed." if failed else "")
     )
-    for reason, count in found.runs.loc[found.runs["status"] != "ok", "reason"].value_counts().head(3).items():
+    for reason, count in (
+        comparison.runs.loc[comparison.runs["status"] != "ok", "reason"].value_counts().head(3).items()
+    ):
         say(f"{count} of them: {reason}")
     if out is not None:
         say(f"{TABLE} and {output.FIGURE} are in {out}.")

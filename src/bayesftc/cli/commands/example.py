@@ -1,4 +1,4 @@
-"""``bayesftc example``: the shipped files that commands read."""
+"""``bayesftc example``: print the shipped files that commands read."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ USES = {
     "monitor's model": "bayesftc monitor . --model {file}",
     "recording": "bayesftc monitor . --model model.toml",
 }
-"""What a user does with a file of each kind, once it is printed into the current folder."""
+"""The command that uses a file of each kind, once the file is in the current folder."""
 
 
 def example(
-    name: Annotated[str | None, typer.Argument(help="A shipped file; without a name they are listed.")] = None,
+    name: Annotated[str | None, typer.Argument(help="A shipped file; without a name all are listed.")] = None,
 ) -> None:
     """Print a shipped file's text, or the names, kinds and uses of all."""
     shipped = {kind: shipped_files(kind) for kind in KINDS}
-    every = {known: file for files in shipped.values() for known, file in files.items()}
+    every = {file_name: file for files in shipped.values() for file_name, file in files.items()}
     if name is None:
         widest = [max(map(len, names)) for names in (every, KINDS)]
         for kind, files in shipped.items():
-            for known, file in files.items():
-                use = USES[kind].format(name=known, file=file.name)
-                typer.echo(f"{known:{widest[0]}}  {kind:{widest[1]}}  {use}")
+            for file_name, file in files.items():
+                use = USES[kind].format(name=file_name, file=file.name)
+                typer.echo(f"{file_name:{widest[0]}}  {kind:{widest[1]}}  {use}")
         return
     if name not in every:
-        raise ScenarioError(f"No example {name!r} is shipped; {did_you_mean(name, every)}")
+        raise ScenarioError(f"There is no shipped file {name!r}; {did_you_mean(name, every)}")
     typer.echo(every[name].read_text(encoding="utf-8"), nl=False)

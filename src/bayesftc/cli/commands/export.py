@@ -1,4 +1,4 @@
-"""``bayesftc export``: blocks of a scenario's loop as an FMU or as C."""
+"""``bayesftc export``: write blocks of a scenario's loop as an FMU or as C."""
 
 from __future__ import annotations
 
@@ -29,12 +29,14 @@ def export(
     block: Annotated[
         list[str],
         typer.Option(
-            "--block", "-b", help="A block of its loop, as controller; several become one.", show_default=False
+            "--block", "-b", help="A block of its loop, such as controller; several become one.", show_default=False
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="The FMU; of C the folder. By default named after the block."),
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="The FMU, or the folder for C. By default named after the block."
+        ),
     ] = None,
     form: Annotated[Form, typer.Option("--format", help="An FMU, or C without FMI for firmware.")] = Form.fmu,
     fmi: Annotated[
@@ -42,10 +44,12 @@ def export(
     ] = None,
     platform: Annotated[
         list[str] | None,
-        typer.Option(help="With a binary for this one, as windows-x86_64; several, or all. By default this machine's."),
+        typer.Option(
+            help="Platform of the binary, such as windows-x86_64, or all; repeatable. By default this machine's."
+        ),
     ] = None,
     timing: Annotated[
-        Timing | None, typer.Option(help="When the outputs hold; by default what fits the block.")
+        Timing | None, typer.Option(help="The FMU's timing; by default the one that fits the block.")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -58,12 +62,12 @@ def export(
         given = [option for option, value in (("--fmi", fmi), ("--platform", platform), ("--timing", timing)) if value]
         if given:
             raise ModelError(
-                f"{' and '.join(given)} cannot be given with --format c, which is not for FMI; leave it out."
+                f"{' and '.join(given)} cannot be used with --format c, because C is written without FMI. Leave it out."
             )
         source, header = export_c(loop, out or Path(), name=_stem(scenario, chosen), blocks=chosen)
         if not quiet:
             typer.echo(
-                f"{source} and {header.name}: {source.stem}_init, {source.stem}_step; {header.name} says how to use them."
+                f"{source} and {header.name}: {source.stem}_init, {source.stem}_step; {header.name} explains their use."
             )
             typer.echo(f"Try:  cc -std=c99 -O2 -c {quote(str(source))}")
         return
@@ -81,7 +85,7 @@ def _stem(name: str, blocks: Sequence[str]) -> str:
 
 
 def _report(path: Path) -> None:
-    """Print what an FMU is, read from the file."""
+    """Print a summary of an FMU, read from the file."""
     from bayesftc.cosim.fmi.fmu import FMU
 
     fmu = FMU(path)
@@ -94,24 +98,24 @@ def _report(path: Path) -> None:
     tunable = [v for v in description.variables if v.causality == "parameter" and v.variability == "tunable"]
     if tunable:
         typer.echo(f"tunable  {_some([f'{v.name}{_measured(v.unit)}' for v in tunable])}")
-    typer.echo(f"step     {description.default_experiment['stepSize']:g} s, no other")
+    typer.echo(f"step     {description.default_experiment['stepSize']:g} s, fixed")
     typer.echo(f"timing   {_timing(fmu)}")
 
 
 def _timing(fmu: FMU) -> str:
     if fmu.timing == "sampled":
-        return "sampled: what a step takes in at its beginning is in the outputs after it"
+        return "sampled: the outputs after a step are those of the inputs at its beginning"
     return "plant: the outputs after a step are those at its end"
 
 
 def _listed(ports: Any) -> str:
-    """Return ports with their units; the elements of an array, which are variables of their own in FMI 2, as one."""
-    found: dict[str, str] = {}
+    """Return ports with their units. The elements of an array, separate variables in FMI 2, are shown as one."""
+    details: dict[str, str] = {}
     for port in ports:
         whole, bracket, index = port.name.partition("[")
         sizes = [int(i) + 1 for i in index.rstrip("]").split(",")] if bracket else list(port.shape)
-        found[whole] = (f" ({'x'.join(map(str, sizes))})" if sizes else "") + _measured(port.unit)
-    return _some([name + rest for name, rest in found.items()]) or "none"
+        details[whole] = (f" ({'x'.join(map(str, sizes))})" if sizes else "") + _measured(port.unit)
+    return _some([name + rest for name, rest in details.items()]) or "none"
 
 
 def _measured(unit: str | None) -> str:

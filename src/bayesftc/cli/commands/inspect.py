@@ -1,4 +1,4 @@
-"""``bayesftc inspect``: what an FMU says of itself."""
+"""``bayesftc inspect``: an FMU's description, and what works with it."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParam
 
 def inspect(
     fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
-    validate: Annotated[bool, typer.Option(help="Whether its description must keep the rules of FMI.")] = True,
+    validate: Annotated[bool, typer.Option(help="Whether the description must follow the rules of FMI.")] = True,
     everything: Annotated[bool, typer.Option("--all", help="Show local variables as well.")] = False,
     json: Json = False,
 ) -> None:
-    """Print tables (or JSON) of a description and of what works."""
+    """Print tables (or JSON) of the description and of what works."""
     if Path(fmu).suffix.lower() in {".ssp", ".ssd"}:
         from bayesftc.cli.inspection.ssp import inspect_ssp
 
@@ -53,14 +53,14 @@ def inspect(
 
 
 def find_fmu(name: str) -> Path:
-    """Return the file that is meant: a path, or else a shipped FMU's name."""
+    """Return the FMU's path, given a path or the name of a shipped FMU."""
     from bayesftc import fmus
 
     path = expanded(name)
     if exists(path) or path.suffix.lower() == ".fmu" or path.name != name:
         return path
     if name not in fmus.names():
-        raise FMUError(f"There is no FMU {name!r}, neither as a file nor shipped; {did_you_mean(name, fmus.names())}")
+        raise FMUError(f"There is no file {name!r} and no shipped FMU of this name; {did_you_mean(name, fmus.names())}")
     return fmus.path(name)
 
 
@@ -101,7 +101,7 @@ def _print_variables(console: Console, description: FMUDescription, everything: 
 
 
 def _short(start: Value | None) -> str:
-    """Return a start value in few characters; JSON has all digits."""
+    """Return a start value in few digits; the JSON output has all digits."""
     if start is None:
         return ""
     if isinstance(start, tuple):
@@ -143,12 +143,12 @@ def _feedthrough(description: FMUDescription) -> str:
     """Return which outputs depend at the same instant on which inputs."""
     if not any(v.causality == "input" for v in description.variables):
         return "none"
-    told = [
-        f"{output} <- {'any input (it does not say)' if inputs is None else ', '.join(inputs)}"
+    lines = [
+        f"{output} <- {'any input (not stated)' if inputs is None else ', '.join(inputs)}"
         for output, inputs in description.feedthrough.items()
         if inputs != ()
     ]
-    return "; ".join(told) or "none"
+    return "; ".join(lines) or "none"
 
 
 def _plain(value: Any) -> Any:

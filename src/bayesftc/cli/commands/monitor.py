@@ -33,19 +33,19 @@ def monitor(
         typer.Option(
             "--model",
             metavar="TOML",
-            help="Which column is what, and what is known of the sensors; with --fit it is written, by default model.toml.",
+            help="Model file: the columns and the sensors' properties. With --fit it is written, by default model.toml.",
         ),
     ] = None,
     fit: Annotated[
         bool,
         typer.Option(
-            "--fit", help="Find the model in the recording first, of which all columns are sensors of one quantity."
+            "--fit", help="First fit the model to the recording. All columns must be sensors of one quantity."
         ),
     ] = False,
     start: Annotated[float | None, typer.Option("--from", metavar="S", help="Fit from this time on.")] = None,
     stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Fit up to this time.")] = None,
     sensors: Annotated[
-        list[str] | None, typer.Option("--sensor", help="Fit this column only; give it again for each further one.")
+        list[str] | None, typer.Option("--sensor", help="Fit only this column; repeat the option for more columns.")
     ] = None,
     out: Annotated[
         Path | None,
@@ -54,14 +54,14 @@ def monitor(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Look for faults in a recording, print what was found and write the files.
+    """Find faults in a recording, print them and write the files.
 
-    First the model, driven by the recorded inputs, is compared with the recording; a `ModelMismatchWarning` says what differs.
+    First the model, driven by the recorded inputs, is compared with the recording. A `ModelMismatchWarning` states differences.
     """
     if model is None and not fit:
-        raise typer.BadParameter("name the model file by --model, or take --fit to find the model in the recording.")
+        raise typer.BadParameter("there is no model: give a file with --model, or fit one to the recording with --fit.")
     if not fit and (sensors or start is not None or stop is not None):
-        raise typer.BadParameter("--from, --to and --sensor say what to fit: they need --fit.")
+        raise typer.BadParameter("--from, --to and --sensor choose what to fit: add --fit.")
     model = model or (out or Path()) / MODEL
     fitted = None
     if fit:
@@ -75,19 +75,19 @@ def monitor(
     mismatch = loaded.compare(samples)
     if mismatch is not None:
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
-    found = loaded.run(samples)
-    numbers = summary(found, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
+    monitored = loaded.run(samples)
+    numbers = summary(monitored, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
     if out is not None:
-        _write(out, found, numbers)
+        _write(out, monitored, numbers)
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
-        _print(found, numbers, out)
+        _print(monitored, numbers, out)
 
 
-def summary(found: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
-    """Return what was found, and how the model is wrong, as plain data."""
-    recording = found.recording
+def summary(monitored: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
+    """Return the faults, and how the model is wrong, as plain data."""
+    recording = monitored.recording
     seconds = len(recording.y) * float(recording.dt)
     sensors = {}
     for i, name in enumerate(recording.sensors):
@@ -96,51 +96,55 @@ def summary(found: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
             "samples": count,
             "rate": (count + recording.replaced[i]) / seconds,
             "replaced": recording.replaced[i],
-            "mean_probability": float(found.fault_probability[:, i].mean()),
-            "alarms": sum(event.sensor == name for event in found.events),
+            "mean_probability": float(monitored.fault_probability[:, i].mean()),
+            "alarms": sum(event.sensor == name for event in monitored.events),
         }
     return {
-        "start": float(found.time[0]),
-        "end": float(found.time[-1]),
+        "start": float(monitored.time[0]),
+        "end": float(monitored.time[-1]),
         "sensors": sensors,
-        "faults": [asdict(event) for event in found.events],
+        "faults": [asdict(event) for event in monitored.events],
         "actuators": {
             name: {
-                "mean_probability": float(found.actuator_fault_probability[:, j].mean()),
-                "alarms": sum(event.actuator == name for event in found.actuator_events),
+                "mean_probability": float(monitored.actuator_fault_probability[:, j].mean()),
+                "alarms": sum(event.actuator == name for event in monitored.actuator_events),
             }
-            for j, name in enumerate(found.actuators)
+            for j, name in enumerate(monitored.actuators)
         },
-        "actuator_faults": [asdict(event) for event in found.actuator_events],
-        "why_no_probability": found.why_no_probability,
-        "rest": float(found.rest.sum() * float(found.recording.dt)),
+        "actuator_faults": [asdict(event) for event in monitored.actuator_events],
+        "why_no_probability": monitored.why_no_probability,
+        "rest": float(monitored.rest.sum() * float(monitored.recording.dt)),
         "model": None if mismatch is None else dict(without_nan(asdict(mismatch))),
     }
 
 
-def _write(folder: Path, found: Monitored, numbers: dict[str, Any]) -> None:
+def _write(folder: Path, monitored: Monitored, numbers: dict[str, Any]) -> None:
     from bayesftc.monitoring.figure import plot_monitored
 
     picture = io.BytesIO()
-    plot_monitored(found).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
-    table, text = found.to_pandas(), output.as_json(numbers) + "\n"
+    plot_monitored(monitored).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
+    table, text = monitored.to_pandas(), output.as_json(numbers) + "\n"
     with output.staged(folder) as stage:
         table.to_csv(stage / PROBABILITIES, index=False, float_format="%.9g")
         (stage / FAULTS).write_text(text, encoding="utf-8")
         (stage / FIGURE).write_bytes(picture.getbuffer())
 
 
-def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> None:
+def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -> None:
     console, say = output.sayer()
-    say(f"{numbers['start']:g} to {numbers['end']:g} s, {len(found.time)} steps of {float(found.recording.dt):g} s\n")
-    sensors = output.empty_table("samples", "a second", "left out", "mean probability", "alarms")
+    say(
+        f"{numbers['start']:g} to {numbers['end']:g} s, {len(monitored.time)} steps of {float(monitored.recording.dt):g} s\n"
+    )
+    sensors = output.empty_table("samples", "per second", "left out", "mean probability", "alarms")
     for name, row in numbers["sensors"].items():
         mean = "{:.4f}".format(row["mean_probability"])
         sensors.add_row(name, str(row["samples"]), f"{row['rate']:.4g}", str(row["replaced"]), mean, str(row["alarms"]))
     console.print(sensors)
-    if any(found.recording.replaced):
-        say("Left out: samples on whose step a later one of the same sensor fell as well. A shorter dt keeps more.")
-    if found.actuators:
+    if any(monitored.recording.replaced):
+        say(
+            "Left out: samples that a later sample of the same sensor in the same step replaces. A shorter dt keeps more."
+        )
+    if monitored.actuators:
         actuators = output.empty_table("mean probability", "alarms")
         for name, row in numbers["actuators"].items():
             actuators.add_row(name, "{:.4f}".format(row["mean_probability"]), str(row["alarms"]))
@@ -148,36 +152,40 @@ def _print(found: Monitored, numbers: dict[str, Any], folder: Path | None) -> No
         console.print(actuators)
     if numbers["rest"]:
         say(
-            f"For {numbers['rest']:g} s all sensors repeat themselves at once: the quantity or the logger is at rest. Nothing is "
-            "said of a sensor meanwhile that was not before."
+            f"For {numbers['rest']:g} s all sensors repeat their values at once: the quantity or the logger is at rest. The "
+            "fault probabilities keep their values in this time."
         )
-    if found.why_no_probability:
-        say(f"There is no fault probability: {found.why_no_probability}")
-    elif not found.events and not found.actuator_events:
+    if monitored.why_no_probability:
+        say(f"There is no fault probability: {monitored.why_no_probability}")
+    elif not monitored.events and not monitored.actuator_events:
         say("No fault was found.")
     else:
         say("\nFaults", "bold")
-        console.print(_faults(found))
-        say("Size: at the end of the alarm; of a noisier sensor its noise in what is expected of it.")
-        if found.actuator_events:
-            say("Of an actuator it is in the unit of its input, of LostEffect the share that is lost.")
+        console.print(_faults(monitored))
+        say("Size: at the end of the alarm. For a noisier sensor: its noise as a multiple of the expected noise.")
+        if monitored.actuator_events:
+            say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
     if folder is not None:
         say(f"\nWritten to {folder}: {PROBABILITIES}, {FAULTS}, {FIGURE}")
 
 
-def _faults(found: Monitored) -> Table:
+def _faults(monitored: Monitored) -> Table:
     """Return the table of all alarms."""
     table = output.empty_table("kind", "onset (s)", "alarm (s)", "size")
-    recording = found.recording
+    recording = monitored.recording
     units = dict(zip(recording.sensors, recording.units, strict=True))
     input_units = dict(zip(recording.inputs, recording.input_units, strict=False))
-    for event in found.events:
+    for event in monitored.events:
         onset = output.DASH if event.onset is None else f"{event.onset:.2f}"
         size = _size(event, units[event.sensor])
         table.add_row(event.sensor, event.kind or output.DASH, onset, _span(event), size)
-    for blamed in found.actuator_events:
-        size = _size(blamed, "" if blamed.kind == "LostEffect" else input_units.get(blamed.actuator, ""))
-        table.add_row(f"actuator {blamed.actuator}", blamed.kind, output.DASH, _span(blamed), size)
+    for actuator_event in monitored.actuator_events:
+        size = _size(
+            actuator_event, "" if actuator_event.kind == "LostEffect" else input_units.get(actuator_event.actuator, "")
+        )
+        table.add_row(
+            f"actuator {actuator_event.actuator}", actuator_event.kind, output.DASH, _span(actuator_event), size
+        )
     return table
 
 

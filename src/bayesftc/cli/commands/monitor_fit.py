@@ -1,4 +1,4 @@
-"""``bayesftc monitor --fit``: from a recording to a model file, and what was found in words."""
+"""``bayesftc monitor --fit``: from a recording to a model file, and a printed summary."""
 
 from __future__ import annotations
 
@@ -28,32 +28,34 @@ MODEL = "model.toml"
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit is told: the stretch of time and the columns, by default everything."""
+    """The part of a recording that a model is fitted to: times in seconds and columns, by default everything."""
 
-    # The stretch, in seconds of the recording.
     start: float | None = None
     stop: float | None = None
-    sensors: tuple[str, ...] = ()  # the columns
+    sensors: tuple[str, ...] = ()
 
 
-def fit_files(recording: Sequence[Path], told: Fit, model: Path) -> tuple[FittedModel, Recording]:
+def fit_files(recording: Sequence[Path], part: Fit, model: Path) -> tuple[FittedModel, Recording]:
     """Fit a model to CSV files or folders, write it, and return it with the recording.
 
-    A model file that is there stays as it is: then, and where it cannot be written, a ResultFileError is raised.
+    Raises
+    ------
+    ResultFileError
+        If the model file exists, which is not overwritten, or if it cannot be written.
     """
     if os.path.lexists(model):
-        raise ResultFileError(f"{model} is there already; name another file by --model, or leave --fit out to use it.")
+        raise ResultFileError(f"{model} exists already. Name another file with --model, or leave out --fit to use it.")
     output.check_folder(model.parent, (model.name,))
-    places, signals = redundant_signals(recording, told.sensors)
+    places, signals = redundant_signals(recording, part.sensors)
     samples = recorded(signals)
-    fitted = fit_model(samples, stretch_of(samples, told.start, told.stop))
+    fitted = fit_model(samples, stretch_of(samples, part.start, part.stop))
     with output.staged(model.parent) as stage:
         (stage / model.name).write_text(as_model_file(fitted, samples, places), encoding="utf-8")
     return fitted, samples
 
 
 def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
-    """Return what was fitted as plain data."""
+    """Return the fitted model as plain data."""
     return {
         "file": str(model),
         "model": type(fitted.plant).__name__,
@@ -65,28 +67,28 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
 
 
 def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
-    """Print what was fitted."""
+    """Print the fitted model."""
     console, say = output.sayer()
     say("Fitted model", "bold")
     say(_motion(fitted))
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
     for name, sensor in fitted.sensors.items():
-        own = [float(np.max(e.std)) ** 2 for e in fitted.errors if e.sensors and name in e.sensors]
-        lasting = f"{sum(own) ** 0.5:.3g}" if own else output.DASH
+        variances = [float(np.max(e.std)) ** 2 for e in fitted.errors if e.sensors and name in e.sensors]
+        lasting = f"{sum(variances) ** 0.5:.3g}" if variances else output.DASH
         resolution = f"{sensor.resolution:.3g}" if sensor.resolution else "fine"
         shares = f"{sensor.repeats:.0%}", f"{sensor.missing:.0%}"
         table.add_row(name, f"{sensor.std:.3g}", lasting, f"{sensor.bias:.3g}", resolution, *shares)
     console.print(table)
     for errors in fitted.errors:
         if errors.common:
-            say(f"{' and '.join(errors.sensors or ())} share errors of std {float(np.max(errors.std)):.3g}.")
-    say("Noise: its standard deviation from sample to sample. Bias: the difference from the typical sensor.")
+            say(f"{' and '.join(errors.sensors or ())} have common errors of std {float(np.max(errors.std)):.3g}.")
+    say("Noise: standard deviation from sample to sample. Bias: difference from the typical sensor.")
     say(f"Written to {model}\n")
 
 
 def _motion(fitted: FittedModel) -> str:
     std = f"{fitted.plant.std:.3g}"
     if not fitted.moves:
-        return f"No motion is seen above the noise; the level may wander by {std} in a second (RandomWalk)."
-    what = "level wanders" if type(fitted.plant) is RandomWalk else "rate of the level wanders"
-    return f"The {what} by {std} in a second ({type(fitted.plant).__name__})."
+        return f"No motion is visible above the noise. The level may change by {std} in one second (RandomWalk)."
+    what = "level changes" if type(fitted.plant) is RandomWalk else "rate of the level changes"
+    return f"The {what} by {std} in one second ({type(fitted.plant).__name__})."

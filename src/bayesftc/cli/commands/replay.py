@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 def replay(
     store: Store,
-    run: Annotated[int, typer.Argument(help="Number of the run, as the table has it.")],
+    run: Annotated[int, typer.Argument(help="Number of the run in the campaign's table.")],
     out: RunFolder = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a run of a campaign again, compare it with what the store has of it, print its figures and write its files.
+    """Repeat a run of a campaign, compare it with the store, print its figures and write its files.
 
-    A run that had stopped there may stop again: that is what was asked for, and no error. It has no limit of time here.
+    A run that stopped in the campaign may stop again, which is no error. There is no time limit here.
     """
     from bayesftc import __version__
     from bayesftc.cosim.campaign.store.folder import CampaignStore
@@ -41,7 +41,7 @@ def replay(
     job = kept_job(kept)
     points, seeds = job.plan.of_runs()
     if not 0 <= run < len(points):
-        raise ModelError(f"There is no run {run}; the campaign in {store} has the runs 0 to {len(points) - 1}.")
+        raise ModelError(f"There is no run {run}. The campaign in {store} has the runs 0 to {len(points) - 1}.")
     if out is not None:
         output.check_folder(out)
     diagram, seed = job.diagram(int(points[run])), int(seeds[run])
@@ -65,8 +65,8 @@ def replay(
     }
     try:
         signals = loop_signals(diagram, result)
-    except BayesFTCError as error:  # a diagram that is no closed loop has signals, but no figures of these
-        numbers["notes"].append(f"There are no figures of it: {error}")
+    except BayesFTCError as error:  # a diagram that is no closed loop has signals, but no figures of a loop
+        numbers["notes"].append(f"There are no figures of this run: {error}")
         if out is not None:
             _write_signals(out, result, numbers)
         if not quiet:
@@ -85,32 +85,32 @@ def replay(
 
 
 def _write_signals(folder: Path, result: Result, numbers: Mapping[str, Any]) -> None:
-    """Write the signals of a diagram that is no closed loop, and what is known of the run."""
+    """Write the signals of a diagram that is no closed loop, and the numbers of the run."""
     from bayesftc.cosim.judging.plotting import plot_signals
 
     with output.staged(folder) as stage:
         result.save(stage / output.RESULT)
         (stage / output.NUMBERS).write_text(output.as_json(numbers) + "\n", encoding="utf-8")
-        with suppress(BayesFTCError):  # nothing in it that can be drawn
+        with suppress(BayesFTCError):  # the run has no signal that can be drawn
             plot_signals(result).savefig(stage / output.FIGURE, dpi=output.DOTS_PER_INCH, format="png")
 
 
 def _same(kept: Any, decimation: int, run: int, result: Any) -> str:
-    """Return in a sentence whether the run has the bits that the store has of it, and what became of one that had failed."""
+    """Return a sentence that compares the run with the store: its bits, and whether it failed there."""
     table = kept.table().set_index("run")
     if run not in table.index:
         return "The store does not have this run yet."
     row = table.loc[run]
-    said = ""
+    outcome = ""
     if row["status"] == FAILED:
-        said = f"In the store it has failed: {row['reason']} "
-        said += f"Now it has stopped as well: {result.stopped} " if result.stopped else "Now it went to its end. "
+        outcome = f"In the store this run failed: {row['reason']} "
+        outcome += f"Now it stopped as well: {result.stopped} " if result.stopped else "Now it is complete. "
     elif result.stopped:
-        said = f"In the store it went to its end, now it has not: {result.stopped} "
+        outcome = f"In the store this run is complete. Now it stopped: {result.stopped} "
     names = [name for name in kept.metadata.signals if name in result]
     rows = min(int(row["steps"]), len(result.time) - 1) // decimation + 1  # as far as both have come
     if not names or rows < 1:
-        return f"{said}The store has no signals of this run to compare with."
+        return f"{outcome}The store has no signals of this run to compare with."
     data = kept.dataset()
     different = [
         name
@@ -118,7 +118,5 @@ def _same(kept: Any, decimation: int, run: int, result: Any) -> str:
         if not np.array_equal(data[name][run].to_numpy()[:rows], result[name][::decimation][:rows], equal_nan=True)
     ]
     if different:
-        return (
-            f"{said}It differs from the run in the store in {', '.join(different)}: another machine, or other versions."
-        )
-    return f"{said}It has the bits of the run in the store{', as far as that has come' if said else ''}."
+        return f"{outcome}It differs from the run in the store in {', '.join(different)}. The machine or the versions differ."
+    return f"{outcome}It has the same bits as the run in the store{', as far as both have run' if outcome else ''}."

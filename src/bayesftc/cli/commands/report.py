@@ -1,4 +1,4 @@
-"""``bayesftc report``: a stored campaign to one page."""
+"""``bayesftc report``: a page about a stored campaign."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def report(
     title: Annotated[str | None, typer.Option(help="The question; by default the folder's name.")] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write the report of a campaign, whole or not at all."""
+    """Write the report of a campaign; after an error no partial file remains."""
     from bayesftc.cosim.campaign.store.folder import CampaignStore
     from bayesftc.report import page
 

@@ -1,4 +1,4 @@
-"""``bayesftc reproduce``: the paper's experiments, and ours beyond it, to tables, figures and files."""
+"""``bayesftc reproduce``: run the paper's experiments, and further ones, and write tables, figures and files."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ if TYPE_CHECKING:
 
 ALL = "all"
 BREATH = 0.1
-"""Seconds between two moves of the progress bar."""
+"""Least seconds between two moves of the progress bar."""
 QUICK = {"compress_level": 3}
-"""Figures are written in three quarters of the time, and are one twentieth larger."""
+"""PNG compression that takes three quarters of the time; the files are one twentieth larger."""
 
 
 def reproduce(
-    experiment: Annotated[str, typer.Argument(help="One of those above, or all.")],
+    experiment: Annotated[str, typer.Argument(help="An experiment of the list above, or all.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write a JSON file and figures for each experiment there."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of all noise and faults.")] = 0,
     jobs: Annotated[int | None, typer.Option(help="Number of threads; by default one for each core.")] = None,
-    runs: Annotated[int | None, typer.Option(help="Runs of each case, fewer than by default for a quick look.")] = None,
+    runs: Annotated[int | None, typer.Option(help="Runs of each case; a small number gives a quick look.")] = None,
     cases: Annotated[
-        list[str] | None, typer.Option("--case", metavar="PATTERN", help="Of family: a case, as 'freeze*'; repeatable.")
+        list[str] | None, typer.Option("--case", metavar="PATTERN", help="For family: cases, as 'freeze*'; repeatable.")
     ] = None,
     learners: Annotated[
         list[str] | None,
-        typer.Option("--learner", metavar="PATTERN", help="Of family: a learner, as '*Precision'; repeatable."),
+        typer.Option("--learner", metavar="PATTERN", help="For family: learners, as '*Precision'; repeatable."),
     ] = None,
     unseen: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Of family: N cases that are drawn at random, on which nothing was tuned."),
+        typer.Option(metavar="N", help="For family: N random cases, which were not used for tuning."),
     ] = None,
     paper_only: Annotated[
         bool,
         typer.Option(
             "--paper-only",
-            help="Leave out what is not in the paper: further techniques, other faults; of all also bound and what follows it.",
+            help="Leave out what is not in the paper: further techniques and faults; with all, also bound and those after it.",
         ),
     ] = False,
     json: Json = False,
@@ -62,7 +62,7 @@ def reproduce(
 ) -> None:
     """Run one experiment or all, print their tables and write their files.
 
-    Each experiment's files are written when it is done, in place of those of an earlier run.
+    Each experiment's files are written when it is complete. They replace those of an earlier run.
     """
     name = experiment
     if name != ALL and name not in EXPERIMENTS:
@@ -70,10 +70,10 @@ def reproduce(
     of_paper = name == ALL and paper_only
     chosen = [e for e in EXPERIMENTS.values() if name in {e.name, ALL} and not (of_paper and e.beyond)]
     filters = {"cases": cases, "learners": learners, "unseen": unseen}
-    given: dict[str, Any] = {what: wanted for what, wanted in filters.items() if wanted not in (None, [])}
+    given: dict[str, Any] = {what: value for what, value in filters.items() if value not in (None, [])}
     if given and not all(e.filtered for e in chosen):
         able = ", ".join(e.name for e in EXPERIMENTS.values() if e.filtered)
-        raise ModelError(f"{name} has no choice of {' and '.join(given)}; leave it out, or take one that has: {able}.")
+        raise ModelError(f"{name} has no choice of {' and '.join(given)}. Leave it out, or use it with: {able}.")
     given |= {"seed": check_seed(seed), "jobs": check_jobs(_cores() if jobs is None else jobs)}
     if out is not None:
         output.check_folder(out, [name for e in chosen for name in _names(e)])
@@ -95,12 +95,12 @@ def _cores() -> int:
 
 
 def _names(experiment: Experiment) -> list[str]:
-    """Return the names of all files that an experiment may write."""
+    """Return the names of all files that an experiment can write."""
     return [f"{experiment.name}.json", *(f"{name}.png" for name in experiment.figures)]
 
 
 def _write(folder: Path, experiment: Experiment, report: Report) -> list[str]:
-    """Write the report and the figures, all or none, remove what an earlier run drew and this one did not; return their names."""
+    """Write the report and the figures, all or none, remove an earlier run's other figures, and return the names."""
     files = {f"{experiment.name}.json": (output.as_json(report) + "\n").encode()}
     for name, draw in experiment.figures.items():
         if (figure := draw(report)) is not None:
@@ -110,7 +110,7 @@ def _write(folder: Path, experiment: Experiment, report: Report) -> list[str]:
     with output.staged(folder) as stage:
         for name, content in files.items():
             (stage / name).write_bytes(content)
-        for name in set(_names(experiment)) - set(files):  # all else is whole by now, and about to move into place
+        for name in set(_names(experiment)) - set(files):  # here all new files are complete
             (folder / name).unlink(missing_ok=True)
     return list(files)
 
@@ -131,7 +131,7 @@ def _print(experiment: Experiment, report: Report, folder: Path | None, written:
 
 @contextmanager
 def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
-    """Give a function that moves a progress bar on stderr, or has lines printed there if it is no terminal; else None."""
+    """Give a function that shows the progress on stderr, as a bar or, without a terminal, as lines; None if not shown."""
     if shown and not sys.stderr.isatty():
         with output.progress_lines(name) as move:
             yield lambda what, done, of: move(done, of, what=what)

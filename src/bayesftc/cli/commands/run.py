@@ -1,4 +1,4 @@
-"""``bayesftc run``: a scenario file to a table, a figure and files."""
+"""``bayesftc run``: run a scenario file, print tables and write files."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 AGREEMENT = 1e-9
 """Largest relative difference from filterpy that is rounding."""
 COMPARED = 20_000
-"""Samples that filterpy's SER baseline is run over beside a run with ours: less than a second."""
-UNKNOWN = "Whether the belief agrees with filterpy cannot be said: a number in the comparison is not finite."
+"""Samples over which a run with our SER baseline is compared with filterpy's: less than a second."""
+UNKNOWN = "The comparison with filterpy has no result, because one of its numbers is not finite."
 NOT_COMPARED = (
-    "The SER baseline is compared with filterpy's where every signal is recorded at every step: take 'record' and 'decimation' "
-    "out of the scenario, or give --check-kalman."
+    "The SER baseline was not compared with filterpy's, which needs every signal at every step. Remove 'record' and "
+    "'decimation' from the scenario, or add --check-kalman."
 )
 DIFFERENCES = ("mean_difference", "covariance_difference", "mean_absolute", "covariance_absolute")
 
@@ -51,7 +51,7 @@ def run(
         list[str],
         typer.Argument(
             metavar="SCENARIO",
-            help="A scenario file (TOML), or the name of a shipped one: cruise_control; several to compare.",
+            help="A scenario file (TOML), or the name of a shipped one such as cruise_control; several with --compare.",
         ),
     ],
     out: RunFolder = None,
@@ -60,7 +60,7 @@ def run(
     engine: Annotated[Engine | None, typer.Option(help="Engine, instead of the scenario's.")] = None,
     pace: Annotated[
         float | None,
-        typer.Option(metavar="FACTOR", help="Simulated seconds for each second of the clock; 1 for real time."),
+        typer.Option(metavar="FACTOR", help="Simulated seconds per second of the clock; 1 for real time."),
     ] = None,
     check_kalman: Annotated[
         bool, typer.Option("--check-kalman", help="Compare the belief with filterpy's Kalman filter.")
@@ -77,12 +77,12 @@ def run(
     """Run a scenario, print its figures and write its files; or compare several."""
     if compare:
         if engine is not None or pace is not None or check_kalman:
-            raise ModelError("--compare runs campaigns, without --engine, --pace and --check-kalman; leave them out.")
+            raise ModelError("--compare cannot be used with --engine, --pace and --check-kalman. Leave them out.")
         compare_scenarios(scenarios, seeds=seeds, seed=seed, duration=duration, out=out, json=json, quiet=quiet)
         return
     if len(scenarios) > 1 or seeds is not None:
         raise ModelError(
-            f"bayesftc run has {'--seeds' if seeds is not None else f'{len(scenarios)} scenarios'}, but makes one run of one "
+            f"bayesftc run has {'--seeds' if seeds is not None else f'{len(scenarios)} scenarios'}, but makes only one run of one "
             "scenario. To compare several scenarios over many seeds, add --compare."
         )
     (scenario,) = scenarios
@@ -126,14 +126,14 @@ def run(
 
 
 def _compare(scenario: Scenario) -> None:
-    """Warn if the controller's model answers a step of a control otherwise than the plant."""
+    """Warn if the step responses of the controller's model and of the plant differ."""
     from bayesftc.controllers import LinearModel, compare_with_plant
 
     controller, sensors, wiring = scenario.controller, scenario.sensors, scenario.wiring
     if not isinstance(getattr(controller, "model", None), LinearModel):
         return
     if sensors is not None and (sensors.function is not None or sensors.matrix is not None):
-        return  # what the sensors read is no plain output of the plant
+        return  # the sensors measure a function of the plant's outputs
     limits = {name: getattr(controller, name) for name in ("u_min", "u_max") if hasattr(controller, name)}
     compare_with_plant(
         controller.model,  # type: ignore[attr-defined]
@@ -146,11 +146,11 @@ def _compare(scenario: Scenario) -> None:
 
 
 def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any], LoopSignals]:
-    """Return the numbers of a run as plain data, and its signals by their part in the loop."""
+    """Return the numbers of a run as plain data, and its signals by their role in the loop."""
     from bayesftc import __version__
 
     signals = loop_signals(loop, result)
-    # With a decimation the last step may have no row of its own; where a run that stopped did so, only its rows tell.
+    # With a decimation the last step may have no row. The steps of a run that stopped are known only from its rows.
     recorded = max(len(result.time) - 1, 0) * result.decimation
     steps = recorded if result.stopped else round(Fraction(result.metadata["duration"]) / result.step)
     numbers: dict[str, Any] = {
@@ -171,7 +171,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
 
 
 def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any] | None:
-    """Return how the controller's model is wrong, as far as the run was recorded; None if nothing speaks against it."""
+    """Return how the controller's model is wrong, as far as the run was recorded; None if there is no evidence against it."""
     from bayesftc.controllers import NonlinearModel, diagnose
     from bayesftc.controllers.diagnosis.diagnose import checked_model
 
@@ -179,42 +179,42 @@ def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, A
     needed = ("controller.model_suspect",) if isinstance(model, NonlinearModel) else (samples, "controller.u")
     if model is None or result.decimation != 1 or not all(name in result for name in needed):
         return None
-    found = diagnose(result, scenario.controller, y=samples)
-    return None if found is None else without_nan(asdict(found))
+    finding = diagnose(result, scenario.controller, y=samples)
+    return None if finding is None else without_nan(asdict(finding))
 
 
 def _in_time(pace: Mapping[str, float]) -> str:
-    """Return how a run kept pace with the clock, in a sentence."""
-    aim = f"At a pace of {pace['pace']:g} simulated seconds a second"
+    """Return a sentence on how a run kept pace with the clock."""
+    aim = f"At a pace of {pace['pace']:g} simulated seconds per second"
     if not pace["overruns"]:
-        return f"{aim} every step was done before the next was due."
+        return f"{aim} every step was complete before the next was due."
     times = "once" if pace["overruns"] == 1 else f"{pace['overruns']} times"
     return (
-        f"{aim} the run was late {times}, at worst by {1e3 * pace['worst_overrun']:.3g} ms; it then went on without a pause "
-        "until it had caught up."
+        f"{aim} the run was late {times}, by at most {1e3 * pace['worst_overrun']:.3g} ms. It then continued without a pause "
+        "until it was on time again."
     )
 
 
 def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
-    """Return sentences on what is missing from the figures and why."""
+    """Return sentences on the numbers that the figures lack, and why."""
     why = getattr(getattr(scenario.controller, "precision", None), "why_no_probability", None)
     notes = [f"There is no fault probability: {why}"] if why else []
     if any(sensor.detected is not None and sensor.alarm is sensor.detected for sensor in signals.sensors):
-        notes.append("Alarms are the samples with which the controller says that a fault is detected.")
+        notes.append("Alarms are the samples at which the controller detects a fault.")
     for quantity in signals.quantities:
-        wanted = [quantity.truth]
-        wanted += [quantity.belief] if quantity.has_belief else []
-        wanted += [quantity.reference] if quantity.has_goal else []
-        if any(values is None for values in wanted):
+        needed_signals = [quantity.truth]
+        needed_signals += [quantity.belief] if quantity.has_belief else []
+        needed_signals += [quantity.reference] if quantity.has_goal else []
+        if any(values is None for values in needed_signals):
             notes.append(
-                f"The signals of {quantity.name} were not all recorded; take 'record' out of the scenario for all figures."
+                f"Some signals of {quantity.name} were not recorded. For all figures remove 'record' from the scenario."
             )
         if not quantity.has_goal:
-            notes.append(f"{quantity.name} has no tracking error: no element of the goal is for it.")
+            notes.append(f"{quantity.name} has no tracking error: the goal has no element for it.")
         if not quantity.has_belief:
             notes.append(
                 f"{quantity.name} has no error of the belief: it is no linear function of the controller's states, or the "
-                "controller does not say which (measurement_matrix)."
+                "controller has no measurement_matrix."
             )
         for what, values, figures_of in (
             ("true value", quantity.truth, "errors"),
@@ -224,30 +224,28 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
             if when := _first_not_finite(values, signals.time):
                 notes.append(f"The {what} of {quantity.name} is not finite {when}, so it has no {figures_of} then.")
     if signals.faulty is None:
-        notes.append("When faults were present was not recorded, so nothing can be said of their detection.")
+        notes.append("There are no figures of detection: the times of the faults were not recorded.")
     for sensor in signals.sensors:
         if sensor.probability is not None and why is None:
-            arrived = (
+            probability = (
                 sensor.probability if sensor.missing is None else np.where(sensor.missing, 0.0, sensor.probability)
             )
-            if when := _first_not_finite(arrived, signals.time):
+            if when := _first_not_finite(probability, signals.time):
                 notes.append(f"The fault probability of sensor {sensor.index} is not finite {when}.")
     if any(s.missing is not None and s.missing.any() for s in signals.sensors):
         notes.append(
-            "A missing sample needs no detector: the controller leaves that sensor out at once. Missing samples are in none of "
-            "the figures of detection and precision, and a fault that shows in nothing else counts as seen, not as missed."
+            "A missing sample needs no detector: the controller leaves that sensor out at once. The figures of detection and "
+            "precision leave out missing samples. A fault that only causes missing samples counts as seen."
         )
     elif signals.faulty is not None and any(s.missing is None for s in signals.sensors):
-        notes.append("The samples were not recorded, so the figures of detection take none of them to be missing.")
+        notes.append("The samples were not recorded, so the figures of detection assume that none is missing.")
     if not signals.quantities:
-        notes.append(
-            "What the sensors measure is a function of the plant's outputs, so true values are not known here."
-        )
+        notes.append("There are no true values: the sensors measure a function of the plant's outputs.")
     return notes
 
 
 def _first_not_finite(values: Floats | None, time: Floats) -> str | None:
-    """Return in words when values (a row for each time) are not finite, or None if they always are."""
+    """Return a phrase on when values (a row for each time) are not finite, or None if they always are."""
     if values is None:
         return None
     bad = np.asarray(~np.isfinite(values).reshape(len(time), -1).all(axis=1))
@@ -258,22 +256,22 @@ def _first_not_finite(values: Floats | None, time: Floats) -> str | None:
 
 
 def _refuse_kalman(scenario: Scenario) -> None:
-    """Say before the run what --check-kalman cannot do after it."""
+    """Raise an error before the run if --check-kalman cannot be done after it."""
     from bayesftc.controllers import BayesianController
 
     if not isinstance(scenario.controller, BayesianController):
         raise ModelError(
-            f"--check-kalman needs a BayesianController, not a {type(scenario.controller).__name__}; leave it out."
+            f"--check-kalman needs a BayesianController, not a {type(scenario.controller).__name__}. Leave it out."
         )
     if scenario.simulation.decimation != 1:
         raise ModelError(
             f"--check-kalman compares every step, but {scenario.path} has decimation = {scenario.simulation.decimation} in "
-            "[simulation]; set it to 1, or leave --check-kalman out."
+            "[simulation]. Set it to 1, or leave out --check-kalman."
         )
 
 
 def _is_ser(scenario: Scenario) -> bool:
-    """Return whether the controller is the SER baseline, of which filterpy's filter is the reference form."""
+    """Return whether the controller is the SER baseline, whose reference implementation is filterpy's filter."""
     from bayesftc.controllers import SERFDI, BayesianController
 
     controller = scenario.controller
@@ -288,7 +286,7 @@ def _source_of_samples(loop: Diagram) -> str | None:
 
 
 def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
-    """Return what the scenario records and what the comparison needs besides; None, as there, for everything."""
+    """Return the signals that the scenario records and those that the comparison needs; None for all signals."""
     record = scenario.simulation.record
     if record is None:
         return None
@@ -297,7 +295,7 @@ def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
 
 
 def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None = None) -> dict[str, Any]:
-    """Return the differences from filterpy's filter over the first samples, whether that is agreement, and a verdict."""
+    """Return the differences from filterpy's filter over the first samples, whether the two agree, and a verdict."""
     from bayesftc.controllers import BayesianController
     from bayesftc.controllers.bayesian.validation import check_kalman, sensor_by_sensor
 
@@ -307,44 +305,44 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None 
     signals: Mapping[str, Any] = result
     together = _has_another_form(controller)
     try:
-        with np.errstate(all="ignore"):  # a filter that diverges is told by the verdict
+        with np.errstate(all="ignore"):  # the verdict reports a filter that diverges
             if together:
                 signals, controller = sensor_by_sensor(result, controller, y=name)
             check = asdict(check_kalman(signals, controller, y=name, most=most))
     except BayesFTCError as error:
         raise type(error)(f"--check-kalman: {error}") from None
-    except np.linalg.LinAlgError:  # a belief that diverges has filterpy invert what cannot be inverted
+    except np.linalg.LinAlgError:  # with a belief that diverges filterpy inverts a singular matrix
         check = {**dict.fromkeys(DIFFERENCES, float("nan")), "steps": len(result.time)}
     agrees, verdict = _verdict(check, controller)
     if together:
         verdict = (
-            f"{type(controller.precision).__name__} infers state and faults together, as no Kalman filter does; so what is "
-            f"compared is its per-sensor form, over the same samples and controls. {verdict}"
+            f"{type(controller.precision).__name__} infers state and faults together, which a Kalman filter does not. The "
+            f"comparison uses its per-sensor form, with the same samples and controls. {verdict}"
         )
     if agrees is None:
         for what, signal in (("mean", "x_hat"), ("covariance", "P")):
             if when := _first_not_finite(signals[f"controller.{signal}"], result.time):
                 verdict += f" The {what} of the belief is not finite {when}."
         if verdict.endswith(UNKNOWN):
-            verdict += " The belief is finite, so it is filterpy's that has grown beyond what a number can be."
+            verdict += " The belief is finite, so filterpy's belief has overflowed."
     plain: dict[str, Any] = without_nan(check | {"agrees": agrees, "verdict": verdict})
     return plain
 
 
 def _has_another_form(controller: BayesianController) -> bool:
-    """Return whether the learner infers state and faults together, and has a form that does not."""
+    """Return whether the learner infers state and faults together, and also has a per-sensor form."""
     model = controller.model
     if controller.belief == "joint" or controller.precision.learner(model).infer is None:
         return False
     try:
         return controller.precision.apart("The Kalman check").learner(model).infer is None
-    except ModelError:  # faults of actuators, or modes of the process, that were asked for
+    except ModelError:  # the learner has actuator faults or process modes, which have no per-sensor form
         return False
 
 
 def _verdict(check: Mapping[str, float], controller: BayesianController) -> tuple[bool | None, str]:
-    """Return whether the belief agrees with filterpy's, None if that cannot be said, and a sentence on it."""
-    # Where the absolute difference is zero the relative one is zero too, or zero by zero.
+    """Return whether the belief agrees with filterpy's (None if that is unknown), and a sentence on it."""
+    # Where the absolute difference is zero the relative one is zero too, or 0/0.
     pairs = (("mean_difference", "mean_absolute"), ("covariance_difference", "covariance_absolute"))
     relative = [0.0 if check[absolute] == 0.0 else check[name] for name, absolute in pairs]
     if not np.isfinite(relative).all():
@@ -354,11 +352,11 @@ def _verdict(check: Mapping[str, float], controller: BayesianController) -> tupl
         return True, "The belief agrees with filterpy to 1e-9."
     sentence = f"The belief does NOT agree with filterpy: the largest relative difference is {largest:.2g}."
     if controller.belief == "joint":
-        sentence += ' That is by design of belief = "joint", into which the goal leaks; belief = "filtered" agrees.'
+        sentence += ' This is expected of belief = "joint", which depends on the goal; belief = "filtered" agrees.'
     elif controller.precision.learner(controller.model).infer is not None:
         sentence += (
-            f" That is by design of this {type(controller.precision).__name__}, which infers state and faults together: no "
-            "Kalman filter with its R does so; joint = false agrees."
+            f" This is expected of this {type(controller.precision).__name__}, which infers state and faults together; a Kalman "
+            "filter with its R does not. With joint = false the two agree."
         )
     return False, sentence
 
@@ -366,6 +364,6 @@ def _verdict(check: Mapping[str, float], controller: BayesianController) -> tupl
 @contextmanager
 def _progress(shown: bool) -> Iterator[Progress | None]:
     """Give a function that moves a progress bar on stderr, or None."""
-    # The first run of a kind of loop is compiled, for some seconds.
+    # The bar starts as "Preparing": the first run of a kind of loop takes some seconds to compile.
     with output.progress_bar("Preparing", "{task.percentage:3.0f} %", "remaining", shown=shown) as move:
         yield move and (lambda step, steps: move(step, steps, description="Simulating"))

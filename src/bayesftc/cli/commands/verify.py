@@ -1,4 +1,4 @@
-"""``bayesftc verify``: an FMU beside the blocks of a scenario that it stands for, and in their place."""
+"""``bayesftc verify``: run an FMU beside the scenario's blocks that it replaces, and in their place."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from bayesftc.cosim.export.verification import Deviation, Verification
 
 DIFFERS = 19
-"""Exit code where the FMU does not do what the blocks do."""
+"""Exit code if the FMU's outputs differ from the blocks'."""
 
 
 def verify(
-    fmu: Annotated[Path, typer.Argument(help="An FMU, of bayesftc export or of any tool with the same names.")],
+    fmu: Annotated[Path, typer.Argument(help="An FMU from bayesftc export, or from any tool with the same names.")],
     against: Annotated[
-        str, typer.Option(metavar="SCENARIO", help="The scenario whose blocks it is to do the work of.")
+        str, typer.Option(metavar="SCENARIO", help="The scenario with the blocks that the FMU replaces.")
     ],
     block: Annotated[
         list[str] | None,
         typer.Option(
-            "--block", "-b", help="The block that it stands for; by default the one that it was exported from."
+            "--block", "-b", help="The block that the FMU replaces; by default the one that it was exported from."
         ),
     ] = None,
     duration: Duration = None,
@@ -39,61 +39,63 @@ def verify(
     tolerance: Annotated[
         float,
         typer.Option(
-            help="Largest difference, by the largest value of a signal. 0: the same numbers; 1e-9 is usual where exp, log or "
-            "sin come from another C library."
+            help="Largest difference, relative to the largest value of a signal. 0: the same numbers. 1e-9 is usual where exp, "
+            "log or sin come from another C library."
         ),
     ] = 0.0,
-    timing: Annotated[Timing | None, typer.Option(help="When its outputs hold; by default what it says.")] = None,
+    timing: Annotated[Timing | None, typer.Option(help="The FMU's timing; by default from its description.")] = None,
     isolate: Annotated[bool, typer.Option("--isolate", help="Run the FMU in a process of its own.")] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare an FMU with blocks of a scenario and print the differences; leave with `DIFFERS` where they are too large."""
+    """Compare an FMU with blocks of a scenario, print the differences, and exit with `DIFFERS` if they are too large."""
     from bayesftc.cosim.export.verification import verify_fmu
 
     if not (isfinite(tolerance) and tolerance >= 0.0):
-        raise ModelError(f"--tolerance is {tolerance!r}; it must be a number that is not negative.")
+        raise ModelError(f"--tolerance is {tolerance!r}. It must be finite and not negative.")
     scenario = load_scenario(against)
-    own = scenario.simulation
-    found = verify_fmu(
+    defaults = scenario.simulation
+    verification = verify_fmu(
         expanded(fmu),
         scenario.loop(),
         block or None,
-        duration=own.duration if duration is None else duration,
-        seed=own.seed if seed is None else seed,
+        duration=defaults.duration if duration is None else duration,
+        seed=defaults.seed if seed is None else seed,
         timing=timing.value if timing else None,  # type: ignore[arg-type]
         isolate=isolate,
-        engine=own.engine,
+        engine=defaults.engine,
     )
     if json:
-        typer.echo(output.as_json(_plain(found, against, tolerance)))
+        typer.echo(output.as_json(_plain(verification, against, tolerance)))
     elif not quiet:
-        _print(found, against, tolerance)
-    if not found.agrees(tolerance):
+        _print(verification, against, tolerance)
+    if not verification.agrees(tolerance):
         raise typer.Exit(DIFFERS)
 
 
-def _plain(found: Verification, name: str, tolerance: float) -> dict[str, Any]:
+def _plain(verification: Verification, name: str, tolerance: float) -> dict[str, Any]:
     def table(deviations: Sequence[Deviation]) -> dict[str, Any]:
         return {d.signal: {key: value for key, value in asdict(d).items() if key != "signal"} for d in deviations}
 
     return {
-        "fmu": str(found.path),
+        "fmu": str(verification.path),
         "scenario": name,
-        "blocks": list(found.blocks),
-        "steps": found.steps,
-        "step": str(found.step),
-        "seed": found.seed,
+        "blocks": list(verification.blocks),
+        "steps": verification.steps,
+        "step": str(verification.step),
+        "seed": verification.seed,
         "tolerance": tolerance,
-        "agrees": found.agrees(tolerance),
-        "verdict": found.verdict(tolerance),
-        "beside": table(found.beside),
-        "in_loop": None if found.in_loop is None else table(found.in_loop),
-        "notes": list(found.notes),
+        "agrees": verification.agrees(tolerance),
+        "verdict": verification.verdict(tolerance),
+        "beside": table(verification.beside),
+        "in_loop": None if verification.in_loop is None else table(verification.in_loop),
+        "notes": list(verification.notes),
     }
 
 
-def _print(found: Verification, name: str, tolerance: float) -> None:
-    steps = f"{found.steps} step" + ("" if found.steps == 1 else "s")
-    typer.echo(f"{found.path.name} beside {', '.join(found.blocks)} of {name}, {steps}, seed {found.seed}\n")
-    typer.echo(found.report(tolerance))
+def _print(verification: Verification, name: str, tolerance: float) -> None:
+    steps = f"{verification.steps} step" + ("" if verification.steps == 1 else "s")
+    typer.echo(
+        f"{verification.path.name} beside {', '.join(verification.blocks)} of {name}, {steps}, seed {verification.seed}\n"
+    )
+    typer.echo(verification.report(tolerance))

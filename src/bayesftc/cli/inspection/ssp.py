@@ -1,4 +1,4 @@
-"""``bayesftc inspect`` of an SSP: its components, the values bound to them, and what is connected to what."""
+"""``bayesftc inspect`` of an SSP: its components, their parameter values, and the connections."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bayesftc.cosim.ssp.system import open_ssp
 
 
 def inspect_ssp(path: Path, *, validate: bool, json: bool) -> None:
-    """Print tables (or JSON) of the diagram of an SSP; with `validate` it and its FMUs must keep the rules of SSP and FMI."""
+    """Print tables (or JSON) of the diagram of an SSP. With `validate` it and its FMUs must follow SSP and FMI."""
     try:
         diagram = open_ssp(path, validate=validate)
         step: str | None = str(diagram.step)
@@ -25,11 +25,11 @@ def inspect_ssp(path: Path, *, validate: bool, json: bool) -> None:
         if "give dt=" not in str(error):
             raise
         diagram, step = open_ssp(path, validate=validate, dt=1), None
-    found = {"path": str(path), "step": step, "components": _components(diagram), "connections": _connections(diagram)}
+    data = {"path": str(path), "step": step, "components": _components(diagram), "connections": _connections(diagram)}
     if json:
-        typer.echo(output.as_json(found))
+        typer.echo(output.as_json(data))
         return
-    _print(found)
+    _print(data)
 
 
 def _components(diagram: Diagram) -> dict[str, Any]:
@@ -46,8 +46,8 @@ def _components(diagram: Diagram) -> dict[str, Any]:
 
 
 def _connections(diagram: Diagram) -> list[dict[str, Any]]:
-    """Return what feeds each input of each FMU; a `Gain` between two is a transformation."""
-    found = []
+    """Return the source of each input of each FMU. A `Gain` between two FMUs is a transformation."""
+    data = []
     for node in diagram.nodes:
         for port in node.block.inputs or () if isinstance(node.block, FMU) else ():
             assert isinstance(port, Port)
@@ -61,27 +61,27 @@ def _connections(diagram: Diagram) -> list[dict[str, Any]]:
                 before = diagram.source_of(reference.node, block.inputs[0], 0)
                 assert before is not None
                 reference = before[0]
-            found.append(
+            data.append(
                 {"from": f"{reference.node.name}.{reference.port.name}", "to": f"{node.name}.{port.name}", **linear}
             )
-    return found
+    return data
 
 
-def _print(found: dict[str, Any]) -> None:
+def _print(data: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.text import Text
 
     console = Console(highlight=False)
-    console.print(Text(f"file  {found['path']}"))
-    console.print(Text(f"step  {found['step']} s" if found["step"] else "step  none is given: open_ssp(path, dt=...)"))
+    console.print(Text(f"file  {data['path']}"))
+    console.print(Text(f"step  {data['step']} s" if data["step"] else "step  none is given: open_ssp(path, dt=...)"))
     components = output.plain_table("component", "FMU", "FMI", "used for", "values")
-    for name, row in found["components"].items():
+    for name, row in data["components"].items():
         values = ", ".join(f"{variable} = {value}" for variable, value in row["values"].items())
         components.add_row(*map(Text, (name, row["fmu"], row["fmi_version"], row["kind"], values)))
     console.print(components)
     connections = output.plain_table("from", "to", "factor", "offset", right={"factor", "offset"})
-    for row in found["connections"]:
+    for row in data["connections"]:
         numbers = (f"{row[n]:.10g}" if n in row else "" for n in ("factor", "offset"))
         connections.add_row(*map(Text, (row["from"], row["to"], *numbers)))
-    if found["connections"]:
+    if data["connections"]:
         console.print(connections)
