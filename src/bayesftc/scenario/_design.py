@@ -1,4 +1,4 @@
-"""A controller that is made of the plant itself, so that a scenario file needs no model."""
+"""Design a controller from the plant itself, so that a scenario file needs no model."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from bayesftc.scenario._schema import build
 def designed(
     table: Mapping[str, Any], place: Place, plant: Block, given: Mapping[str, Any], sensors: Sensors | None
 ) -> Block:
-    """Return what `bayesftc.controllers.design` makes of the plant, with the table's settings.
+    """Return the controller that `bayesftc.controllers.design` makes for the plant, with the table's settings.
 
     Parameters
     ----------
     table : mapping
         The table of the file without ``kind``: arguments of `design`.
     place : Place
-        Where it stands.
+        Its place in the file.
     plant : Block
         The plant.
     given : mapping
-        Further arguments that other sections of the file say.
+        Further arguments, from other sections of the file.
     sensors : Sensors or None
-        What reads the plant: how many there are, and the standard deviation that the table does not give.
+        The sensors: their number, and the standard deviation if the table has none.
     """
     from_file = {"plant": plant, **given}
     settings = dict(table)
@@ -39,7 +39,7 @@ def designed(
         from_file["sensors"] = sensors.count
         if sensors.covariance is not None and "sensor_std" not in table:
             raise place.error(
-                "lacks 'sensor_std', for [sensors] has a covariance: a design is for sensors whose noise is independent; add "
+                "lacks 'sensor_std', which a design needs if [sensors] has a covariance: it assumes independent noise. Add "
                 "sensor_std = ... (a number, or one for each sensor)."
             )
         std = sensors.std
@@ -47,7 +47,7 @@ def designed(
             settings.setdefault("sensor_std", std if isinstance(std, float) else list(std))
     for name in ("plant", "measured", "actuated", "sensors"):
         if name in table:
-            raise (place / name).error("is said by [plant] and [sensors] already; leave it out here.")
+            raise (place / name).error("is already set by [plant] and [sensors]. Leave it out here.")
     return build(design, settings, place, given=from_file)  # type: ignore[no-any-return]
 
 
@@ -58,6 +58,6 @@ def _refuse_uneven(sensors: Sensors, place: Place) -> None:
     in_turn = [[float(j == i % sensors.signals) for j in range(sensors.signals)] for i in range(sensors.count)]
     if matrix is None or not np.array_equal(matrix, in_turn):
         raise place.error(
-            "cannot be a design, for [sensors] has a matrix: a design is for sensors that read the measured variables in turn. "
-            "Leave the matrix out, or choose a controller that has a [model]."
+            "cannot be a design, because [sensors] has a matrix. A design needs sensors that read the measured variables in "
+            "turn. Leave out the matrix, or choose a controller with a [model]."
         )

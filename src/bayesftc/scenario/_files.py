@@ -1,4 +1,4 @@
-"""Finding and reading scenario files: a path, or the name of a scenario that is shipped; and the other files that are shipped."""
+"""Find and read scenario files, given a path or the name of a shipped scenario; find the other shipped files."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ KINDS = {
     "monitor's model": "*/data/*.toml",
     "recording": "*/data/*.csv",
 }
-"""Where the files of each kind lie in the examples."""
+"""The pattern of the paths of each kind of file in the examples."""
 
 
 def shipped_files(kind: str) -> dict[str, Path]:
-    """Return the files of one of `KINDS` that come with the package: name to file."""
+    """Return the shipped files of one of `KINDS`, by name."""
     import bayesftc.examples
 
     folders = [Path(folder) for folder in bayesftc.examples.__path__]
@@ -28,12 +28,12 @@ def shipped_files(kind: str) -> dict[str, Path]:
 
 
 def shipped_scenarios() -> dict[str, Path]:
-    """Return the scenarios that come with the package: name to file."""
+    """Return the shipped scenario files, by name."""
     return shipped_files("scenario")
 
 
 def find_scenario(path: str | os.PathLike[str]) -> Path:
-    """Return the scenario file that is meant: a file, or else the shipped scenario of that name.
+    """Return the scenario file, given a path or the name of a shipped scenario.
 
     Raises
     ------
@@ -47,16 +47,18 @@ def find_scenario(path: str | os.PathLike[str]) -> Path:
     if name in shipped:
         return shipped[name]
     if is_folder(file):
-        raise ScenarioError(f"{path} is a folder; give the scenario file in it.")
+        raise ScenarioError(f"{path} is a folder. Give the scenario file in it.")
     if file.suffix == ".toml" or file.parent != Path("."):
         folder = file.parent.absolute()
         if not is_folder(folder):
             raise ScenarioError(
-                f"There is no scenario file {path}: the folder {folder} does not exist; check the path."
+                f"There is no scenario file {path}: the folder {folder} does not exist. Check the path."
             )
         near = did_you_mean(file.name, [f.name for f in folder.glob("*.toml")])
         raise ScenarioError(f"There is no scenario file {path}; {near}")
-    raise ScenarioError(f"There is no scenario {name!r}, neither as a file nor shipped; {did_you_mean(name, shipped)}")
+    raise ScenarioError(
+        f"There is no file {name!r} and no shipped scenario of this name; {did_you_mean(name, shipped)}"
+    )
 
 
 def read_toml(file: Path) -> dict[str, Any]:
@@ -65,22 +67,24 @@ def read_toml(file: Path) -> dict[str, Any]:
     Raises
     ------
     ScenarioError
-        If it cannot be read, or is no TOML: with line and column.
+        If it cannot be read, or is no TOML. The message has line and column.
     """
     try:
         return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise ScenarioError(
-            f"The file {file} cannot be read ({error.strerror}); check its path and permissions."
+            f"The file {file} cannot be read ({error.strerror}). Check its path and permissions."
         ) from None
     except UnicodeDecodeError:
-        raise ScenarioError(f"The scenario {file} is no text in UTF-8; save it as UTF-8.") from None
+        raise ScenarioError(f"The scenario {file} is no text in UTF-8. Save it as UTF-8.") from None
     except tomllib.TOMLDecodeError as error:
         problem = str(error)[0].lower() + str(error)[1:]
-        raise ScenarioError(f"{file} is no valid TOML: {problem}; texts need quotes, and a key stands once.") from None
-    except ValueError:  # of Python's whole numbers
-        raise ScenarioError(f"{file} is no valid scenario: it has a number of thousands of digits; round it.") from None
+        raise ScenarioError(
+            f"{file} is no valid TOML: {problem}. Texts need quotes, and a key may occur only once."
+        ) from None
+    except ValueError:  # Python limits the digits of integers
+        raise ScenarioError(f"{file} is no valid scenario: it has a number of thousands of digits. Round it.") from None
     except RecursionError:
         raise ScenarioError(
-            f"{file} is no valid scenario: its lists are nested too deeply; check the brackets."
+            f"{file} is no valid scenario: its lists are nested too deeply. Check the brackets."
         ) from None

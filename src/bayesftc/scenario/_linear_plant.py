@@ -1,4 +1,4 @@
-"""A linear plant that is given by its matrices, without python-control (a second to import)."""
+"""A linear plant from its matrices, without python-control, whose import takes a second."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bayesftc.scenario._schema import build
 class Matrices:
     """The linear system of ``[plant]``: matrices, sample time (0 for continuous time), and names of the signals.
 
-    Signals without names are called as python-control's become ports: ``u`` and ``y``, or ``u0``, ``u1``, ...
+    Signals without names get the names of the ports of python-control's systems: ``u`` and ``y``, or ``u0``, ``u1``, ...
     """
 
     A: Sequence[Sequence[float]]
@@ -33,7 +33,7 @@ class Matrices:
     outputs: Sequence[str] | None = None
 
     def system(self, place: Place) -> LinearSystem:
-        """Return the system, its sizes checked."""
+        """Check the sizes and return the system."""
         n = len(self.A)
         with place.named():
             A = as_matrix("The plant's A", self.A, n, n)
@@ -73,7 +73,7 @@ def _names(given: Sequence[str] | None, size: int, letter: str, place: Place) ->
     if given is None:
         return (letter,) if size == 1 else tuple(f"{letter}{i}" for i in range(size))
     if len(given) != size or len(set(given)) != size:
-        raise place.error(f"has {len(given)} names for {size} signals; give each signal one of its own.")
+        raise place.error(f"has {len(given)} names for {size} signals. Give each signal a different name.")
     return tuple(given)
 
 

@@ -1,4 +1,4 @@
-"""Factors of a campaign: lines of a scenario file, also by the names that blocks and parameters have in Python."""
+"""Factors of a campaign: lines of a scenario file, also under the names of blocks and parameters in Python."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from bayesftc.scenario._place import Place
 from bayesftc.scenario._sections import Shipped, Wiring, fault_list
 
 OF_PLANT = {f.name for cls in (Wiring, Shipped, FMU) for f in fields(cls)}
-"""Keys of ``[plant]`` around an FMU; what else stands behind ``plant.`` is a parameter."""
+"""Keys of ``[plant]`` with an FMU; any other name after ``plant.`` is a parameter."""
 PARAMETERS = "plant.parameters."
 
 
 def line_of(path: str, content: Mapping[str, Any]) -> str:
-    """Return the line of a scenario file that a factor means.
+    """Return the line of a scenario file that a factor refers to.
 
     Parameters
     ----------
     path : str
-        A line, as ``"faults[0].start"``, or a path into the diagram, as `bayesftc.cosim.varied` takes it: ``"freeze_0.start"``,
+        A line such as ``"faults[0].start"``, or a path into the diagram as in `bayesftc.cosim.varied`: ``"freeze_0.start"``,
         ``"disturbance_noise.std"``, ``"plant.m"``.
     content : mapping
-        What the file says.
+        The content of the file.
 
     Returns
     -------
     str
-        The path of the line; what names no block that has a section stays as it is.
+        The path of the line. A path that names no block with a section is returned unchanged.
     """
     first, _, rest = path.partition(".")
     if first == "plant" and rest and "fmu" in content["plant"]:
@@ -42,18 +42,18 @@ def line_of(path: str, content: Mapping[str, Any]) -> str:
 
 
 def _lines_of_blocks(content: Mapping[str, Any]) -> dict[str, str]:
-    """Return where each block stands that has another name in the file than in the diagram."""
+    """Return the line of each block whose name in the file differs from that in the diagram."""
     root, lines = Place(""), {noise_block(name): f"noise.{name}" for name in content.get("noise", {})}
     lists = {"faults": ("", content.get("faults", []))}
     lists |= {f"input_faults.{name}": (name, faults) for name, faults in content.get("input_faults", {}).items()}
     for section, (name, faults) in lists.items():
-        made = fault_list(faults, root / section)
-        lines |= {fault_block(fault, name): f"{section}[{i}]" for i, fault in enumerate(made)}
+        fault_blocks = fault_list(faults, root / section)
+        lines |= {fault_block(fault, name): f"{section}[{i}]" for i, fault in enumerate(fault_blocks)}
     return lines
 
 
 def set_line(content: Any, path: str, value: Any) -> None:
-    """Change what stands at a path of keys and numbers; of a table the last key may be new.
+    """Set the value at a path of keys and indices. The last key may be new in its table.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def set_line(content: Any, path: str, value: Any) -> None:
     ]
     if path.startswith(PARAMETERS):
         content["plant"].setdefault("parameters", {})
-        if "." in path.removeprefix(PARAMETERS):  # as FMUs have them: one name
+        if "." in path.removeprefix(PARAMETERS):  # an FMU's parameter name may contain dots
             steps = ["plant", "parameters", path.removeprefix(PARAMETERS)]
     at, so_far = content, ""
     for i, step in enumerate(steps):
@@ -88,7 +88,7 @@ def set_line(content: Any, path: str, value: Any) -> None:
 
 
 def _there(part: Any) -> str:
-    """Return the tail of a sentence about an element that is not there."""
+    """Return the end of a sentence about an element that does not exist."""
     if isinstance(part, list):
         return f"it has the elements 0 to {len(part) - 1}." if part else "the list is empty."
-    return "name what stands there."
+    return "check the path of the line."

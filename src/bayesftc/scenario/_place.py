@@ -1,4 +1,4 @@
-"""Where in a scenario file something stands, so that every complaint can say it."""
+"""A place in a scenario file, which every error message names."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Place:
         return f"{self.file}: {self.key!r}" if self.key else self.file
 
     def error(self, problem: str) -> ScenarioError:
-        """Return the error that `problem`, the rest of a sentence, is with what stands here."""
+        """Return the error about this place; `problem` is the rest of its sentence."""
         return ScenarioError(f"{self} {problem}")
 
     def refuse_unknown(self, keys: Iterable[str], known: Iterable[str], what: str = "key") -> None:
-        """Raise a ScenarioError for the first of `keys` that is not among the `known`."""
+        """Raise a ScenarioError for the first of `keys` that is not in `known`."""
         known = list(known)
         for key in keys:
             if key not in known:
@@ -36,10 +36,10 @@ class Place:
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """Put the place before the sentence of any error that is raised inside; its kind and exit code stay."""
+        """Put the place before the message of any error raised inside. The error's class and exit code stay."""
         try:
             yield
-        except (ScenarioError, SimulationError):  # the one has its place, the other is about the run, not the file
+        except (ScenarioError, SimulationError):  # the first has its place, the second is about the run, not the file
             raise
         except BayesFTCError as error:
             raise type(error)(f"{self}: {error}") from error

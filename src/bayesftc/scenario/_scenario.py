@@ -1,4 +1,4 @@
-"""A scenario: what its file says, as blocks, and the loop and the run that they make."""
+"""A scenario: the content of its file as blocks, their loop, and its run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ REQUIRED = ("simulation", "plant", "reference", "controller")
 
 @dataclass(frozen=True)
 class Scenario:
-    """A closed loop and how to run it, as a scenario file says.
+    """A closed loop and the settings of its run, from a scenario file.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Scenario:
     wiring : Wiring
         Names of the plant's control and measured variables.
     reference : list of Block
-        A source for each element of the controller's goal.
+        One source per element of the controller's goal.
     sensors : Sensors or None
         None for a perfect sensor on each measured variable.
     faults : list of Fault
@@ -70,7 +70,7 @@ class Scenario:
         Raises
         ------
         BayesFTCError
-            If the parts do not fit together, with the file's name before the sentence.
+            If the parts do not fit together. The message begins with the file's name.
         """
         with Place(str(self.path)).named():
             return closed_loop(
@@ -92,27 +92,27 @@ class Scenario:
         Parameters
         ----------
         loop : Diagram, optional
-            What `loop` has returned, where it is at hand already.
+            The diagram that `loop` returned, to use it again.
         **options
-            ``duration``, ``seed``, ``engine``, ``record``, ``decimation`` instead of what the file says (None: what the file
-            says), and ``progress``, ``time_limit``, ``pace``.
+            ``duration``, ``seed``, ``engine``, ``record``, ``decimation`` in place of the file's values (None: the file's
+            value), and ``progress``, ``time_limit``, ``pace``.
 
         Returns
         -------
         Result
             Signals by name.
         """
-        own = {f.name: getattr(self.simulation, f.name) for f in fields(self.simulation) if f.name != "dt"}
+        defaults = {f.name: getattr(self.simulation, f.name) for f in fields(self.simulation) if f.name != "dt"}
         given = {name: value for name, value in options.items() if value is not None}
-        # What is wrong with a setting is put down to the file only where the file says it.
+        # An error names the file only if all settings come from the file.
         place = nullcontext() if given.keys() - {"progress"} else Place(str(self.path)).named()
         diagram = self.loop() if loop is None else loop
         with place:
-            return diagram.simulate(**(own | given))
+            return diagram.simulate(**(defaults | given))
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:
-    """Read a scenario file and check all that it says.
+    """Read a scenario file and check its content.
 
     Parameters
     ----------
@@ -122,21 +122,21 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     Returns
     -------
     Scenario
-        Its blocks, ready to be run.
+        Its blocks, ready to run.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, has an unknown key, lacks one, or one of a wrong type: the sentence says which and where.
+        If the file cannot be read, or if a key is unknown, missing or of a wrong type. The message names the key and its place.
     BayesFTCError
-        What a block has against its settings (`ModelError`, `FMUError`, ...), with the place in the file before it.
+        If a block rejects its settings (`ModelError`, `FMUError`, ...). The message begins with the place in the file.
     """
     file = find_scenario(path)
     return scenario_of(read_toml(file), file)
 
 
 def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
-    """Return the scenario that a file's content is; the file itself is only named, and is where relative paths begin.
+    """Return the scenario of a file's content. The file is only used in messages and as the start of relative paths.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
     root.refuse_unknown(content, SECTIONS, "section")
     for name in REQUIRED:
         if name not in content:
-            raise root.error(f"lacks the section [{name}]; a scenario needs {', '.join(f'[{r}]' for r in REQUIRED)}.")
+            raise root.error(f"lacks the section [{name}]. A scenario needs {', '.join(f'[{r}]' for r in REQUIRED)}.")
     simulation: Simulation = build(Simulation, content["simulation"], root / "simulation")
     plant, wiring = sections.plant(content["plant"], root / "plant", file.absolute().parent)
     sensors = sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None

@@ -1,6 +1,6 @@
-"""Dataclasses as the schema of a scenario file: what a table may hold is what the class's fields say, and nothing more.
+"""Dataclasses as the schema of a scenario file: the keys of a table are the fields of its class, and no others.
 
-So a new fault, source or learner, and a new setting of an old one, can be used in a scenario file without a line here.
+A new fault, source or learner, or a new setting of one, can be used in a scenario file without a change here.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ SCALARS = {float: "number", int: "whole number", str: "text in quotes", bool: "t
 
 
 def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mapping[str, Any] | None = None) -> Any:
-    """Return an instance of a dataclass, or what a function returns, made from a table of the file.
+    """Return an instance of a dataclass, or a function's result, made from a table of the file.
 
     Parameters
     ----------
     cls : type or function
         The dataclass, or the function; the names and types of its fields or arguments are the schema.
     table : object
-        What stands in the file.
+        The value in the file.
     place : Place
-        Where it stands.
+        Its place in the file.
     given : mapping, optional
-        Fields that come from elsewhere; they are no keys of the table.
+        Fields with values from elsewhere; they are no keys of the table.
 
     Raises
     ------
     ScenarioError
-        If the table has an unknown key, lacks one, or one of another type.
+        If a key of the table is unknown, missing or of a wrong type.
     BayesFTCError
-        What the class itself has against the values, with the place put before it.
+        If the class itself rejects the values. The message begins with the place.
     """
     given = dict(given or {})
     entries = as_table(table, place)
-    known = {name: required for name, required in _settings(cls).items() if name not in given}
+    settings = {name: required for name, required in _settings(cls).items() if name not in given}
     hints = get_type_hints(cls)
-    place.refuse_unknown(entries, known)
+    place.refuse_unknown(entries, settings)
     values = {name: convert(value, hints[name], place / name) for name, value in entries.items()}
-    missing = [name for name, required in known.items() if required and name not in values]
+    missing = [name for name, required in settings.items() if required and name not in values]
     if missing:
-        wanted = _wanted(hints[missing[0]])
-        raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs; add {missing[0]} = ... ({wanted}).")
+        expected = _expected(hints[missing[0]])
+        raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs. Add {missing[0]} = ... ({expected}).")
     with place.named():
         return cls(**values, **given)
 
@@ -62,15 +62,15 @@ def choose(
     rest = dict(as_table(table, place))
     names = {cls.__name__: cls for cls in classes}
     if "kind" not in rest:
-        raise place.error(f"lacks 'kind', which says what it is; add kind = one of {', '.join(map(repr, names))}.")
+        raise place.error(f"lacks 'kind'. Add kind = one of {', '.join(map(repr, names))}.")
     kind = rest.pop("kind")
-    spelt = {_folded(name): name for name in names}
+    by_folded = {_folded(name): name for name in names}
     folded = _folded(str(kind))
-    if folded not in spelt:
-        near = [spelt[match] for match in get_close_matches(folded, spelt)]
+    if folded not in by_folded:
+        near = [by_folded[match] for match in get_close_matches(folded, by_folded)]
         hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known kinds: {', '.join(names)}."
-        raise (place / "kind").error(f"is {kind!r}, which is no kind that can stand here; {hint}")
-    return names[spelt[folded]], rest
+        raise (place / "kind").error(f"is {kind!r}, which is no valid kind here; {hint}")
+    return names[by_folded[folded]], rest
 
 
 def build_one_of(classes: Collection[type[Any]], table: object, place: Place, **given: Any) -> Any:
@@ -82,12 +82,12 @@ def build_one_of(classes: Collection[type[Any]], table: object, place: Place, **
 def as_table(value: object, place: Place) -> Mapping[str, Any]:
     """Return `value` if it is a table."""
     if not isinstance(value, Mapping):
-        raise place.error(f"is {value!r}; it must be a table, as [{place.key}] with a line for each setting.")
+        raise place.error(f"is {value!r}. It must be a table: [{place.key}], with one line for each setting.")
     return value
 
 
 def convert(value: object, hint: Any, place: Place) -> Any:
-    """Return what a value of the file means as the type `hint`: lists become tuples, tables the dataclasses of the type."""
+    """Return a value of the file as the type `hint`: lists become tuples, tables become the type's dataclasses."""
     classes = _dataclasses(hint)
     if classes and isinstance(value, Mapping) and not _is_sequence(hint, always=True):
         return _instance(classes, value, place)
@@ -102,18 +102,18 @@ def convert(value: object, hint: Any, place: Place) -> Any:
         return ()
     plain = _writable(hint)
     if plain is NoneType and not classes:
-        raise place.error("cannot be said in a scenario file; leave it out, or build this loop in a Python script.")
+        raise place.error("cannot be set in a scenario file. Leave it out, or build this loop in a Python script.")
     try:
         return _adapter(plain).validate_python(_tuples(value), strict=True)
     except ValidationError:
         shown = str(value).lower() if isinstance(value, bool) else repr(value)
-        raise place.error(f"is {shown}; it must be {_wanted(hint, value)}.") from None
+        raise place.error(f"is {shown}; it must be {_expected(hint, value)}.") from None
 
 
 def _instance(classes: Sequence[type[Any]], table: Mapping[str, Any], place: Place) -> Any:
-    # Of a single class ``kind`` says nothing new, and may be said all the same.
-    said = len(classes) > 1 or "kind" in table
-    return build_one_of(classes, table, place) if said else build(classes[0], table, place)
+    # With a single class ``kind`` is optional.
+    has_kind = len(classes) > 1 or "kind" in table
+    return build_one_of(classes, table, place) if has_kind else build(classes[0], table, place)
 
 
 @cache
@@ -122,7 +122,7 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 
 
 def _settings(cls: Callable[..., Any]) -> dict[str, bool]:
-    """Return the names of a dataclass's fields, or of a function's arguments, and whether they are required."""
+    """Return the names of a dataclass's fields, or of a function's arguments, and whether each is required."""
     if isinstance(cls, type):
         return {f.name: f.default is MISSING and f.default_factory is MISSING for f in fields(cls) if f.init}
     return {name: p.default is p.empty for name, p in signature(cls).parameters.items()}
@@ -137,14 +137,14 @@ def _tuples(value: object) -> object:
 
 
 def _dataclasses(hint: Any) -> list[type[Any]]:
-    """Return the dataclasses that a type speaks of; of a base class with subclasses, those that are registered."""
+    """Return the dataclasses in a type. A base class is replaced by its registered subclasses."""
     if is_dataclass(hint) and isinstance(hint, type):
         return list(registered(hint)) or [hint]
     return list(dict.fromkeys(cls for part in get_args(hint) for cls in _dataclasses(part)))
 
 
 def registered(base: type[Any]) -> tuple[type[Any], ...]:
-    """Return the classes that may stand where `base` is asked for, or none if it has no list of its own."""
+    """Return the registered subclasses of `base`, or none if it has no registry."""
     from bayesftc.controllers.laws import ControlLaw
     from bayesftc.controllers.precision.base import PrecisionLearner
     from bayesftc.controllers.registry import LAWS, LEARNERS
@@ -164,7 +164,7 @@ def registered(base: type[Any]) -> tuple[type[Any], ...]:
 
 
 def _writable(hint: Any) -> Any:
-    """Return the part of a type that TOML can express (None if there is none): no fractions, functions, paths, classes."""
+    """Return the part of a type that TOML can express, without fractions, functions, paths and classes; or NoneType."""
     origin, parts = get_origin(hint), get_args(hint)
     if hint in SCALARS or origin is Literal:
         return hint
@@ -177,10 +177,10 @@ def _writable(hint: Any) -> Any:
     return NoneType
 
 
-def _wanted(hint: Any, value: object = None) -> str:
-    """Return in words what TOML value a type wants: ``a number or a list of numbers``.
+def _expected(hint: Any, value: object = None) -> str:
+    """Return a phrase for the TOML values of a type: ``a number or a list of numbers``.
 
-    `value` is what stood there instead; where it names the class of a table, the table is written with it.
+    `value` is the value in the file. If it names a class, the example of a table has that class.
     """
     words: list[str] = []
     for word in [*_words(_writable(hint)), *_tables(hint, value)]:
@@ -190,7 +190,7 @@ def _wanted(hint: Any, value: object = None) -> str:
 
 
 def _tables(hint: Any, value: object) -> list[str]:
-    """Return what table a type wants, if it speaks of dataclasses."""
+    """Return a phrase for the tables of a type, if it has dataclasses."""
     classes = _dataclasses(hint)
     if not classes:
         return []

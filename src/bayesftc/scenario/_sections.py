@@ -1,4 +1,4 @@
-"""The sections of a scenario file, each made into what it stands for."""
+"""The sections of a scenario file, each made into its blocks or settings."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ SOURCES: tuple[type[Block], ...] = tuple(getattr(sources, name) for name in sour
 
 @dataclass(frozen=True)
 class Simulation:
-    """How a scenario is run, unless a run says otherwise; see `bayesftc.cosim.Diagram.simulate`.
+    """Default settings of a scenario's runs; see `bayesftc.cosim.Diagram.simulate`.
 
     Attributes
     ----------
     duration : float or str
         Seconds.
     dt : float or str, optional
-        Base step in seconds, and the model's or controller's where those give none; by default the model's or controller's.
+        Base step in seconds, and the default step of the model and the controller. By default, the model's or controller's.
     seed, engine, record, decimation
         As for `simulate`.
     """
@@ -52,7 +52,7 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Wiring:
-    """What of the plant is driven and what is seen."""
+    """The plant's control inputs and measured outputs."""
 
     control: str | Sequence[str]
     measured: str | Sequence[str]
@@ -60,7 +60,7 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Shipped:
-    """Which FMU: a shipped one by name and version of FMI, or a file."""
+    """An FMU: a shipped one by name and version of FMI, or a file."""
 
     fmu: str
     fmi: Literal["2.0", "3.0"] | None = None
@@ -77,7 +77,7 @@ def plant(table: object, place: Place, folder: Path) -> tuple[Block, Wiring]:
 
         return linear_plant(rest, place), wiring
     raise place.error(
-        "names no plant; add fmu = '...' (a shipped name or a file), or the matrices A, B, C of a linear one."
+        "has no plant. Add fmu = '...' (a shipped name or a file), or the matrices A, B, C of a linear plant."
     )
 
 
@@ -88,11 +88,11 @@ def _fmu(table: dict[str, Any], place: Place, folder: Path) -> Block:
     chosen: Shipped = build(Shipped, _taken(table, Shipped), place)
     is_file = chosen.fmu.lower().endswith(".fmu") or Path(chosen.fmu).name != chosen.fmu
     if is_file and chosen.fmi is not None:
-        raise (place / "fmi").error("chooses the version of a shipped FMU, but 'fmu' is a file; leave 'fmi' out.")
+        raise (place / "fmi").error("chooses the version of a shipped FMU, but 'fmu' is a file. Leave out 'fmi'.")
     try:
         path = folder / chosen.fmu if is_file else fmus.path(chosen.fmu, fmi=chosen.fmi or "2.0")
     except (ValueError, FileNotFoundError) as error:
-        raise FMUError(f"{place / 'fmu'}: {error} For a file of your own, end its name with .fmu.") from None
+        raise FMUError(f"{place / 'fmu'}: {error} The name of an FMU file must end with .fmu.") from None
     return build(FMU, table, place, given={"path": path})  # type: ignore[no-any-return]
 
 
@@ -116,18 +116,18 @@ def _source(value: object, place: Place) -> Block:
 
 
 def sensors(table: object, place: Place, wiring: Wiring, plant: Block) -> Sensors:
-    """Return the sensors of ``[sensors]``, which read the plant's measured variables, of vectors each element."""
+    """Return the sensors of ``[sensors]``, which read the plant's measured variables; of a vector each element."""
     names = [wiring.measured] if isinstance(wiring.measured, str) else wiring.measured
     sizes = {port.name: port.size for port in plant.outputs}
     measured = sum(sizes.get(name, 1) for name in names)
-    # Known here already, so that a matrix has its width without the file saying a second time how many variables there are.
+    # The number of variables follows from the plant, so the file need not repeat it for the width of a matrix.
     return build(Sensors, {"signals": measured, **as_table(table, place)}, place)  # type: ignore[no-any-return]
 
 
 def fault_list(value: object, place: Place) -> list[faults.Fault]:
     """Return the faults of ``[[faults]]``, or of another such list."""
     if not isinstance(value, list):
-        raise place.error(f"must be a list of tables: write [[{place.key}]], with two brackets, above each fault.")
+        raise place.error(f"must be a list of tables. Write [[{place.key}]], with two brackets, above each fault.")
     with place.named():
         check_count(value)
     return [build_one_of(faults.FAULTS, table, place / i) for i, table in enumerate(value)]
@@ -137,7 +137,7 @@ def input_faults(table: object, place: Place) -> dict[str, list[faults.Fault]]:
     """Return the faults of ``[[input_faults.<input>]]``."""
     if isinstance(table, list):
         raise place.error(
-            f"does not say which input of the plant is faulty; write [[{place.key}.<input>]] above each fault."
+            f"does not name the faulty input of the plant. Write [[{place.key}.<input>]] above each fault."
         )
     return {name: fault_list(value, place / name) for name, value in as_table(table, place).items()}
 
@@ -150,28 +150,28 @@ def controller(
     wiring: Wiring,
     sensors: Sensors | None,
 ) -> Block:
-    """Return the controller of ``[controller]``: with the model of ``[model]`` if the file has one, or designed for the plant."""
+    """Return the controller of ``[controller]``, with the model of ``[model]`` or designed for the plant."""
     from bayesftc.controllers import design
 
     place = root / "controller"
     cls, rest = choose((*CONTROLLERS, design), content["controller"], place)
-    known = {f.name: f for f in fields(cls)} if isinstance(cls, type) else {}  # type: ignore[arg-type]
-    if simulation.dt is not None and ("dt" in known or cls is design) and "model" not in content:
+    settings = {f.name: f for f in fields(cls)} if isinstance(cls, type) else {}  # type: ignore[arg-type]
+    if simulation.dt is not None and ("dt" in settings or cls is design) and "model" not in content:
         rest.setdefault("dt", simulation.dt)
     if cls is design:
         from bayesftc.scenario._design import designed
 
         if "model" in content:
             raise (root / "model").error(
-                "is not for kind = 'design', which makes its model of the plant; leave it out."
+                "cannot be used with kind = 'design', which makes its model from the plant. Leave it out."
             )
         return designed(rest, place, plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors)
     given: dict[str, Any] = {}
     if "model" in content:
         given["model"] = _model(content["model"], root / "model", simulation)
-    elif "model" in known and known["model"].default is MISSING:
+    elif "model" in settings and settings["model"].default is MISSING:
         raise root.error(
-            f"lacks the section [model], which {cls.__name__} needs; add [model] with A, B, C, ... below it."
+            f"lacks the section [model], which {cls.__name__} needs. Add [model] with A, B, C, ... below it."
         )
     return build(cls, rest, place, given=given)  # type: ignore[no-any-return]
 
@@ -198,5 +198,5 @@ class Disturbance:
 
 
 def _taken(table: dict[str, Any], cls: type[Any]) -> Mapping[str, Any]:
-    """Take the entries out of the table that are fields of `cls`."""
+    """Remove from the table the entries that are fields of `cls`, and return them."""
     return {f.name: table.pop(f.name) for f in fields(cls) if f.name in table}

@@ -1,4 +1,4 @@
-"""What a scenario or campaign says to no effect, in sentences: a slip, or a short run of a long scenario, and so no error."""
+"""Notes on settings of a scenario or campaign without effect: a mistake, or a short run of a long scenario; so no error."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from bayesftc.scenario.campaigns import ScenarioLoop
 
 OF_CAMPAIGNS = [f"simulation.{f.name}" for f in fields(Simulation) if f.name != "dt"]
-"""Lines of a scenario that a campaign has itself."""
+"""Lines of a scenario that a campaign replaces by its own settings."""
 
 
 def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -> list[str]:
-    """Return a sentence for each fault that comes after the end of a run, and each sensor or variable that nobody reads.
+    """Return a sentence for each fault after the end of the run, and for each unused sensor or variable.
 
     Parameters
     ----------
     scenario : Scenario
-        As it is loaded.
+        The loaded scenario.
     duration : number or str, optional
-        Seconds of the run, where it is not the scenario's.
+        Seconds of the run; by default the scenario's.
     """
     try:
         end = rational_step(scenario.simulation.duration if duration is None else duration)
-    except StepSizeError:  # of which the run says more
+    except StepSizeError:  # the run raises it with its place
         return []
     root = Place(str(scenario.path))
     starts = {place: [start] for place, start in _starts(scenario)}
@@ -46,7 +46,7 @@ def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -
 
 
 def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
-    """Return the same of the scenario of a campaign file, and a sentence for each factor that changes nothing."""
+    """Return the sentences of `unused` for a campaign's scenario, and one for each factor without effect."""
     loop: ScenarioLoop = campaign.job.loop  # type: ignore[assignment]
     scenario = scenario_of(loop.content, Path(loop.path))
     points = [{line_of(name, loop.content): value for name, value in p.items()} for p in campaign.job.plan.points]
@@ -54,12 +54,12 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
     starts = {
         place: [point.get(f"{place}.start", start) for point in points]
         for place, start in _starts(scenario)
-        if not any(place.startswith(name) for name in points[0])  # of which it is unknown what takes its place
+        if not any(place.startswith(name) for name in points[0])  # a factor replaces the whole fault
     }
     where = Place(loop.path)
     return [
         *(
-            f"{Place(path)}: the factor {name!r} changes nothing: a campaign has its own; leave it out."
+            f"{Place(path)}: the factor {name!r} has no effect, because a campaign sets it itself. Leave it out."
             for name in of_campaign
         ),
         *_late(where, starts, campaign.job.steps * campaign.job.step),
@@ -68,7 +68,7 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
 
 
 def _starts(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """Yield where each fault stands in the file, and when it starts."""
+    """Yield the place of each fault in the file, and its start."""
     lists: Mapping[str, Iterable[Any]] = {
         "faults": scenario.faults,
         **{f"input_faults.{name}": faults for name, faults in scenario.input_faults.items()},
@@ -82,22 +82,20 @@ def _late(root: Place, starts: Mapping[str, list[float]], end: Fraction) -> Iter
     for place, values in starts.items():
         first = min(values)
         if first >= end:
-            yield (
-                f"{root / place} starts at {first:g} s, but the run ends at {show(end)} s, so that there is no such fault in it."
-            )
+            yield (f"{root / place} starts at {first:g} s, but the run ends at {show(end)} s. The fault has no effect.")
 
 
 def _unread(root: Place, scenario: Scenario) -> Iterator[str]:
-    """Yield what is read by nobody, by rows and columns of zeros."""
+    """Yield a sentence for each row or column of zeros: an unused sensor or variable."""
     sensors, model = scenario.sensors, getattr(scenario.controller, "model", None)
     if sensors is not None and sensors.matrix is not None:
         matrix = np.asarray(sensors.matrix)
         measured = [scenario.wiring.measured] if isinstance(scenario.wiring.measured, str) else scenario.wiring.measured
         for i in np.flatnonzero(~matrix.any(axis=1)):
-            yield f"{root / 'sensors.matrix'} has a row of zeros, so that sensor {i} reads nothing of the plant."
+            yield f"{root / 'sensors.matrix'} has a row of zeros, so sensor {i} measures nothing of the plant."
         if len(measured) == matrix.shape[1]:
             for j in np.flatnonzero(~matrix.any(axis=0)):
-                yield f"{root / 'sensors.matrix'} has a column of zeros, so that no sensor reads {measured[int(j)]!r}."
+                yield f"{root / 'sensors.matrix'} has a column of zeros, so no sensor measures {measured[int(j)]!r}."
     if isinstance(model, LinearModel):
         for i in np.flatnonzero(~model.matrix("C").any(axis=1)):
-            yield f"{root / 'model.C'} has a row of zeros, so that the controller does not use sensor {i}."
+            yield f"{root / 'model.C'} has a row of zeros, so the controller does not use sensor {i}."

@@ -1,4 +1,4 @@
-"""A campaign file: which scenario, which of its lines are varied, how many runs, what is kept of them."""
+"""A campaign file: the scenario, the lines that are varied, the number of runs, and what is stored of them."""
 
 from __future__ import annotations
 
@@ -27,19 +27,18 @@ if TYPE_CHECKING:
     from bayesftc.cosim.diagram.diagram import Diagram
 
 SAMPLES = (LatinHypercube, SobolSequence, SaltelliDesign)
-"""Designs that ``[[samples]]`` may be."""
+"""Designs for ``[[samples]]``."""
 
 
 MOST = 30
-"""Values of a factor that are tried before the campaign runs."""
+"""Largest number of values of a factor that are checked before the campaign runs."""
 
 
 @dataclass(frozen=True)
 class Runs:
-    """What a campaign file says besides scenario, factors and metrics; see `bayesftc.cosim.Campaign`."""
+    """Settings of a campaign file besides scenario, factors and metrics; see `bayesftc.cosim.Campaign`."""
 
     seeds: int | Sequence[int] = 1  # runs of each point, or their seeds
-    # As of a `Campaign`.
     seed: int = 0
     independent: Sequence[str] = ()
     record: Sequence[str] = ()
@@ -51,29 +50,31 @@ class Runs:
 
 @dataclass(frozen=True)
 class ScenarioLoop:
-    """The loop of a scenario file in which some lines say something else: called with factors, it returns the diagram."""
+    """The loop of a scenario file with some lines changed: called with factors, it returns the diagram."""
 
-    path: str  # the file
-    content: Mapping[str, Any] = field(repr=False)  # what it says
+    path: str
+    content: Mapping[str, Any] = field(repr=False)
 
     def __call__(self, **factors: Any) -> Diagram:
-        """Return the diagram with some lines changed: the names are their paths, or those of `bayesftc.cosim.varied`."""
+        """Return the diagram with these factors: paths of lines, or names as in `bayesftc.cosim.varied`."""
         content = deepcopy(dict(self.content))
         lines = {line_of(name, self.content): value for name, value in factors.items()}
         if len(lines) < len(factors):
-            raise ScenarioError(f"Two of the factors {', '.join(map(repr, factors))} are the same line; leave one out.")
-        for line in sorted(lines, key=_depth):  # the whole before its parts, in whatever order they are named
+            raise ScenarioError(
+                f"Two of the factors {', '.join(map(repr, factors))} refer to the same line. Leave one out."
+            )
+        for line in sorted(lines, key=_depth):  # a table before its parts, in any order of the factors
             set_line(content, line, deepcopy(lines[line]))
         return scenario_of(content, Path(self.path)).loop()
 
 
 def load_campaign(path: str | os.PathLike[str]) -> Campaign:
-    """Read a campaign file and check all that it says.
+    """Read a campaign file and check its content.
 
     Parameters
     ----------
     path : str or path
-        A TOML file; the scenario that it names is relative to it, or a shipped one.
+        A TOML file. Its scenario is a path relative to it, or the name of a shipped one.
 
     Returns
     -------
@@ -83,9 +84,9 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     Raises
     ------
     ScenarioError
-        If a file cannot be read, has an unknown key, lacks one, or one of a wrong type: the sentence says which and where.
+        If a file cannot be read, or if a key is unknown, missing or of a wrong type. The message names the key and its place.
     BayesFTCError
-        What the loop has against its settings at the first point.
+        If the loop rejects its settings at the first point.
     """
     from bayesftc.cosim.campaign.campaign import Campaign
 
@@ -93,49 +94,49 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     content, root = dict(read_toml(file)), Place(str(file))
     if "scenario" not in content and "plant" in content:
         raise root.error(
-            f"is a scenario, of which one run is made; a campaign file names it (scenario = {file.name!r}) and varies it."
+            f"is a scenario, not a campaign file. Write a campaign file with scenario = {file.name!r} and factors to vary."
         )
     root.refuse_unknown(content, ["scenario", "factors", "points", "samples", "metrics", *_names(Runs)])
     if "scenario" not in content:
         raise root.error(
-            "lacks 'scenario'; add scenario = '...', a scenario file beside this one, or the name of a shipped one."
+            "lacks 'scenario'. Add scenario = '...': a scenario file beside this file, or the name of a shipped scenario."
         )
     named = content.pop("scenario")
     if not isinstance(named, str):
         raise (root / "scenario").error(
-            f"is {named!r}; it must be a file or the name of a shipped scenario, in quotes."
+            f"is {named!r}. It must be a file or the name of a shipped scenario, in quotes."
         )
     scenario = _scenario_file(file, named)
     loop = ScenarioLoop(str(scenario.absolute()), read_toml(scenario))
     design = _design(content, root)
     metrics = _metrics(content.pop("metrics", []), root / "metrics")
     runs: Runs = build(Runs, content, root)
-    own = scenario_of(loop.content, Path(loop.path)).simulation
+    simulation = scenario_of(loop.content, Path(loop.path)).simulation
     settings = {name: getattr(runs, name) for name in _names(Runs) if name != "duration"}
     with root.named():
         campaign = Campaign(
-            loop, duration=_duration(runs.duration, own.duration), grid=design, metrics=metrics, **settings
+            loop, duration=_duration(runs.duration, simulation.duration), grid=design, metrics=metrics, **settings
         )
     _check_values(loop, campaign.job.plan.points)
     return campaign
 
 
 def _check_values(loop: ScenarioLoop, points: Sequence[Mapping[str, Any]]) -> None:
-    """Say what the scenario cannot be with a value of a factor, each alone, before hundreds of runs fail of it.
+    """Check each factor's values, one at a time, before hundreds of runs fail because of one.
 
-    What an FMU or a block has against a value is another thing: such runs are recorded as failed.
+    A value that an FMU or a block rejects passes: its runs are recorded as failed.
 
     Raises
     ------
     ScenarioError
-        If it is no scenario with one of the values.
+        If the scenario is not valid with one of the values.
     """
     for name in points[0]:
         values: list[Any] = []
         for point in points:
             if len(values) < MOST and not any(point[name] is value or point[name] == value for value in values):
                 values.append(point[name])
-        for value in values[1:]:  # the first has been tried
+        for value in values[1:]:  # the first is checked already
             try:
                 loop(**{**points[0], name: value})
             except ScenarioError:
@@ -145,13 +146,13 @@ def _check_values(loop: ScenarioLoop, points: Sequence[Mapping[str, Any]]) -> No
 
 
 def described(path: str | os.PathLike[str], campaign: Campaign) -> dict[str, Any]:
-    """Return what a store is to say of the campaign of a file, besides what all say: the scenario, and the texts for readers."""
+    """Return what a store keeps of a campaign file besides the common metadata: the scenario, and the texts of the files."""
     assert isinstance(campaign.job.loop, ScenarioLoop)
     return {"scenario": dict(campaign.job.loop.content), "files": _texts(path)}
 
 
 def _texts(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return the text of a campaign file, and of the scenario that it names."""
+    """Return the text of a campaign file, and of its scenario."""
     file = expanded(path)
     scenario = _scenario_file(file, read_toml(file)["scenario"])
     return {key: file.read_text(encoding="utf-8-sig") for key, file in (("campaign", file), ("scenario", scenario))}
@@ -171,7 +172,7 @@ def _names(cls: Any) -> list[str]:
 
 
 def _design(content: dict[str, Any], root: Place) -> Design | None:
-    """Return the product of the designs that a file names, without the keys that name them."""
+    """Remove the designs from a file's content and return their product."""
     designs: list[Design] = []
     if "points" in content:
         points = content.pop("points")
@@ -192,18 +193,18 @@ def _design(content: dict[str, Any], root: Place) -> Design | None:
 
 
 def _range(given: Any) -> Any:
-    """Return a range: whole numbers from one to another, both included, where both ends are whole."""
+    """Return a range: whole numbers with both ends included, if both ends are whole."""
     if isinstance(given, list) and len(given) == 2 and all(type(end) is int for end in given):
         return range(given[0], given[1] + 1)
     return tuple(given) if isinstance(given, list) else given
 
 
 def _values(given: Any, place: Place) -> Any:
-    """Return the values of a factor; a table has labels, and so has a list of tables with a ``label`` or a ``kind``."""
+    """Return the values of a factor. A table has labels, and so does a list of tables with a ``label`` or ``kind``."""
     if isinstance(given, Mapping):
         return dict(given)
     if not isinstance(given, list):
-        raise place.error(f"is {given!r}; it must be a list of values, or a table with a value for each label.")
+        raise place.error(f"is {given!r}. It must be a list of values, or a table with a value for each label.")
     if any(isinstance(value, Mapping | list) for value in given):
         return {_label(value, i): _without_label(value) for i, value in enumerate(given)}
     return given
@@ -221,7 +222,7 @@ def _without_label(value: Any) -> Any:
 
 def _metrics(given: Any, place: Place) -> list[Metric]:
     if not isinstance(given, list):
-        raise place.error(f"is {given!r}; it must be a list of tables, as [[metrics]] with kind = 'RMSE'.")
+        raise place.error(f"is {given!r}. It must be a list of tables, such as [[metrics]] with kind = 'RMSE'.")
     return [
         build_one_of(METRICS, {"kind": table} if isinstance(table, str) else table, place / i)
         for i, table in enumerate(given)
