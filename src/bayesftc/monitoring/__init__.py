@@ -1,4 +1,4 @@
-"""The estimator as a monitor: recorded samples of redundant sensors in, each sensor's fault probability out.
+"""The estimator as a monitor: it computes each sensor's fault probability from recorded samples of redundant sensors.
 
 >>> import numpy as np
 >>> from bayesftc.controllers import LinearModel

@@ -1,4 +1,4 @@
-"""Alarms: when there is one, of which sensor or actuator, and what is taken to be its fault."""
+"""Alarms: their times, their sensor or actuator, and its most probable fault."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from bayesftc.monitoring.recording import Recording
 
 @dataclass(frozen=True)
 class Alarm:
-    """When there is an alarm.
+    """Conditions of an alarm.
 
     Parameters
     ----------
     threshold : float
-        Fault probability from which on.
+        Least fault probability of an alarm.
     hold : float
-        Seconds for which the probability must stay below it for the alarm to end; by default one, and where samples are more
-        than 0.1 s apart ten of them.
+        Seconds below the threshold after which the alarm ends. By default 1 s, or ten samples if they are more than 0.1 s apart.
 
     Raises
     ------
@@ -48,18 +47,19 @@ class FaultEvent:
     Attributes
     ----------
     sensor : str
-        Whose.
+        Name of the sensor.
     start, end : float
-        From when to when, in seconds of the recording.
+        Start and end of the alarm, in seconds of the recording.
     probability : float
-        The largest fault probability meanwhile.
+        Largest fault probability during the alarm.
     kind : str or None
-        The fault mode that was most probable when it ended, if the learner knows modes.
+        Most probable fault mode at the end of the alarm, if the learner has modes.
     onset : float or None
-        When it is taken to have begun, in seconds of the recording; at the latest when the alarm started, for the kind may
-        have changed meanwhile, and the learner knows the onset of the last one only.
+        Estimated start of the fault, in seconds of the recording, never after the start of the alarm. The learner estimates only
+        the onset of the last kind, and the kind may have changed during the alarm.
     size : float or None
-        Of the fault when it ended: an offset in the sensor's unit; of a noisier sensor its noise in nominal ones.
+        Size of the fault at the end of the alarm: an offset in the sensor's unit; for a noisier sensor, its noise as a multiple
+        of the nominal noise.
     """
 
     sensor: str
@@ -80,13 +80,13 @@ class ActuatorEvent:
     actuator : str
         Name of the input.
     start, end : float
-        From when to when, in seconds of the recording.
+        Start and end of the alarm, in seconds of the recording.
     probability : float
-        The largest fault probability meanwhile.
+        Largest fault probability during the alarm.
     kind : str
-        The actuator mode that was most probable when it ended.
+        Most probable actuator mode at the end of the alarm.
     size : float or None
-        Of the fault when it ended: of `LostEffect` the share that is lost, else in the input's unit.
+        Size of the fault at the end of the alarm: for `LostEffect` the lost share, otherwise in the input's unit.
     """
 
     actuator: str
@@ -98,7 +98,7 @@ class ActuatorEvent:
 
 
 def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, int]]:
-    """Return the first step of each alarm and the one after its last; gaps of at most `hold` steps do not end it."""
+    """Return the first step of each alarm and the step after its last. Gaps of at most `hold` steps do not end it."""
     above = np.flatnonzero(probability >= threshold)
     if not len(above):
         return []
@@ -115,13 +115,13 @@ def sensor_events(
     Parameters
     ----------
     recording : Recording
-        Whose.
+        The recording.
     signals : mapping of str to ndarray
         The estimator's outputs over time.
     modes : sequence of FaultMode
-        Those that the learner knows; may be none.
+        The learner's modes; may be empty.
     alarm : Alarm
-        When there is one.
+        Conditions of an alarm.
     """
     time, faulty = recording.time, [k for k, mode in enumerate(modes, start=1) if mode.is_fault]
     for sensor, span, begin, end, i in _spans(recording, recording.sensors, signals["fault_probability"], alarm):
@@ -151,11 +151,11 @@ def actuator_events(
     Parameters
     ----------
     recording, signals, alarm
-        As of `sensor_events`.
+        As for `sensor_events`.
     names : sequence of str
-        Of the actuators.
+        Names of the actuators.
     modes : sequence of ActuatorMode
-        Those that the learner knows.
+        The learner's modes.
     """
     faulty = list(range(1, 1 + len(modes)))
     for name, span, begin, end, j in _spans(recording, names, signals["actuator_fault_probability"], alarm):
@@ -167,7 +167,7 @@ def actuator_events(
 def _spans(
     recording: Recording, names: Sequence[str], probability: Floats, alarm: Alarm
 ) -> Iterator[tuple[str, tuple[float, float, float], int, int, int]]:
-    """Give each alarm's name, its start, end and largest probability, its first step, the one after its last, its column."""
+    """Give for each alarm: name; start, end, largest probability; first step, step after the last; column."""
     time, step = recording.time, float(recording.dt)
     hold = round(time_at(alarm.hold, step) / step)
     for i, name in enumerate(names):
@@ -177,8 +177,8 @@ def _spans(
 
 
 def _kind(p: Floats, faulty: Sequence[int]) -> tuple[int, int]:
-    """Return the mode that is the most probable fault at an alarm's end, and the last step that speaks of it."""
+    """Return the most probable fault mode at an alarm's end, and the last step at which it is the most probable mode."""
     kind = faulty[int(p[-1, faulty].argmax())]
-    # Size and onset belong to the most probable mode of all, which at moments may be another one.
-    own = np.flatnonzero(p.argmax(axis=1) == kind)
-    return kind, int(own[-1]) if len(own) else len(p) - 1
+    # The learner's size and onset at a step belong to the most probable mode of all, which can be another one.
+    of_kind = np.flatnonzero(p.argmax(axis=1) == kind)
+    return kind, int(of_kind[-1]) if len(of_kind) else len(p) - 1

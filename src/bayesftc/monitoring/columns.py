@@ -1,4 +1,4 @@
-"""What a model file says of each sensor and input: where it stands, and what is known of its errors."""
+"""The sensors and inputs of a model file: the column of each, and its errors."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 
 @dataclass(frozen=True)
 class Column:
-    """Where a signal stands.
+    """The column of a signal in a CSV file.
 
     Parameters
     ----------
     file : str, optional
-        Name of its CSV file; not needed if there is one only.
+        Name of its CSV file; not needed if there is only one.
     column : str, optional
-        Its column; by default the signal's own name.
+        Its column; by default the signal's name.
     time : str, optional
-        The column of its time stamps, instead of the monitor's.
+        The column of its time stamps; by default the monitor's.
     bias : float
-        Known offset, which is taken off.
+        Known offset, which is subtracted.
     delay : float
         Seconds by which its time stamps are late.
     invalid : sequence of float
-        Values that the device records in place of a sample, as ``[-9999, 65535]``.
+        Values that the device records in place of a sample, such as ``[-9999, 65535]``.
     """
 
     file: str | None = None
@@ -48,13 +48,13 @@ class Sensor(Column):
     std : float
         Standard deviation of its white noise, in its unit.
     resolution : float
-        Its samples are whole multiples of this; 0 if it is too fine to matter. By default it is found in the samples.
+        Its samples are whole multiples of this; 0 if it is too fine to matter. By default it is estimated from the samples.
     repeats : float
-        Share of its samples that equal the one before while it is healthy: of slow sensors, or a logger that samples faster.
+        Share of samples that equal the one before while the sensor is healthy, as with slow sensors or a faster logger.
     reads : sequence of float, optional
-        What it reads of the state; by default the first one.
+        Its row of C, one number per state; by default it measures the first state.
     unit : str
-        Of its samples, for figures and tables.
+        Unit of its samples, for figures and tables.
     """
 
     std: float
@@ -79,11 +79,11 @@ class Input(Column):
     smooth : float
         Seconds over which it is averaged.
     error_std : float
-        Standard deviation of its own unknown error at the beginning; 0 if it has none.
+        Standard deviation of its unknown error at the beginning; 0 if it has none.
     error_walk : float
-        Standard deviation of that error's change in a second.
+        Standard deviation of that error's change in one second.
     unit : str
-        Of its samples, for tables.
+        Unit of its samples, for tables.
     """
 
     smooth: float = 0.0
@@ -98,7 +98,7 @@ class Input(Column):
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Errors of sensors that last; see `LinearModel.with_sensor_errors`.
+    """Lasting errors of sensors; see `LinearModel.with_sensor_errors`.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class SensorErrors:
     sensors : sequence of str, optional
         Names of the sensors; by default all.
     common : bool
-        Whether all have the same error.
+        Whether these sensors have one common error.
     """
 
     std: float | Sequence[float]

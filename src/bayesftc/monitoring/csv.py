@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 ENCODING = "utf-8-sig"
-"""UTF-8, with or without the mark that some programs put before it."""
+"""UTF-8, with or without a byte order mark."""
 
 MOST_COLUMNS = 10_000
 
@@ -39,70 +39,64 @@ class Tables:
     def __init__(self, paths: Sequence[str | PathLike[str]]):
         self._files = [expanded(path) for path in paths]
         if not self._files:
-            raise RecordingError("There is no recording to read; give at least one CSV file.")
+            raise RecordingError("There is no recording to read. Give at least one CSV file.")
         for path in self._files:
             if not exists(path):
-                raise RecordingError(f"The recording {fspath(path)} cannot be read: there is no such file or folder.")
+                raise RecordingError(f"The recording {fspath(path)} does not exist. Check the path.")
         self._read: dict[Path, tuple[list[str], pd.DataFrame]] = {}
 
     def files(self) -> list[Path]:
-        """Return all CSV files, those of folders among them."""
+        """Return all CSV files, including those in folders."""
         files = [f for given in self._files for f in (sorted(given.glob("*.csv")) if is_folder(given) else [given])]
         if not files:
-            raise RecordingError(f"There is no CSV file in {self._files[0]}; check the path.")
+            raise RecordingError(f"There is no CSV file in {self._files[0]}. Check the path.")
         return list(dict.fromkeys(files))
 
     def numeric(self, file: Path) -> list[str]:
-        """Return the names of the columns that have a number in them."""
+        """Return the names of the columns that contain a number."""
         import pandas as pd
 
         header, table = self._table(file)
         return [name for i, name in enumerate(header) if pd.to_numeric(table[i], errors="coerce").notna().any()]
 
-    def find(self, name: str | None, wanted_by: str) -> Path:
-        """Return the file that is called `name`, or the only one where no name is given."""
+    def find(self, name: str | None, signal: str) -> Path:
+        """Return the file with this name, or the only file if no name is given; `signal` begins the error message."""
         if name is None:
             files = self.files()
             if len(files) == 1:
                 return files[0]
-            raise RecordingError(
-                f"{wanted_by} does not say in which file it is; with more than one give it file = 'name.csv'."
-            )
-        found = [f for f in self._files if f.name == name and not is_folder(f)]
-        found += [folder / name for folder in self._files if is_folder(folder) and is_file(folder / name)]
-        if not found:
-            known = [f.name for f in self._files if not is_folder(f)]
-            known += [f.name for folder in self._files if is_folder(folder) for f in folder.glob("*.csv")]
-            raise RecordingError(
-                f"{wanted_by} is in {name!r}, which is not among the files; {did_you_mean(name, known)}"
-            )
-        return found[0]
+            raise RecordingError(f"{signal} has no file, but there are {len(files)} files. Add file = 'name.csv'.")
+        matches = [f for f in self._files if f.name == name and not is_folder(f)]
+        matches += [folder / name for folder in self._files if is_folder(folder) and is_file(folder / name)]
+        if not matches:
+            names = [f.name for f in self._files if not is_folder(f)]
+            names += [f.name for folder in self._files if is_folder(folder) for f in folder.glob("*.csv")]
+            raise RecordingError(f"{signal} is in {name!r}, which is not among the files; {did_you_mean(name, names)}")
+        return matches[0]
 
-    def column(self, file: Path, name: str, wanted_for: str) -> Floats:
+    def column(self, file: Path, name: str, signal: str) -> Floats:
         """Return a column as numbers, NaN where a cell is empty."""
         import pandas as pd
 
         header, table = self._table(file)
-        places = [i for i, known in enumerate(header) if known == name]
+        places = [i for i, title in enumerate(header) if title == name]
         if not places:
-            raise RecordingError(
-                f"{fspath(file)} has no column {name!r} for {wanted_for}; {did_you_mean(name, header)}"
-            )
+            raise RecordingError(f"{fspath(file)} has no column {name!r} for {signal}; {did_you_mean(name, header)}")
         if len(places) > 1:
             raise RecordingError(
-                f"{fspath(file)} has {len(places)} columns {name!r}, the first being number {places[0] + 1} and the last number "
-                f"{places[-1] + 1}; give each its own name."
+                f"{fspath(file)} has {len(places)} columns {name!r}: the first is number {places[0] + 1}, the last number "
+                f"{places[-1] + 1}. Give each a different name."
             )
         cells = table[places[0]]
         if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
-            cells = cells.astype(str).where(cells.notna())  # or true would be 1
+            cells = cells.astype(str).where(cells.notna())  # otherwise true would become 1
         numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64)
         wrong = np.flatnonzero(np.isnan(numbers) & cells.notna().to_numpy())
         if len(wrong):
             line, _ = next(islice(_rows(file), int(wrong[0]) + 1, None))
             raise RecordingError(
-                f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number; leave a "
-                "missing sample empty, and write numbers with a point."
+                f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. Leave a "
+                "missing sample empty, and write numbers with a decimal point."
             )
         return np.asarray(numbers)
 
@@ -116,22 +110,22 @@ class Tables:
                     file, skipinitialspace=True, header=None, skiprows=begin, index_col=False, encoding=ENCODING
                 )
             except UnicodeDecodeError:
-                raise RecordingError(f"{fspath(file)} is no text in UTF-8; save it as CSV in UTF-8.") from None
+                raise RecordingError(f"{fspath(file)} is no text in UTF-8. Save it as CSV in UTF-8.") from None
             except OSError as error:
                 raise RecordingError(
-                    f"The recording {fspath(file)} cannot be read ({error.strerror}); check the path."
+                    f"The recording {fspath(file)} cannot be read ({error.strerror}). Check the path."
                 ) from None
             except (csv.Error, pd.errors.ParserError) as error:
                 reason = str(error).strip().rstrip(".")
                 raise RecordingError(
-                    f"{fspath(file)} is no table of values with commas and a first row of names: {reason}."
+                    f"{fspath(file)} is no CSV table with commas and a first row of names: {reason}."
                 ) from None
             self._read[file] = header, table
         return self._read[file]
 
 
 def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Give the number of the line where each row ends, and its cells; empty lines are none."""
+    """Give the number of the line where each row ends, and its cells, without empty lines."""
     with open(file, encoding=ENCODING, newline="") as text:
         reader = csv.reader(text, skipinitialspace=True, strict=True)
         for cells in reader:
@@ -140,32 +134,32 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check(file: Path) -> tuple[list[str], int]:
-    """Return the names of the columns and the line they end in, if all rows have as many cells.
+    """Return the names of the columns and the line where they end, if all rows have as many cells.
 
-    pandas would fill a row that is too short, and take the first columns for an index where all rows are too long.
+    pandas would fill a row that is too short. If all rows are too long, it would use the first columns as an index.
     """
     rows = _rows(file)
     begin, cells = next(rows, (0, []))
     names = [cell.strip() for cell in cells]
     if not names:
-        raise RecordingError(f"{fspath(file)} is empty; it needs a first row of names and a row for each time.")
+        raise RecordingError(f"{fspath(file)} is empty. It needs a first row of names and a row for each time.")
     for separator, word in SEPARATORS.items():
         if len(names) == 1 and separator in names[0]:
             raise RecordingError(
-                f"{fspath(file)} has {word} between its columns; save it with commas, and numbers with a point."
+                f"{fspath(file)} has {word} between its columns. Save it with commas, and numbers with a decimal point."
             )
     if len(names) > MOST_COLUMNS:
         raise RecordingError(
-            f"{fspath(file)} has {len(names)} columns, but a recording has at most {MOST_COLUMNS}; keep those of the sensors."
+            f"{fspath(file)} has {len(names)} columns, but a recording has at most {MOST_COLUMNS}. Keep those of the sensors."
         )
     if all(map(_is_number, names)):
-        raise RecordingError(f"{fspath(file)} begins with numbers; it needs a first row with the names of its columns.")
+        raise RecordingError(f"{fspath(file)} begins with numbers. Add a first row with the names of the columns.")
     row = None
     for row in rows:
         if len(row[1]) != len(names):
             raise RecordingError(
-                f"{fspath(file)}: line {row[0]} has {len(row[1])} cell(s), but the first row has {len(names)} name(s); each row "
-                "needs as many cells, of which some may be empty."
+                f"{fspath(file)}: line {row[0]} has {len(row[1])} cell(s), but the first row has {len(names)} name(s). Each row "
+                "needs as many cells; some may be empty."
             )
     if row is None:
         raise RecordingError(f"{fspath(file)} has a row of names, but no row of samples below it.")

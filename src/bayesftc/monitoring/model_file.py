@@ -1,4 +1,4 @@
-"""The file of a monitor, in TOML."""
+"""The model file of a monitor, in TOML."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SECTIONS = ("dt", "time", "invalid", "model", "sensors", "inputs", "errors", "pr
 
 @dataclass(frozen=True)
 class _Start:
-    """What ``[model]`` may say of the beginning."""
+    """The initial belief in ``[model]``."""
 
     initial_mean: float | Sequence[float] | None = None
     initial_std: float | Sequence[float] | None = None
@@ -33,7 +33,7 @@ class _Start:
 
 @dataclass(frozen=True)
 class _Head:
-    """What stands above all sections."""
+    """The settings above all sections."""
 
     dt: float | str
     time: str = "t"
@@ -41,7 +41,7 @@ class _Head:
 
 
 def load_monitor(path: str | os.PathLike[str]) -> Monitor:
-    """Read a model file and check all that it says.
+    """Read a monitor's model file and check its content.
 
     Parameters
     ----------
@@ -51,16 +51,16 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     Raises
     ------
     ScenarioError
-        If the file cannot be read, has an unknown key, lacks one, or one of a wrong type: the sentence says which and where.
+        If the file cannot be read, or if a key is unknown, missing or of a wrong type. The message names the key and its place.
     BayesFTCError
-        What is wrong with a setting, with its place in the file.
+        If a setting is not valid. The message begins with its place in the file.
     """
     file = expanded(path)
     content, root = read_toml(file), Place(str(file))
     root.refuse_unknown(content, SECTIONS, "section")
     for name in ("dt", "model", "sensors"):
         if name not in content:
-            raise root.error(f"lacks {name!r}; a model file needs dt = ..., [model] and [sensors.<name>].")
+            raise root.error(f"lacks {name!r}. A model file needs dt = ..., [model] and [sensors.<name>].")
     head: _Head = build(_Head, {key: content[key] for key in ("dt", "time", "invalid") if key in content}, root)
     table = dict(as_table(content["model"], root / "model"))
     start: _Start = build(
@@ -69,7 +69,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     sensors = _named(content["sensors"], Sensor, root / "sensors")
     errors = content.get("errors", [])
     if not isinstance(errors, list):
-        raise (root / "errors").error("must be a list of tables: write [[errors]], with two brackets, above each.")
+        raise (root / "errors").error("must be a list of tables. Write [[errors]], with two brackets, above each.")
     precision, own_loss = _precision(content.get("precision"), root / "precision")
     monitor = Monitor(
         dt=head.dt,
@@ -98,7 +98,7 @@ def _named(table: object, cls: type[Any], place: Place) -> dict[str, Any]:
     """Return an instance of `cls` for each table in a table."""
     tables = as_table(table, place)
     if not tables and cls is Sensor:
-        raise place.error("names no sensor; write [sensors.<name>] with std = ... below it.")
+        raise place.error("has no sensor. Write [sensors.<name>] with std = ... below it.")
     return {name: build(cls, value, place / name) for name, value in tables.items()}
 
 
@@ -109,7 +109,7 @@ def _errors(table: object, place: Place, sensors: Mapping[str, Sensor]) -> Senso
 
 
 def _precision(table: object, place: Place) -> tuple[PrecisionLearner | None, bool]:
-    """Return the learner, and whether its loss is left to the sensors' own rates."""
+    """Return the learner, and whether its loss comes from the sensors' rates."""
     if table is None:
         return None, False
     learner: PrecisionLearner = build_one_of(LEARNERS, table, place)

@@ -1,4 +1,4 @@
-"""Models that a monitor can be given by name, with a few numbers that have a meaning each."""
+"""Models of a monitor that are chosen by name, each with a few parameters."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True)
 class PlantModel:
-    """Base of all models of ``[model]``: how the state moves; what the sensors read of it stands with them."""
+    """Base of all models of ``[model]``, which describe the state's motion. Each sensor has its own row of C."""
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
         """Return A, B (None: no input has an effect) and the covariance of the process noise per step."""
-        raise TypeError(f"{type(self).__name__} does not say how the state moves: give it a method matrices(dt).")
+        raise TypeError(
+            f"{type(self).__name__} has no method matrices(dt), which describes the state's motion. Add it."
+        )
 
     def linear(self, dt: Fraction, inputs: int, C: Floats, sensor_covariance: Floats) -> LinearModel:
         """Return the linear model with its sensors."""
@@ -30,12 +32,12 @@ class PlantModel:
 
 @dataclass(frozen=True)
 class RandomWalk(PlantModel):
-    """A quantity that wanders: a level, a temperature.
+    """A quantity that changes at random, such as a level or a temperature.
 
     Parameters
     ----------
     std : float
-        Standard deviation of its change in a second.
+        Standard deviation of its change in one second.
     """
 
     std: float
@@ -50,12 +52,12 @@ class RandomWalk(PlantModel):
 
 @dataclass(frozen=True)
 class Integrator(RandomWalk):
-    """A quantity of which the only input is the rate of change: a speed, of which an acceleration is measured.
+    """A quantity whose rate of change is the only input, such as a speed with a measured acceleration.
 
     Parameters
     ----------
     std : float
-        Standard deviation of what it changes in a second without the input's doing.
+        Standard deviation of its change in one second that the input does not explain.
     """
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
@@ -65,12 +67,12 @@ class Integrator(RandomWalk):
 
 @dataclass(frozen=True)
 class ConstantRate(RandomWalk):
-    """A quantity and its rate, which wanders: a position whose speed is not measured.
+    """A quantity whose rate changes at random, such as a position whose speed is not measured.
 
     Parameters
     ----------
     std : float
-        Standard deviation of the rate's change in a second.
+        Standard deviation of the rate's change in one second.
     """
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
@@ -81,7 +83,7 @@ class ConstantRate(RandomWalk):
 
 @dataclass(frozen=True)
 class Matrices(PlantModel):
-    """A linear model by its matrices, for the monitor's sample time.
+    """A linear model given by its matrices, for the monitor's sample time.
 
     Parameters
     ----------
@@ -90,7 +92,7 @@ class Matrices(PlantModel):
     process_covariance : number, vector or matrix
         Covariance of the process noise per step.
     B : matrix, optional
-        Effect of the inputs, a column for each.
+        Effect of the inputs, one column per input.
     """
 
     A: Sequence[Sequence[float]]
@@ -105,4 +107,4 @@ class Matrices(PlantModel):
 
 
 PLANT_MODELS: tuple[type[PlantModel], ...] = (RandomWalk, Integrator, ConstantRate, Matrices)
-"""To add a model, write it as those above and name it here."""
+"""To add a model, write it like those above and add it here."""

@@ -1,4 +1,4 @@
-"""A monitor: a recording's columns, the model of what they measure, and how faults are looked for."""
+"""A monitor: a recording's columns, the model of the measured quantity, and the settings of fault detection."""
 
 from __future__ import annotations
 
@@ -32,24 +32,25 @@ from bayesftc.monitoring.recording import Recording, Signal, align
 from bayesftc.monitoring.run import Monitored, monitor_recording
 
 FLAT = 10.0
-"""The first samples begin the belief; so that they do not count twice, it is this many times less certain than they are."""
+"""Ratio of the initial belief's standard deviation to that of the first samples, from which it is computed: so they do not
+count twice."""
 
 SMALL = 1e-9
 
 OPENING = 9
-"""The first sample must not be absurd beside the median of so many."""
+"""Number of first samples whose median the first sample must not contradict."""
 
 
 @dataclass(frozen=True, eq=False)
 class Monitor:
-    """What a model file says: the recording's columns, the model, the learner, the alarm.
+    """The content of a model file: the recording's columns, the model, the learner, the alarm.
 
     Parameters
     ----------
     dt : float, str or Fraction
         Sample time in seconds.
     plant : PlantModel
-        How the state moves.
+        The model of the state's motion.
     sensors, inputs : mapping of str to Sensor or Input
         By name.
     errors : sequence of SensorErrors
@@ -57,15 +58,15 @@ class Monitor:
     precision : PrecisionLearner, optional
         By default that of `monitor_recording`.
     own_loss : bool
-        Whether a `SwitchingPrecision` takes its loss from the sensors' own rates.
+        Whether a `SwitchingPrecision` takes its loss from the sensors' rates.
     alarm : Alarm
-        When there is one.
+        Conditions of an alarm.
     time : str
         The column of the time stamps, in seconds.
     initial_mean, initial_std : optional
         Belief about the plant's states before the first sample; by default from the first samples.
     invalid : sequence of float
-        Values that devices record in place of a sample, of all sensors and inputs.
+        Values that devices record in place of a sample, for all sensors and inputs.
     """
 
     dt: float | str | Fraction
@@ -89,13 +90,13 @@ class Monitor:
     def model(self) -> LinearModel:
         """The linear model, with the errors of inputs and sensors as states."""
         A, B, _ = self.plant.matrices(1.0)
-        wanted, states = 0 if B is None else B.shape[1], len(A)
-        if len(self.inputs) != wanted:
+        count, states = 0 if B is None else B.shape[1], len(A)
+        if len(self.inputs) != count:
             named = ", ".join(map(repr, self.inputs)) or "none"
-            remedy = "name each in [inputs.<name>]" if len(self.inputs) < wanted else "take out what it would not use"
+            remedy = "Name each in [inputs.<name>]" if len(self.inputs) < count else "Remove the others"
             raise ModelError(
-                f"The model {type(self.plant).__name__} takes {wanted or 'no'} input{'s' * (wanted != 1)}, but [inputs] names "
-                f"{named}; {remedy}, or take another model: Integrator takes one input, Matrices one for each column of B, the "
+                f"The model {type(self.plant).__name__} has {count or 'no'} input{'s' * (count != 1)}, but [inputs] names "
+                f"{named}. {remedy}, or use another model: Integrator has one input, Matrices one for each column of B, the "
                 "others none."
             )
         first = [1.0] + [0.0] * (states - 1)
@@ -108,7 +109,7 @@ class Monitor:
         noise = np.diag(np.square([sensor.std for sensor in self.sensors.values()]))
         model = self.plant.linear(rational_step(self.dt), len(self.inputs), C, noise)
         if self._input_errors:
-            # The covariance must be positive, also that of an error which never changes.
+            # The covariance must be positive, even for an error that never changes.
             walks = [max(given.error_walk, SMALL) for given in self.inputs.values()]
             model = model.with_disturbance([walk**2 * float(model.step) for walk in walks])
         order = list(self.sensors)
@@ -123,7 +124,7 @@ class Monitor:
         Raises
         ------
         RecordingError
-            As of `signals` and `align`.
+            As for `signals` and `align`.
         """
         return align(*self.signals(paths), self.dt)
 
@@ -133,7 +134,7 @@ class Monitor:
         Raises
         ------
         RecordingError
-            If a file or column is missing, or holds something else than increasing times and numbers.
+            If a file or column is missing, or contains anything but increasing times and numbers.
         """
         tables = Tables(paths)
 
@@ -156,7 +157,7 @@ class Monitor:
         )
 
     def compare(self, recording: Recording) -> ModelFinding | None:
-        """Compare what the model, driven by the recorded inputs, predicts with what the sensors read.
+        """Compare the sensors' samples with the predictions of the model, driven by the recorded inputs.
 
         Parameters
         ----------
@@ -166,8 +167,8 @@ class Monitor:
         Returns
         -------
         ModelFinding or None
-            How the model is wrong, by `bayesftc.controllers.diagnose_recording`; None if nothing speaks against it, or the
-            recording has no input by which to judge it.
+            How the model is wrong, by `bayesftc.controllers.diagnose_recording`. None if there is no evidence against it, or
+            if the recording has no input.
         """
         if not recording.u.shape[1]:
             return None
@@ -184,7 +185,7 @@ class Monitor:
         recording : Recording
             From `read`.
         compiled : bool, optional
-            As of `monitor_recording`.
+            As for `monitor_recording`.
         """
         model = self.model
         mean, covariance = self.start(recording, model)
@@ -201,16 +202,16 @@ class Monitor:
     def learn(
         self, recordings: Sequence[Recording], *, iterations: int = 20, compiled: bool | None = None
     ) -> LearnedModes:
-        """Learn from recordings how often faults come and go and how large they are; see `learn_modes`.
+        """Learn from recordings how often faults start and end and how large they are; see `learn_modes`.
 
-        ``replace(monitor, precision=learned.precision)`` is the monitor that knows it.
+        ``replace(monitor, precision=learned.precision)`` is the monitor with the learned modes.
 
         Parameters
         ----------
         recordings : sequence of Recording
-            From `read`; the first one says the sensors' rates and resolutions.
+            From `read`. The sensors' rates and resolutions come from the first one.
         iterations, compiled
-            As of `learn_modes`.
+            As for `learn_modes`.
 
         Raises
         ------
@@ -223,31 +224,31 @@ class Monitor:
         return learn_modes(runs, model, first, iterations=iterations, compiled=compiled)  # type: ignore[arg-type]
 
     def _precision(self, recording: Recording) -> PrecisionLearner:
-        """Return the learner, which knows the sensors' rates, resolutions and repetitions."""
-        known = {
+        """Return the learner, with the sensors' rates, resolutions and repetitions."""
+        defaults = {
             "resolution": recording.resolution,
             "healthy_repeats": tuple(sensor.repeats for sensor in self.sensors.values()),
         }
         if self.precision is None:
-            return default_precision(recording.loss, *known.values())
+            return default_precision(recording.loss, *defaults.values())
         if not isinstance(self.precision, SwitchingPrecision):
             return self.precision
 
-        def told(mode: Frozen) -> Frozen:
-            """Return the mode with what its settings leave open."""
-            more: dict[str, Any] = {k: v for k, v in known.items() if getattr(mode, k) == getattr(Frozen, k)}
+        def completed(mode: Frozen) -> Frozen:
+            """Return the mode with the recording's values for the settings that it leaves open."""
+            more: dict[str, Any] = {k: v for k, v in defaults.items() if getattr(mode, k) == getattr(Frozen, k)}
             return replace(mode, **more)
 
-        modes = [told(mode) if isinstance(mode, Frozen) else mode for mode in self.precision.modes]
+        modes = [completed(mode) if isinstance(mode, Frozen) else mode for mode in self.precision.modes]
         return replace(self.precision, modes=modes, loss=recording.loss if self.own_loss else self.precision.loss)
 
     def start(self, recording: Recording, model: LinearModel) -> tuple[tuple[float, ...], Floats]:
-        """Return the belief before the first sample: as given, else from each sensor's first sample.
+        """Return the belief before the first sample: the given one, or one from each sensor's first sample.
 
         Raises
         ------
         ModelError
-            If the sensors alone do not determine the state, and it is not given.
+            If the sensors alone do not determine the state, and no belief is given.
         """
         plant = model.states - model.disturbances
         covariance = np.array(StateEstimator(model, FixedPrecision()).initial_covariance)
@@ -258,7 +259,7 @@ class Monitor:
         given = self.initial_mean is not None and self.initial_std is not None
         if not given and np.linalg.matrix_rank(C[:, :plant]) < plant:
             raise ModelError(
-                "The sensors alone do not determine all states of the model; give initial_mean and initial_std in [model]."
+                "The sensors alone do not determine all states of the model. Give initial_mean and initial_std in [model]."
             )
         stds = np.sqrt(np.diag(model.matrix("sensor_covariance")))
         first = np.array([_first(column, std) for column, std in zip(recording.y.T, stds, strict=True)])
@@ -273,7 +274,7 @@ class Monitor:
 
 
 def _first(samples: Floats, std: float) -> float:
-    """Return the first sample that is not absurd."""
+    """Return the first sample that is near the median of the first samples."""
     opening = samples[np.isfinite(samples)][:OPENING]
     near = np.abs(opening - np.median(opening)) <= np.sqrt(EXPLICABLE) * std
     return float(opening[near][0] if near.any() else opening[0])

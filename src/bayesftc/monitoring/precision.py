@@ -1,4 +1,4 @@
-"""The learner that a monitor has by default."""
+"""The default learner of a monitor."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from bayesftc.controllers.switching.learner import SwitchingPrecision
 def default_precision(
     loss: Sequence[float], resolution: Sequence[float], repeats: float | Sequence[float] = HEALTHY_REPEATS
 ) -> SwitchingPrecision:
-    """Return the learner of a monitor: every kind of fault, each once in an hour, and harmless bursts of noise.
+    """Return the default learner of a monitor: every kind of fault once in an hour, and harmless bursts of noise.
 
-    Offsets may be large and drifts fast, for nobody knows how a recording's faults are; times are in seconds and sizes in the
-    sensors' own standard deviations, so that it fits any quantity. Sensors are judged one by one: in the joint form, on a real
-    drive, a fault that has been found casts doubt on sensors that share errors with the faulty one.
+    The faults of a recording are not known, so offsets may be large and drifts fast. Times are in seconds and sizes in the
+    sensors' standard deviations, so the learner fits any quantity. It is the per-sensor form: in a recorded drive, the joint
+    form also suspected sensors that share errors with the faulty one.
 
     Parameters
     ----------
     loss : sequence of float
-        As of `SwitchingPrecision`.
+        As for `SwitchingPrecision`.
     resolution : sequence of float
-        Of each sensor, in its unit.
+        Resolution of each sensor, in its unit.
     repeats : float or sequence of float
         Share of the samples that a healthy sensor repeats, for all or for each.
     """

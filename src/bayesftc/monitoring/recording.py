@@ -1,4 +1,4 @@
-"""Recorded samples of sensors and inputs, each at its own times, brought to the steps of a model."""
+"""Recorded samples of sensors and inputs, each with its own times, brought to the steps of a model."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 
 MOST_STEPS = 20_000_000
-"""Longer recordings than this are a wrong unit of time more often than two days at 100 samples a second."""
+"""Largest number of steps, two days at 100 samples per second: a longer recording more likely has a wrong unit of time."""
 
 LEAST_LOSS, MOST_LOSS = 0.01, 0.999
-"""Between these the share of steps without a sample is taken for one that a healthy sensor has."""
+"""Limits of a healthy sensor's share of steps without a sample."""
 
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """What one sensor or input has recorded.
+    """The recorded samples of one sensor or input.
 
     Parameters
     ----------
     time : array_like
         Time stamps in seconds, increasing.
     values : array_like
-        A sample at each; one that is not finite is none.
+        One sample per time. Samples that are not finite are missing.
     bias : float
-        Known offset, which is taken off.
+        Known offset, which is subtracted.
     delay : float
         Seconds by which the time stamps are late.
     smooth : float
-        Seconds over which an input is averaged, up to each step's end; at least over the step.
+        Seconds over which an input is averaged, up to each step's end; at least one step.
     resolution : float
-        Of a sensor, in its unit: its samples are whole multiples of it; 0 if it is too fine to matter. By default it is found in
-        the samples: a file has few decimals, and samples that are equal for that reason are no freeze.
+        Resolution of a sensor in its unit: its samples are whole multiples of it; 0 if it is too fine to matter. By default it is
+        estimated from the samples: files have few decimals, and samples that are equal for this reason are no freeze.
     unit : str
-        Of the values, for figures and tables.
+        Unit of the values, for figures and tables.
     invalid : sequence of float
-        Values that a device records in place of a sample, as ``[-9999, 65535]``: they are left out.
+        Values that a device records in place of a sample, such as ``[-9999, 65535]``. They are left out.
 
     Raises
     ------
     RecordingError
-        If times and values do not fit, or times do not increase.
+        If times and values do not have the same length, or times do not increase.
     ModelError
-        If a setting is no number, or negative where it must not be.
+        If a setting is no number, or is negative but must not be.
     """
 
     time: ArrayLike
@@ -67,21 +67,21 @@ class Signal:
     def __post_init__(self) -> None:
         time, values = (np.asarray(given, dtype=np.float64) for given in (self.time, self.values))
         if time.ndim != 1 or time.shape != values.shape:
-            raise RecordingError(f"A signal has {time.shape} times and {values.shape} values; give one value a time.")
+            raise RecordingError(f"A signal has {time.shape} times and {values.shape} values. Give one value per time.")
         for name in ("bias", "delay"):
             check_number(self, name)
         check_number(self, "smooth", least=0)
         check_number(self, "resolution", optional=True, least=0)
         kept = np.isfinite(values) & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
         if not np.isfinite(time[kept]).all():
-            raise RecordingError("A signal has samples without a time; take them out.")
+            raise RecordingError("A signal has samples without a time. Remove them.")
         time, values = time[kept], values[kept]
         if not len(time):
-            raise RecordingError("A signal has not a single sample; leave it out, or check its column.")
+            raise RecordingError("A signal has no samples. Leave it out, or check its column.")
         back = np.flatnonzero(np.diff(time) <= 0)
         if len(back):
             raise RecordingError(
-                f"A signal's times do not increase: {time[back[0] + 1]:g} s follows on {time[back[0]]:g} s; sort the recording."
+                f"A signal's times do not increase: {time[back[0] + 1]:g} s follows {time[back[0]]:g} s. Sort the recording."
             )
         if self.resolution is None:
             object.__setattr__(self, "resolution", find_resolution(values))
@@ -90,7 +90,7 @@ class Signal:
 
     @property
     def corrected(self) -> tuple[Floats, Floats]:
-        """When the samples were taken, in seconds, and what they were, without delay and bias."""
+        """The samples' times in seconds without the delay, and their values without the bias."""
         return np.asarray(self.time) - self.delay, np.asarray(self.values) - self.bias
 
 
@@ -101,7 +101,7 @@ class Recording:
     Attributes
     ----------
     start : float
-        Time in seconds of the first step: from here on every sensor has sent.
+        Time in seconds of the first step, at which every sensor has a sample already.
     dt : Fraction
         Seconds between two steps.
     sensors : tuple of str
@@ -113,11 +113,11 @@ class Recording:
     loss : tuple of float
         Share of the steps at which a healthy sensor has no sample, from its median interval.
     resolution : tuple of float
-        Of each sensor.
+        Resolution of each sensor.
     replaced : tuple of int
-        How many samples of each sensor were left out because a later one fell on the same step.
+        Number of samples of each sensor that were left out, because a later one belongs to the same step.
     units : tuple of str
-        Of each sensor; empty if not known.
+        Unit of each sensor; empty if not known.
     inputs, input_units : tuple of str
         Names of the inputs, and the unit of each.
     """
@@ -141,17 +141,17 @@ class Recording:
 
 
 def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float | str | Fraction) -> Recording:
-    """Bring signals to common steps: each sample to the step that is nearest, each input to its mean up to the step's end.
+    """Bring signals to common steps: each sample goes to the nearest step, each input is averaged up to the step's end.
 
-    Nothing is interpolated: a sensor that was not due at a step has no sample there. Inputs look back only, as they would on
-    board; between two samples the last one goes on.
+    Nothing is interpolated: a sensor without a sample near a step has none at that step. As online, an input uses only past
+    samples; between two samples the last one stays valid.
 
     Parameters
     ----------
     sensors, inputs : mapping of str to Signal
         In the order of the model's sensors and inputs.
     dt : float, str or Fraction
-        Seconds between two steps, at most the interval of the fastest sensor, or samples are lost.
+        Seconds between two steps. A step longer than the interval of the fastest sensor loses samples.
 
     Raises
     ------
@@ -160,17 +160,17 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     """
     step = rational_step(dt, "The monitor's sample time")
     if not sensors:
-        raise RecordingError("There is no sensor to monitor; name at least one.")
+        raise RecordingError("There is no sensor to monitor. Name at least one.")
     start, end = _overlap({**sensors, **inputs}, sensors)
     if (end - start) / float(step) > MOST_STEPS:
         raise RecordingError(
-            f"The recording of {end - start:g} s has more than {MOST_STEPS:,} steps of {show(step)} s; are its times in "
-            "seconds?"
+            f"The recording of {end - start:g} s has more than {MOST_STEPS:,} steps of {show(step)} s. Check that its times are "
+            "in seconds."
         )
     if end - start < float(step) and any(len(signal.corrected[0]) > 1 for signal in sensors.values()):
         raise RecordingError(
-            f"The recording from {start:g} s, when every sensor has begun, to {end:g} s is shorter than one step of "
-            f"{show(step)} s; give a smaller dt, about the interval of the fastest sensor."
+            f"The recording from {start:g} s, when the last sensor begins, to {end:g} s is shorter than one step of "
+            f"{show(step)} s. Give a smaller dt, about the interval of the fastest sensor."
         )
     steps = int(np.rint((end - start) / float(step))) + 1
     y, loss, replaced = np.full((steps, len(sensors)), np.nan), [], []
@@ -194,19 +194,19 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
 
 
 def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tuple[float, float]:
-    """Return when every sensor has begun to send, and when the last one ends."""
+    """Return the time from which every sensor has samples, and the end of the last one."""
     spans = {name: (float(s.corrected[0][0]), float(s.corrected[0][-1])) for name, s in signals.items()}
     late, early = max(spans, key=lambda name: spans[name][0]), min(spans, key=lambda name: spans[name][1])
     if spans[late][0] > spans[early][1]:
         raise RecordingError(
             f"The recordings of {early!r} ({spans[early][0]:g} to {spans[early][1]:g} s) and {late!r} ({spans[late][0]:g} to "
-            f"{spans[late][1]:g} s) do not overlap; check their times, and that all count seconds from the same instant."
+            f"{spans[late][1]:g} s) do not overlap. Check that all times are in seconds from the same instant."
         )
     return max(spans[name][0] for name in sensors), max(spans[name][1] for name in sensors)
 
 
 def _mean_before(signal: Signal, ends: Floats, window: float) -> Floats:
-    """Return the mean of the samples in the window that ends at each time; where there is none, the last one before."""
+    """Return the mean of the samples in the window before each time, or the last sample before it if there are none."""
     time, values = signal.corrected
     total = np.concatenate([[0.0], np.cumsum(values)])
     upto = np.searchsorted(time, ends, side="right")

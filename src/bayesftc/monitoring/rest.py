@@ -1,6 +1,7 @@
-"""When all sensors repeat themselves at once: then the quantity is at rest, or the logger is, and no sensor is frozen.
+"""Steps at which all sensors repeat their values at once: the quantity or the logger is at rest, and no sensor is frozen.
 
-The learner judges each sensor's repetitions by themselves: four wheels of a parked car, which all send 0, are four freezes to it.
+The learner judges the repetitions of each sensor alone. In a parked car, where four wheel sensors send 0, it would detect four
+freezes.
 """
 
 from __future__ import annotations
@@ -14,20 +15,20 @@ from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
 
 LEAST = 3
-"""Steps of a rest: two coarse sensors may repeat themselves at once by chance, but hardly three times in a row."""
+"""Least steps of a rest: two coarse sensors can repeat values at once by chance, but rarely three times in a row."""
 
 SETTLES = 3
-"""Samples of a sensor after a rest until what was taken for a freeze meanwhile is forgotten: a change by one unit of a coarse
-resolution is still a freeze's dither."""
+"""Samples of a sensor after a rest for which its probabilities stay held. The learner may have detected a freeze in the rest,
+and a change by one unit of a coarse resolution can still be a freeze's dither."""
 
 
 def at_rest(y: Floats) -> Flags:
-    """Return at which steps the last sample of every sensor equals the one before; of a single sensor nothing is known.
+    """Return the steps at which the last sample of every sensor equals the one before; none with a single sensor.
 
     Parameters
     ----------
     y : ndarray, steps x sensors
-        Samples; a sensor that has none at a step is as it was at its last one.
+        Samples. At a step without a sample the sensor's last one counts.
     """
     alike, steps = np.full(len(y), y.shape[1] > 1), np.arange(len(y))
     for column in y.T:
@@ -41,14 +42,14 @@ def at_rest(y: Floats) -> Flags:
 
 
 def held(signals: Mapping[str, Floats], names: Iterable[str], y: Floats, rest: Flags) -> dict[str, Floats]:
-    """Return signals of which some keep what they were before a rest, until it is over for their sensor.
+    """Return the signals, some of which keep their values from before a rest until it ends for their sensor.
 
     Parameters
     ----------
     signals : mapping of str to ndarray
         By name, over the steps.
     names : iterable of str
-        Those that are held; they have a column for each sensor.
+        The signals that are held, each with one column per sensor.
     y : ndarray, steps x sensors
         Samples.
     rest : ndarray, steps

@@ -34,41 +34,41 @@ Event = TypeVar("Event", FaultEvent, ActuatorEvent)
 
 @dataclass(frozen=True, eq=False)
 class Monitored:
-    """What a monitor has found in a recording.
+    """The results of a monitor for a recording.
 
     Attributes
     ----------
     recording : Recording
         The samples.
     model : LinearModel
-        What was believed.
+        The model of the estimator.
     fault_probability : ndarray, steps x sensors
-        Of each sensor at each step; NaN where the learner says nothing.
+        Fault probability of each sensor at each step; NaN where the learner gives none.
     kinds : tuple of str
-        Names of the modes, the first being ``"healthy"``; empty if the learner knows none.
+        Names of the modes, the first being ``"healthy"``; empty if the learner has no modes.
     mode_probability : ndarray, steps x sensors x modes
-        Probability of each.
+        Probability of each mode.
     x_hat : ndarray, steps x states
         The belief's mean.
     innovation : ndarray, steps x sensors
-        Samples minus what was expected.
+        Samples minus predictions.
     events : tuple of FaultEvent
         Alarms in the order of their start.
     rest : ndarray, steps
-        Whether all sensors repeat themselves at once, as of a parked car: then the quantity or the logger is at rest, which is no
-        fault. Probabilities of sensors' faults stay what they were before.
+        Whether all sensors repeat their values at once, as in a parked car: then the quantity or the logger is at rest, which is
+        no fault. Meanwhile the fault probabilities of sensors keep their values.
     why_no_probability : str or None
         Why there are no probabilities, as a sentence.
     actuators : tuple of str
-        Names of the inputs of whose faults the learner knows; empty if it knows of none.
+        Names of the inputs with actuator modes; empty if the learner has none.
     actuator_fault_probability : ndarray, steps x actuators
-        Of each.
+        Fault probability of each actuator.
     actuator_kinds : tuple of str
-        Names of their modes, the first being ``"healthy"``.
+        Names of the actuators' modes, the first being ``"healthy"``.
     actuator_mode_probability : ndarray, steps x actuators x modes
-        Probability of each.
+        Probability of each mode.
     actuator_events : tuple of ActuatorEvent
-        Their alarms in the order of their start.
+        The actuators' alarms in the order of their start.
     """
 
     recording: Recording
@@ -95,8 +95,8 @@ class Monitored:
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row for each step: the time ``t``, and for each sensor its fault probability and kind.
 
-        The columns have the sensors' names, and these with ``_kind`` (the most probable mode) where the learner knows modes;
-        those of actuators begin with ``actuator_``.
+        The columns have the sensors' names; with modes there are also columns with ``_kind``, the most probable mode. The names
+        of actuators' columns begin with ``actuator_``.
         """
         import pandas as pd
 
@@ -112,7 +112,7 @@ class Monitored:
         return pd.DataFrame(columns)
 
     def plot(self) -> Figure:
-        """Return the figure: samples and belief, the samples' distance from it, and the fault probabilities."""
+        """Return the figure: samples and belief, samples minus belief, and the fault probabilities."""
         from bayesftc.cosim.judging.panels import shown_figure
         from bayesftc.monitoring.figure import plot_monitored
 
@@ -138,14 +138,14 @@ def monitor_recording(
     model : LinearModel
         With a row of C for each sensor, a column of B for each input, and the recording's sample time.
     precision : PrecisionLearner, optional
-        By default a `SwitchingPrecision` for recordings, with the sensors' own rates.
+        By default a `SwitchingPrecision` for recordings, with the sensors' rates.
     initial_mean, initial_covariance : optional
         Belief before the first sample, as for `StateEstimator`.
     alarm : Alarm, optional
-        When there is one; by default from a fault probability of 0.9 on.
+        Conditions of an alarm; by default a fault probability of at least 0.9.
     compiled : bool, optional
-        False to step through the plain Python form, with the same numbers; by default a short recording does, which is over
-        before anything is compiled.
+        False to run the plain Python form, with the same numbers. By default it is used for a short recording, because
+        compilation would take longer.
 
     Raises
     ------
@@ -155,8 +155,8 @@ def monitor_recording(
     shape = (model.sensors, model.controls, model.step)
     if shape != (recording.y.shape[1], recording.u.shape[1], recording.dt):
         raise ModelError(
-            f"The model has {model.sensors} sensors, {model.controls} input(s) and steps of {float(model.step):g} s; the "
-            f"recording has {recording.y.shape[1]}, {recording.u.shape[1]} and {float(recording.dt):g} s. They must be the same."
+            f"The model has {model.sensors} sensors, {model.controls} input(s) and steps of {float(model.step):g} s, but the "
+            f"recording has {recording.y.shape[1]}, {recording.u.shape[1]} and {float(recording.dt):g} s. They must be equal."
         )
     if precision is None:
         precision = default_precision(recording.loss, recording.resolution)
@@ -164,15 +164,15 @@ def monitor_recording(
     actuator_modes = precision.actuator_modes
     check_controls(actuator_modes, model, [f"the input {name!r}" for name in actuators])
     estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
-    known = precision if isinstance(precision, SwitchingPrecision) else None
-    modes = known.modes if known else ()
+    switching = precision if isinstance(precision, SwitchingPrecision) else None
+    modes = switching.modes if switching else ()
     judged = ["fault_probability", *(["mode_probability", "fault_size", "fault_onset"] if modes else [])]
     names = ["x_hat", "innovation", *judged]
     names += [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if actuator_modes else []
     rest = at_rest(recording.y)
     signals = held(estimate(estimator, recording.y, recording.u, names, compiled), judged, recording.y, rest)
     alarm = alarm or Alarm()
-    found = Monitored(
+    monitored = Monitored(
         recording,
         model,
         signals["fault_probability"],
@@ -185,9 +185,9 @@ def monitor_recording(
         precision.why_no_probability,
     )
     if not actuator_modes:
-        return found
+        return monitored
     return replace(
-        found,
+        monitored,
         actuators=actuators,
         actuator_fault_probability=signals["actuator_fault_probability"],
         actuator_kinds=_kinds(actuator_modes),

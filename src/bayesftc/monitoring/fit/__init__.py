@@ -1,1 +1,1 @@
-"""A monitor's model from a recording."""
+"""Fit a monitor's model to a recording."""

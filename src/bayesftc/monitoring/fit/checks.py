@@ -1,4 +1,4 @@
-"""What a recording must have for a fit, with sentences that name the column."""
+"""Check that a model can be fitted to a recording, with messages that name the column."""
 
 from __future__ import annotations
 
@@ -14,45 +14,45 @@ from bayesftc.monitoring.recording import Recording
 
 
 def check_recording(recording: Recording, y: Floats) -> None:
-    """Refuse a recording that no model can be fitted to.
+    """Raise an error if no model can be fitted to a recording.
 
     Parameters
     ----------
     recording : Recording
-        Whose sensors are named.
+        Gives the names of the sensors.
     y : ndarray, steps x sensors
-        The stretch of it.
+        Samples of the stretch.
 
     Raises
     ------
     RecordingError
-        If there are too few sensors or samples, one stands still or is a copy, or measures something else.
+        If there are too few sensors or samples, or if a sensor does not change, is a copy, or measures another quantity.
     """
     names = recording.sensors
     if len(names) < 2:
         raise RecordingError(
-            f"A fit needs two or more sensors of the same quantity, but there is only {names[0]!r}; one alone does not tell its "
-            "noise from the quantity's motion. Write a model file."
+            f"A fit needs two or more sensors of the same quantity, but there is only {names[0]!r}. With one sensor, noise and "
+            "the quantity's motion cannot be separated. Write a model file."
         )
     for name, count in zip(names, np.isfinite(y).sum(axis=0), strict=True):
         if count < FIT.fewest:
             raise RecordingError(
-                f"The sensor {name!r} has {count} samples in the stretch; a fit needs {FIT.fewest}. Take a longer stretch, or "
-                "leave the sensor out."
+                f"The sensor {name!r} has {count} samples in the stretch; a fit needs {FIT.fewest}. Choose a longer stretch, or "
+                "leave out the sensor."
             )
     changing = [float(np.mean(np.diff(column[np.isfinite(column)]) != 0)) for column in y.T]
     if max(changing) == 0:
-        raise RecordingError("No sensor changes in the stretch, so that there is nothing to fit; take another stretch.")
+        raise RecordingError("No sensor changes in the stretch, so there is nothing to fit. Choose another stretch.")
     for name, share in zip(names, changing, strict=True):
         if share <= FIT.still and max(changing) >= FIT.lively:
             raise RecordingError(
-                f"The sensor {name!r} stands still in the stretch while others change; take another stretch, or leave it out."
+                f"The sensor {name!r} does not change in the stretch, but others do. Choose another stretch, or leave it out."
             )
     _refuse_pairs(y, names)
 
 
 def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:
-    """Refuse a copy of a column, sensors that have no samples in common, and one that does not follow the others."""
+    """Raise an error for a copied column, a sensor without common samples, or one that does not follow the others."""
     sensors = len(names)
     apart = np.full((sensors, sensors), np.nan)
     for i, j in combinations(range(sensors), 2):
@@ -62,15 +62,15 @@ def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:
         lively = np.append(False, (np.diff(a) != 0) | (np.diff(b) != 0))
         if lively.any() and np.mean((a == b)[lively]) >= FIT.copied:
             raise RecordingError(
-                f"The columns {names[i]!r} and {names[j]!r} are the same samples; leave one of them out."
+                f"The columns {names[i]!r} and {names[j]!r} have the same samples. Leave out one of them."
             )
         apart[i, j] = apart[j, i] = np.median(np.abs(a - b - np.median(a - b)))
     for i, name in enumerate(names):
         others = apart[i][np.isfinite(apart[i])]
         if not len(others):
             raise RecordingError(
-                f"The sensor {name!r} has no sample on a step on which another has one, so that they cannot be compared; leave "
-                "it out, or write a model file."
+                f"The sensor {name!r} cannot be compared: at no step do it and another sensor both have a sample. Leave it out, "
+                "or write a model file."
             )
     typical = np.array([np.quantile(row[np.isfinite(row)], 0.5, method="lower") for row in apart])
     level = median(y, 1)
@@ -80,6 +80,6 @@ def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:
     noise = float(np.median(np.abs(np.diff(column))))
     if typical[worst] > moved and typical[worst] > FIT.far * noise:
         raise RecordingError(
-            f"The column {names[worst]!r} does not follow the others: it differs from them by {typical[worst]:.3g}, and they "
-            f"move by {moved:.3g}. Leave it out: name the sensors that measure the same quantity by --sensor."
+            f"The column {names[worst]!r} does not follow the others: it differs from them by {typical[worst]:.3g}, but they "
+            f"move by {moved:.3g}. Leave it out: choose the sensors of the same quantity with --sensor."
         )

@@ -1,4 +1,4 @@
-"""Which columns of CSV files are the times and the sensors, where nobody says it, and how often they are sampled."""
+"""Find the columns of times and sensors in CSV files without a model file, and the sample time."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.recording import Recording, Signal, align
 
 TIMES = ("t", "time", "times", "timestamp", "seconds", "time_s", "time (s)", "t (s)", "time [s]", "t [s]")
-"""Names that a column of time stamps may have, in any case; without one of them it is the first column, if that increases."""
+"""Names of a column of time stamps, in any case. Without such a column it is the first column, if that increases."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a signal stands.
+    """The file and the columns of a signal.
 
     Parameters
     ----------
     file, column, time : str
-        Its file, its column and that of its times.
+        Its file, its column and the column of its times.
     """
 
     file: str
@@ -36,7 +36,7 @@ class Place:
 def redundant_signals(
     paths: Sequence[str | os.PathLike[str]], names: Sequence[str] = ()
 ) -> tuple[dict[str, Place], dict[str, Signal]]:
-    """Return all signals of CSV files with numbers in them, besides the times, and where each stands.
+    """Return all signals of CSV files, except the times, and the place of each.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def redundant_signals(
     Raises
     ------
     RecordingError
-        If a file is no table, has no times, or lacks a column that is named.
+        If a file is no table, has no times, or lacks one of the named columns.
     """
     tables = Tables(paths)
     places: dict[str, Place] = {}
@@ -72,7 +72,7 @@ def redundant_signals(
     if missing:
         raise RecordingError(f"There is no column {missing[0]!r} with numbers; {did_you_mean(missing[0], columns)}")
     if not signals:
-        raise RecordingError("There is no column with samples besides the times; give a file with two sensors or more.")
+        raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
     return places, signals
 
 
@@ -83,13 +83,13 @@ def _time_column(tables: Tables, file: os.PathLike[str], header: Sequence[str]) 
     if header and np.all(np.diff(tables.column(file, header[0], "the times")) > 0):  # type: ignore[arg-type]
         return header[0]
     raise RecordingError(
-        f"{os.fspath(file)} has no column of times: none is called {', '.join(TIMES[:3])}, and the first does not increase. Name "
-        "the column of times 't'; it counts seconds."
+        f"{os.fspath(file)} has no column of times: none is called {', '.join(TIMES[:3])}, and the first does not increase. "
+        "Name the column of times 't', with times in seconds."
     )
 
 
 def sample_time(signals: Mapping[str, Signal]) -> Fraction:
-    """Return the interval of the fastest signal, or a part of it where its times jitter, rounded to a short number."""
+    """Return the interval of the fastest signal, or a part of it if its times jitter, rounded to a short number."""
     times = min((np.asarray(s.time) for s in signals.values()), key=lambda t: float(np.median(np.diff(t))))
     intervals = np.diff(times)
     usual = intervals[intervals < 3 * np.median(intervals)]
@@ -110,33 +110,32 @@ def _short(value: float) -> Fraction:
 
 
 def stretch_of(recording: Recording, start: float | None, stop: float | None) -> slice:
-    """Return the steps from one time to another.
+    """Return the steps between two times.
 
     Parameters
     ----------
     recording : Recording
-        Whose steps.
+        The recording.
     start, stop : float or None
-        The times in seconds; None: its own.
+        Times in seconds; None for the recording's start or end.
 
     Raises
     ------
     RecordingError
-        If there is none.
+        If there is no step between them.
     """
     time = recording.time
     first = 0 if start is None else int(np.searchsorted(time, start))
     last = len(time) if stop is None else int(np.searchsorted(time, stop, side="right"))
     if first >= last:
         raise RecordingError(
-            f"The recording, from {time[0]:g} to {time[-1]:g} s, has nothing in the stretch that was named; choose --from and "
-            "--to in it."
+            f"The recording, from {time[0]:g} to {time[-1]:g} s, has no samples between --from and --to. Choose times in it."
         )
     return slice(first, last)
 
 
 def recorded(signals: Mapping[str, Signal]) -> Recording:
-    """Return signals brought to steps of about their own interval; see `align`.
+    """Bring signals to common steps of about their own interval; see `align`.
 
     Parameters
     ----------
@@ -146,9 +145,9 @@ def recorded(signals: Mapping[str, Signal]) -> Recording:
     Raises
     ------
     RecordingError
-        As of `align`, or if a signal has a single sample.
+        As for `align`, or if a signal has only one sample.
     """
     for name, signal in signals.items():
         if len(np.asarray(signal.time)) < 2:
-            raise RecordingError(f"The sensor {name!r} has a single sample; leave it out.")
+            raise RecordingError(f"The sensor {name!r} has only one sample. Leave it out.")
     return align(signals, {}, sample_time(signals))

@@ -1,4 +1,4 @@
-"""A model from nothing but a recording of redundant sensors: how the quantity moves, and how each sensor errs."""
+"""Fit a model to a recording of redundant sensors: the motion of the quantity, and the errors of each sensor."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from bayesftc.monitoring.recording import Recording
 
 @dataclass(frozen=True)
 class FittedSensor:
-    """What a recording says of a sensor.
+    """A sensor's properties, estimated from a recording.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class FittedSensor:
     bias : float
         Its constant difference from the typical sensor.
     resolution : float
-        Its samples are multiples of this; 0: of none.
+        Its samples are multiples of this; 0 if they are not.
     repeats : float
-        Share of its samples that equal the one before, while it changes at all; at least what is believed where nobody says it.
+        Share of its samples that equal the one before, while it changes at all; at least the default of `Sensor`.
     missing : float
-        Share of the steps without a sample of it.
+        Share of the steps without a sample.
     """
 
     std: float
@@ -53,13 +53,13 @@ class FittedModel:
     Attributes
     ----------
     plant : RandomWalk or ConstantRate
-        How the quantity moves.
+        Model of the quantity's motion.
     sensors : dict of str to FittedSensor
         By name.
     errors : tuple of SensorErrors
-        Errors that last.
+        Lasting errors.
     moves : bool
-        Whether it moves by more than noise would hide.
+        Whether the motion is visible above the noise.
     level, spread : float
         Mean and standard deviation of the quantity.
     rate : float
@@ -76,26 +76,26 @@ class FittedModel:
 
 
 def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
-    """Fit a model to a recording of sensors that measure the same quantity; faults may be in a part of it.
+    """Fit a model to a recording of sensors of the same quantity; a part of it may have faults.
 
-    What the sensors have in common is the quantity's motion, what they differ by is noise. Both are moments of differences over
-    several lags, in many short windows. Of noise the median over the windows counts, so that a fault in fewer than half of them
-    does no harm. Of motion an upper quantile of those windows counts in which anything moves, so that a calm part does none.
-    Where a sensor does not change at all it says nothing: it is frozen, or the car is parked.
+    The common part of the sensors' changes is the quantity's motion, the rest is noise. Both are estimated from moments of
+    differences over several lags, in many short windows. Noise is the median over the windows, so a fault in fewer than half of
+    them has no effect. Motion is an upper quantile of the moving windows, so a calm part has no effect. Windows where a sensor
+    does not change at all are left out: it is frozen, or the car is parked.
 
     Parameters
     ----------
     recording : Recording
-        Of two sensors or more, at least 200 samples of each.
+        Two or more sensors, with at least 200 samples each.
     stretch : slice
-        Steps in which the sensors are healthy; by default all. Biases are taken from it. Motion is taken from the whole
-        recording: a calm stretch does not show it, and no fault of a single sensor looks like it. So are the noise, up to twice
-        that of the stretch, and wandering biases, up to the size of the noise.
+        Steps in which the sensors are healthy; by default all. Biases come from it. Motion comes from the whole recording: a calm
+        stretch does not show it, and no fault of a single sensor looks like it. Noise, up to twice that of the stretch, and
+        wandering biases, up to the size of the noise, also come from the whole recording.
 
     Raises
     ------
     RecordingError
-        If there are fewer sensors or samples, or a sensor does not follow the others.
+        If there are fewer sensors or samples, or if a sensor does not follow the others.
     """
     check_recording(recording, recording.y[stretch])
     dt, bias = float(recording.dt), biases(recording.y[stretch])
@@ -106,16 +106,16 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     apart = {lag: disagreement(whole, lag) for lag in _lags(whole)}
     noise = {lag: max(_half(pairs), floor) for lag, (pairs, _) in apart.items()}
     plant, motion, rate = _plant(whole, noise, dt)
-    own, shared = _errors(apart)
+    single, shared = _errors(apart)
     if len(y) < len(whole):
         of_stretch, _ = _errors({lag: disagreement(y, lag) for lag in _lags(y)})
-        own = [
-            everywhere.within(here.variance, FIT.louder**2) for everywhere, here in zip(own, of_stretch, strict=True)
+        single = [
+            everywhere.within(here.variance, FIT.louder**2) for everywhere, here in zip(single, of_stretch, strict=True)
         ]
-    slow, times = _wandering(y, whole, own)
+    slow, times = _wandering(y, whole, single)
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
-        std = float(max(own[i].white, widths[i] ** 2 / 12)) ** 0.5
+        std = float(max(single[i].white, widths[i] ** 2 / 12)) ** 0.5
         sensors[name] = FittedSensor(
             std,
             float(bias[i]),
@@ -123,7 +123,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
             max(_repeats(y[:, i], widths[i]), HEALTHY_REPEATS),
             _typical(np.isnan(recording.y[stretch, i])),
         )
-        lasting = [*own[i].lasting, *([(slow[i], times[i])] if slow[i] > FIT.wanders * own[i].variance else [])]
+        lasting = [*single[i].lasting, *([(slow[i], times[i])] if slow[i] > FIT.wanders * single[i].variance else [])]
         errors += [SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting]
     for pair, of_pair in shared.items():
         names = [recording.sensors[i] for i in pair]
@@ -134,43 +134,43 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
 
 
 def _half(apart: Floats) -> float:
-    """Return the variance of the difference of a typical sensor, from those of all pairs in all windows."""
+    """Return the variance of a typical sensor's differences, from those of all pairs in all windows."""
     apart = median(apart, 0)
-    known = apart[np.isfinite(apart)]
-    return float(np.median(known)) / 2 if len(known) else 0.0
+    finite = apart[np.isfinite(apart)]
+    return float(np.median(finite)) / 2 if len(finite) else 0.0
 
 
 def _lags(y: Floats) -> list[int]:
-    """Return lags in steps, each about twice the one before: multiples of the slowest sensor's interval are among them."""
+    """Return lags in steps, each about twice the one before, with multiples of each sensor's interval."""
     longest = max(len(y) // FIT.parts, 2)
     intervals = {int(np.median(np.diff(np.flatnonzero(np.isfinite(column))))) for column in y.T}
     return sorted({n * 2**k for n in intervals for k in range(32) if n * 2**k <= max(longest, 2 * n)})
 
 
 def _width(samples: Floats, resolution: float) -> float:
-    """Return by how much two samples of a sensor differ at least, that of a very fine one too."""
+    """Return the least difference of two samples of a sensor; it is positive also without a resolution."""
     return max(resolution, 1e-9 * float(np.nanmedian(np.abs(samples))), 1e-150)
 
 
 def _motion(y: Floats, noise: dict[int, float], order: int) -> tuple[int, Motion]:
-    """Return the shortest lag over which the quantity moves by more than the noise, or the best one, and the motion over it."""
+    """Return the shortest lag over which the quantity moves more than the noise, or else the best lag; and the motion."""
     best: tuple[float, int, Motion] | None = None
     for lag, of_lag in noise.items():
         level = of_lag * (1 if order == 1 else 3)
-        found = common(y, lag, order, level)
-        if not found.variance:
+        motion = common(y, lag, order, level)
+        if not motion.variance:
             continue
-        if found.seen and found.variance >= level:
-            return lag, found
-        if best is None or not best[2].seen or (found.seen and found.variance / level > best[0]):
-            best = found.variance / level, lag, found  # the longest lag where none is seen
+        if motion.seen and motion.variance >= level:
+            return lag, motion
+        if best is None or not best[2].seen or (motion.seen and motion.variance / level > best[0]):
+            best = motion.variance / level, lag, motion  # the longest lag if no motion is seen
     if best is None:
-        raise RecordingError("The sensors have too few samples at the same steps for a fit; take a longer stretch.")
+        raise RecordingError("The sensors have too few samples at the same steps for a fit. Choose a longer stretch.")
     return best[1], best[2]
 
 
 def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | ConstantRate, Motion, float]:
-    """Return how the quantity moves, the motion by which it is judged, and the standard deviation of its rate."""
+    """Return the model of the quantity's motion, the motion that it is based on, and the standard deviation of the rate."""
     lag, motion = _motion(y, noise, 1)
     rate = motion.variance**0.5 / (lag * dt)
     walk = RandomWalk(float(motion.variance / (lag * dt)) ** 0.5)
@@ -183,10 +183,10 @@ def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | 
 
 
 def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[tuple[int, int], Noise]]:
-    """Return the errors of each sensor, and those that pairs of sensors share.
+    """Return the errors of each sensor, and the common errors of pairs.
 
-    How noise lasts is taken to be the same for all sensors, which are of one kind more often than not: single ones would be
-    blamed for what their own numbers happen to miss.
+    All sensors get the same shape of the noise's correlation, because most are of one kind. With shapes of their own, sensors
+    would be suspected because of errors of their estimates.
     """
     pairs = [pairs for pairs, _ in apart.values()]
     m = next(iter(apart.values()))[1].shape[1]
@@ -195,40 +195,40 @@ def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[
     times = np.array(list(apart), dtype=np.float64)
     sizes = np.array([_size(times, column) for column in parts.T])
     shape = decompose(times, median(parts[:, :m] / np.maximum(sizes[:m], 1e-300), 1), white=True)
-    own = [shape.times(size) for size in sizes[:m]]
-    together = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
-    return own, {
+    single = [shape.times(size) for size in sizes[:m]]
+    common_errors = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
+    return single, {
         pair: noise
-        for pair, noise in together.items()
-        if noise.variance > FIT.tells * min(own[i].variance for i in pair)
+        for pair, noise in common_errors.items()
+        if noise.variance > FIT.tells * min(single[i].variance for i in pair)
     }
 
 
 def _size(lags: Floats, variances: Floats) -> float:
-    """Return the variance of differences over lags beyond which it hardly grows."""
+    """Return the variance of differences over the lags where it hardly grows any more."""
     lags, variances = lags[np.isfinite(variances)], variances[np.isfinite(variances)]
     return float(np.median(variances[lags >= min(FIT.settled * lags[0], lags[-1])])) if len(lags) else 0.0
 
 
-def _wandering(y: Floats, whole: Floats, own: Sequence[Noise]) -> tuple[list[float], list[float]]:
+def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[float], list[float]]:
     """Return the variance and time constant (steps) of each sensor's wandering bias; at least those of a typical sensor.
 
-    A sensor that alone is believed to have none would be blamed for what the others do.
+    A single sensor whose model has no wandering bias would be suspected when the others wander.
     """
     (inside, _), (everywhere, times) = wander(y, FIT.usual), wander(whole, FIT.rare)
-    found = np.maximum(inside, np.minimum(everywhere, [noise.variance for noise in own]))
-    typical = float(np.median(found))
-    return np.maximum(found, typical).tolist(), [float(np.median(times[found >= typical]))] * len(own)
+    variances = np.maximum(inside, np.minimum(everywhere, [noise.variance for noise in errors]))
+    typical = float(np.median(variances))
+    return np.maximum(variances, typical).tolist(), [float(np.median(times[variances >= typical]))] * len(errors)
 
 
 def _repeats(samples: Floats, width: float) -> float:
-    """Return the share of samples that equal the one before; of a typical part, so that a frozen one does no harm."""
+    """Return the share of samples that equal the one before in a typical part, so a frozen part has no effect."""
     values = samples[np.isfinite(samples)]
     return _typical(np.abs(np.diff(values)) < 0.25 * width)
 
 
 def _typical(happens: np.ndarray) -> float:
-    """Return how often something happens in a typical part of the steps."""
+    """Return the share of true values in a typical part of the steps."""
     length = max(len(happens) // FIT.parts, FIT.least_part)
     parts = happens[: max(len(happens) // length, 1) * length].reshape(-1, min(length, len(happens)))
     return float(np.median(parts.mean(axis=1)))

@@ -1,4 +1,4 @@
-"""How well a model explains a recording without faults: what its standard deviations and time constants are fitted by."""
+"""The likelihood of a model, given a recording without faults: the criterion for fitting its parameters."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ def log_likelihood(
 ) -> float:
     """Return the logarithm of the samples' density under a model whose sensors are all healthy.
 
-    It is the sum over the steps of the normal log-densities of the innovations, of which a Kalman filter gives the covariance
-    (Schweppe, IEEE Trans. Inf. Theory 11, 1965); the larger, the better the model. Differences between two models count, in nats.
+    It is the sum over the steps of the normal log-densities of the innovations, with the covariances from a Kalman filter
+    (Schweppe, IEEE Trans. Inf. Theory 11, 1965). A larger value means a better model; differences of two models are in nats.
 
     Parameters
     ----------
     model : LinearModel
-        With a row of C for each sensor of the recording.
+        A model with a row of C for each sensor of the recording.
     recording : Recording
-        Without faults.
+        A recording without faults.
     initial_mean, initial_covariance : optional
         Belief before the first sample, as for `StateEstimator`.
     compiled : bool, optional
-        As of `monitor_recording`.
+        As for `monitor_recording`.
     """
     estimator = StateEstimator(model, FixedPrecision(), initial_mean, initial_covariance)
-    found = estimate(estimator, recording.y, recording.u, ("innovation", "P"), compiled)
-    e, S = found["innovation"], innovation_covariances(estimator, found["P"])
+    signals = estimate(estimator, recording.y, recording.u, ("innovation", "P"), compiled)
+    e, S = signals["innovation"], innovation_covariances(estimator, signals["P"])
     present = np.isfinite(e)
-    # A missing sample is an independent one of variance 1 and error 0, whose density is then left out of the count.
+    # A missing sample becomes an independent one of variance 1 and error 0, which adds nothing to the sum.
     S = np.where(present[:, :, None] & present[:, None, :], S, np.eye(model.sensors))
     e = np.where(present, e, 0.0)
     distance = np.einsum("ki,ki->", e, np.linalg.solve(S, e[:, :, None])[:, :, 0])

@@ -1,4 +1,4 @@
-"""Robust moments of differences over many short windows: how far a quantity moves, and how far its sensors disagree."""
+"""Robust moments of differences over many short windows, for the motion of a quantity and the noise of its sensors."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.fit.settings import FIT
 
 MAD = 1.4826
-"""Standard deviation of a normal variable over the median of its absolute value."""
+"""Standard deviation of a normal variable divided by the median of its absolute value."""
 
 
 def median(values: Floats, axis: int) -> Floats:
-    """Return the median along an axis, without the NaN; NaN where there is nothing else. Much faster than numpy's."""
+    """Return the median along an axis without NaN (NaN if there is nothing else); much faster than numpy's nanmedian."""
     ordered = np.sort(values, axis=axis)  # NaN comes last
     count = np.isfinite(ordered).sum(axis=axis, keepdims=True)
     low, high = (np.take_along_axis(ordered, np.maximum(at, 0), axis) for at in ((count - 1) // 2, count // 2))
@@ -27,16 +27,16 @@ def differences(y: Floats, lag: int, order: int) -> Floats:
 
 
 def windowed(x: Floats, lag: int) -> Floats:
-    """Return differences cut into windows (windows x samples x signals), each with its outliers cut back.
+    """Return differences in windows (windows x samples x signals), with clipped outliers.
 
-    The scale of a window is that of its changes: samples that repeat themselves, or a coarse resolution, do not shrink it.
+    The scale of a window comes only from its nonzero differences, so repeated samples or a coarse resolution do not shrink it.
 
     Parameters
     ----------
     x : ndarray, steps x signals
         Differences.
     lag : int
-        Over which they are taken, in steps.
+        Lag of the differences in steps.
     """
     length = max(min(max(FIT.least_window, FIT.window * lag), len(x) // FIT.fewest_windows), 1)
     count = len(x) // length
@@ -48,7 +48,7 @@ def windowed(x: Floats, lag: int) -> Floats:
 
 
 def mean(values: Floats, axis: int) -> Floats:
-    """Return the mean along an axis, without the NaN; NaN where fewer than a tenth, or three, are left."""
+    """Return the mean along an axis without NaN; NaN if fewer than three values, or a tenth of them, remain."""
     finite = np.isfinite(values)
     count = finite.sum(axis=axis)
     enough = (count >= 3) & (count >= values.shape[axis] / 10)

@@ -1,4 +1,4 @@
-"""How far the measured quantity itself moves, from what redundant sensors have in common."""
+"""The motion of the measured quantity, from the common part of the changes of redundant sensors."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from bayesftc.monitoring.fit.settings import FIT
 
 @dataclass(frozen=True)
 class Motion:
-    """How far the quantity moves over a lag."""
+    """The motion of the quantity over a lag."""
 
-    variance: float  # of the difference, in the livelier windows
-    seen: bool = True  # whether it is told from noise; else `variance` is what may hide in it
+    variance: float  # of the difference, in the windows with more motion
+    seen: bool = True  # whether it is visible above the noise; if not, `variance` is the most that noise can hide
 
 
 def common(y: Floats, lag: int, order: int, noise: float) -> Motion:
-    """Return what the differences of redundant sensors have in common: no noise, and no fault of a single sensor.
+    """Return the common part of the differences of redundant sensors, without noise and faults of a single sensor.
 
-    In each window it is the median over the pairs of sensors of the covariance of their differences. Where no window shows
-    it by itself, the median over all windows may.
+    In each window it is the median, over the pairs of sensors, of the covariance of their differences. If no single window shows
+    motion, the median over all windows can.
 
     Parameters
     ----------
     y : ndarray, steps x sensors
         Samples.
     lag, order : int
-        Of the differences.
+        Lag and order of the differences.
     noise : float
-        Variance that noise gives to such a difference of one sensor.
+        Variance of such a difference of one sensor that noise causes.
     """
     x = windowed(differences(y, lag, order), lag)
     length = x.shape[1]
-    own = mean(x**2, 1)
-    moments, errors = (median(np.stack(of, axis=1), 1) for of in zip(*_pairs(x, own, noise), strict=True))
+    variances = mean(x**2, 1)
+    moments, errors = (median(np.stack(of, axis=1), 1) for of in zip(*_pairs(x, variances, noise), strict=True))
     if not np.isfinite(moments).any():
         return Motion(0.0, seen=False)
     moves = moments > np.maximum(FIT.seen * errors, 1e-300)
@@ -52,17 +52,17 @@ def common(y: Floats, lag: int, order: int, noise: float) -> Motion:
         return Motion(together if seen else max(together, 0.0) + FIT.hidden * error, seen)
     typical = float(np.median(moments[moves]))
     scatter = np.sqrt((1.0 + (1.0 + noise / typical) ** 2) * lag / (1.5 * length))
-    # Windows that all move alike scatter as well: the same quantile of a normal variable corrects for it.
+    # The estimates scatter even if all windows have the same motion. The same quantile of a normal variable corrects for it.
     upper = float(np.quantile(moments[moves], FIT.livelier)) / (1.0 + ndtri(FIT.livelier) * scatter)
     return Motion(max(upper, typical))
 
 
-def _pairs(x: Floats, own: Floats, noise: float) -> Iterator[tuple[Floats, Floats]]:
+def _pairs(x: Floats, variances: Floats, noise: float) -> Iterator[tuple[Floats, Floats]]:
     """Give for each pair of sensors the covariance of their differences in each window, and its standard error.
 
-    The covariance is no more than the lesser variance: of a sensor that runs away no more counts than what the other shows.
+    The covariance is limited to the smaller variance, so a sensor that drifts away has no more weight than the other.
     """
     for i, j in combinations(range(x.shape[2]), 2):
-        moment = np.minimum(mean(x[:, :, i] * x[:, :, j], 1), np.minimum(own[:, i], own[:, j]))
-        beside = np.maximum(own[:, i] - moment, noise / 2) * np.maximum(own[:, j] - moment, noise / 2)
+        moment = np.minimum(mean(x[:, :, i] * x[:, :, j], 1), np.minimum(variances[:, i], variances[:, j]))
+        beside = np.maximum(variances[:, i] - moment, noise / 2) * np.maximum(variances[:, j] - moment, noise / 2)
         yield moment, np.sqrt(beside * 1.5 / x.shape[1])

@@ -1,4 +1,4 @@
-"""How far redundant sensors disagree: each one's noise, errors that last, and errors that two of them share."""
+"""The disagreement of redundant sensors: the noise and the lasting errors of each, and common errors of two."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from bayesftc.monitoring.fit.settings import FIT
 
 @dataclass(frozen=True)
 class Noise:
-    """What one sensor, or a group of sensors together, has of errors."""
+    """The errors of one sensor, or the common errors of a group."""
 
     white: float  # variance from sample to sample
     lasting: tuple[tuple[float, float], ...]  # variance and time constant in steps of coloured noise, if there is any
 
     def times(self, factor: float) -> Noise:
-        """Return noise whose variance is larger by a factor."""
+        """Return this noise with its variance multiplied by a factor."""
         return Noise(factor * self.white, tuple((factor * variance, constant) for variance, constant in self.lasting))
 
     def within(self, least: float, factor: float) -> Noise:
-        """Return noise of the same kind whose variance is at least `least`, and at most `factor` times this."""
+        """Return this noise with its variance limited to between `least` and `factor` times `least`."""
         variance = self.variance
         return self.times(float(np.clip(variance, least, factor * least)) / variance) if variance > 0 else self
 
     @property
     def variance(self) -> float:
-        """Of all of them."""
+        """The total variance."""
         return self.white + sum(variance for variance, _ in self.lasting)
 
 
 def awake(y: Floats) -> Floats:
-    """Return samples without those of windows in which their sensor does not change, as that of a parked car or a frozen one.
+    """Return the samples without those of windows in which their sensor does not change: parked car, frozen sensor.
 
-    What is quiet for such a reason says nothing of the noise. Where too few samples would be left all stay.
+    Such windows do not show the noise. If too few samples would remain, all are kept.
     """
     count = len(y) // FIT.quiet
     kept = y.copy()
@@ -56,16 +56,16 @@ def awake(y: Floats) -> Floats:
 
 
 def disagreement(y: Floats, lag: int) -> tuple[Floats, Floats]:
-    """Return the variance of the difference of each pair of sensors over a lag, in each window, and each sensor's own.
+    """Return the variance of the disagreement of each pair of sensors over a lag, in each window, and of each sensor.
 
-    Of a sensor it is the variance of its differences less what they have in common with the quietest other one.
+    For a sensor it is the variance of its differences minus their covariance with the quietest other sensor.
 
     Parameters
     ----------
     y : ndarray, steps x sensors
         Samples.
     lag : int
-        In steps.
+        Lag of the differences in steps.
 
     Returns
     -------
@@ -75,64 +75,64 @@ def disagreement(y: Floats, lag: int) -> tuple[Floats, Floats]:
     pairs = list(combinations(range(y.shape[1]), 2))
     apart = windowed(differences(np.column_stack([y[:, i] - y[:, j] for i, j in pairs]), lag, 1), lag)
     x = windowed(differences(y, lag, 1), lag)
-    own = mean(x**2, 1)
-    quiet = np.argsort(median(own, 0))
+    variances = mean(x**2, 1)
+    quiet = np.argsort(median(variances, 0))
     partner = [int(quiet[1] if quiet[0] == i else quiet[0]) for i in range(y.shape[1])]
-    return mean(apart**2, 1), np.asarray(own - mean(x * x[:, :, partner], 1))
+    return mean(apart**2, 1), np.asarray(variances - mean(x * x[:, :, partner], 1))
 
 
 def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
-    """Return the pairs of sensors that are nearer to each other than to all others; three sensors do not tell.
+    """Return the pairs of sensors that are nearer to each other than to all others; this needs four or more sensors.
 
     Parameters
     ----------
     apart : ndarray, pairs
         Variance of the difference of each pair.
     sensors : int
-        How many there are.
+        Number of sensors.
     """
     if sensors < 4 or not np.isfinite(apart).all():
         return []
     table = np.full((sensors, sensors), np.nan)
     for (i, j), variance in zip(combinations(range(sensors), 2), apart, strict=True):
         table[i, j] = table[j, i] = variance
-    found = []
+    near = []
     for i, j in combinations(range(sensors), 2):
         others = [k for k in range(sensors) if k not in (i, j)]
         if table[i, j] < FIT.alike * min(float(np.median(table[k, others])) for k in (i, j)):
-            found.append((i, j))
-    return [pair for pair in found if sum(bool(set(pair) & set(other)) for other in found) == 1]
+            near.append((i, j))
+    return [pair for pair in near if sum(bool(set(pair) & set(other)) for other in near) == 1]
 
 
 def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Floats:
-    """Return the variances of each sensor and each group that add up to those of the pairs; NaN where no pair tells.
+    """Return the variances of each sensor and each group that add up to those of the pairs; NaN where no pair has data.
 
-    It is done in each window, of which the median counts: so a fault of one sensor is seen in this one only. The equations are
-    those of the three-cornered hat (Gray and Allan, 1974), solved by least squares of relative errors. Where the quantity moves
-    little, a sensor's own differences tell more: what scatters less from window to window counts.
+    The result is the median over separately solved windows, so a fault affects only the sensor that has it. The equations are those
+    of the three-cornered hat (Gray and Allan, 1974), solved by least squares of relative errors. If the quantity moves little, a
+    sensor's own differences are more accurate: the estimate that scatters less over the windows is used.
 
     Parameters
     ----------
     apart : ndarray, windows x pairs
         From `disagreement`.
     alone : ndarray, windows x sensors
-        From `alone`.
+        From `disagreement`.
     shared : list of tuple of int
         From `groups`.
     """
     sensors = alone.shape[1]
     typical = median(apart, 0)
-    known = np.isfinite(typical) & (typical > 0)
+    valid = np.isfinite(typical) & (typical > 0)
     pairs = list(combinations(range(sensors), 2))
     rows = [
         [float(i in p) for i in range(sensors)] + [float((g[0] in p) != (g[1] in p)) for g in shared] for p in pairs
     ]
-    matrix = np.array(rows)[known]
-    if not known.any():
+    matrix = np.array(rows)[valid]
+    if not valid.any():
         return np.where(np.isfinite(typical).any(), 0.0, np.full(sensors + len(shared), np.nan))
-    weight = 1.0 / typical[known]
-    solve = np.linalg.pinv(matrix * weight[:, None])  # shares out evenly what no pair tells apart
-    of_windows = (apart[:, known] * weight) @ solve.T
+    weight = 1.0 / typical[valid]
+    solve = np.linalg.pinv(matrix * weight[:, None])  # divides evenly what the pairs do not determine
+    of_windows = (apart[:, valid] * weight) @ solve.T
     parts = np.where(matrix.any(axis=0), median(of_windows, 0), np.nan)
     if not shared:
         other = median(alone, 0)
@@ -146,7 +146,7 @@ def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Fl
 
 
 def scatter(of_windows: Floats, typical: Floats) -> Floats:
-    """Return the median distance of the windows' values from the typical one."""
+    """Return the median distance of the windows' values from the typical value."""
     return median(np.abs(of_windows - typical), 0)
 
 
@@ -156,12 +156,12 @@ def decompose(lags: Floats, variances: Floats, *, white: bool) -> Noise:
     Parameters
     ----------
     lags, variances : ndarray
-        Of the differences.
+        Lags and variances of the differences.
     white : bool
-        Whether there is white noise at all; without, what is white has the shortest time constant.
+        Whether there is white noise. If not, a white part gets the shortest time constant.
     """
-    known = np.isfinite(variances)
-    lags, variances = lags[known], variances[known]
+    finite = np.isfinite(variances)
+    lags, variances = lags[finite], variances[finite]
     lags, variances = (of[lags <= FIT.long * lags[:1]] for of in (lags, variances))
     if not len(lags) or not variances.max() > 0:
         return Noise(0.0, ())

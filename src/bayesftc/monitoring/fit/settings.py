@@ -1,7 +1,7 @@
-"""Every choice that a fit makes, beside the reason for it: windows, quantiles, and from where on something counts.
+"""All choices of a fit with their reasons: windows, quantiles and thresholds.
 
-The recorded drive of ``docs/monitor.md`` was looked at while they were made: a wheel that fails while it brakes, at 31.5 s, and a
-stretch of five calm seconds (`louder`, `rare`). Other recordings have not been seen.
+They were made with the recorded drive of ``docs/monitor.md`` in view: a wheel that fails in braking at 31.5 s, and a stretch of
+five calm seconds (`louder`, `rare`). They were not tested on other recordings.
 """
 
 from __future__ import annotations
@@ -13,72 +13,83 @@ from bayesftc.cosim.base.chosen import chosen
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Variances are compared with variances, lags are in steps."""
+    """Ratios of noise, motion and errors are ratios of variances; lags are in steps."""
 
-    # What a recording must have.
+    # Requirements of a recording.
     fewest: int = chosen(200, "samples of each sensor: a variance is then known to a tenth")
     copied: float = chosen(
-        0.95, "share of equal samples, of those that change, from which on two columns are the same one"
+        0.95, "share of equal samples, among those that change, at which two columns count as copies"
     )
-    still: float = chosen(0.02, "a sensor stands still where no more of its samples change, while of another ...")
-    lively: float = chosen(0.2, "... at least this share does; between both a slow sensor may lie")
+    still: float = chosen(
+        0.02, "a sensor stands still if at most this share of its samples changes, while in another ..."
+    )
+    lively: float = chosen(0.2, "... at least this share changes; a slow sensor may be between the two")
     far: float = chosen(
-        10.0, "times its own noise by which a sensor may differ from others that move less: biases wander"
+        10.0, "multiple of its noise by which a sensor may differ from others that move less: biases wander"
     )
-    far_quantile: float = chosen(0.9, "of the level's distance from its median: how far the others move")
+    far_quantile: float = chosen(0.9, "quantile of the level's distance from its median: the motion of the others")
     collide: float = chosen(
-        0.1, "share of samples that may fall on the step of a later one: jittering times need short steps"
+        0.1, "share of samples that may belong to the step of a later one: jittering times need short steps"
     )
     # Windows.
-    window: int = chosen(16, "lags in a window, so that it has several independent differences")
-    least_window: int = chosen(64, "samples in it at least, so that its median is no accident")
+    window: int = chosen(16, "lags in a window, for several independent differences")
+    least_window: int = chosen(64, "least samples in a window, for a reliable median")
     fewest_windows: int = chosen(
-        8, "in a recording: with fewer a fault in one would move their median, so they get shorter"
+        8, "least windows in a recording, which get shorter for it: with fewer, a fault in one would change the median"
     )
     clip: float = chosen(
-        4.5, "standard deviations at which differences are cut: of normal ones one in 150,000 is beyond"
+        4.5, "standard deviations at which differences are clipped: one in 150,000 normal ones exceeds it"
     )
-    quiet: int = chosen(64, "steps in which a sensor must change, or it says nothing of its noise: parked, or frozen")
-    parts: int = chosen(
-        64, "lags reach up to this part of a recording, and it is in as many parts that repeats are counted"
+    quiet: int = chosen(
+        64, "steps in which a sensor must change; if not, it does not show its noise: parked, or frozen"
     )
-    least_part: int = chosen(20, "samples in which repeats are counted: a share is then known to a tenth")
+    parts: int = chosen(64, "number of parts in which repeats are counted; the longest lag is one part of a recording")
+    least_part: int = chosen(20, "least samples in such a part: a share is then known to a tenth")
     # Motion.
-    seen: float = chosen(4.0, "standard errors beyond noise from which on a window moves: hardly one does by chance")
+    seen: float = chosen(
+        4.0, "standard errors above noise at which a window counts as moving: rarely exceeded by chance"
+    )
     few: float = chosen(0.02, "share of moving windows below which only all windows together can show motion")
     hidden: float = chosen(
-        2.0, "standard errors of motion that may hide in noise: a model that expects none follows nothing"
+        2.0, "standard errors of motion that noise may hide: a model without motion would follow no change"
     )
-    livelier: float = chosen(0.9, "quantile of the moving windows whose motion the model expects: braking is rare")
+    livelier: float = chosen(0.9, "quantile of the moving windows whose motion the model has: braking is rare")
     smooth: float = chosen(
         0.7,
-        "second differences of a random walk have twice the variance of its first; below this share of it, it has a rate",
+        "ratio of the variances of second and first differences: 2 for a random walk; below this value there is a rate",
     )
-    # Noise, and errors that last.
+    # Noise and lasting errors.
     alike: float = chosen(
-        0.75, "share of what they differ from others by, below which two sensors share errors: an axle's do"
+        0.75, "share of the difference from others below which two sensors have common errors, as on an axle"
     )
-    tells: float = chosen(0.3, "of their own errors: what two sensors share counts from here on; less is chance")
-    counts: float = chosen(0.5, "of the white noise: errors that last count from here on; less is white noise as well")
+    tells: float = chosen(0.3, "least ratio of two sensors' common errors to their own; smaller ones are chance")
+    counts: float = chosen(0.5, "least ratio of lasting errors to the white noise; smaller ones count as white noise")
     white: float = chosen(
-        0.2, "share of white noise that each sensor has at least: by it modes measure offsets and noise"
+        0.2, "least share of white noise of each sensor: the modes' offsets and noise are multiples of it"
     )
     lesser: float = chosen(
-        0.1, "share that each of two sensors has of what they differ by: their motion hides whose it is"
+        0.1, "least share of each of two sensors in their difference: their motion hides which of them has it"
     )
-    long: int = chosen(32, "shortest lags up to which noise is coloured; what lasts longer is a bias that wanders")
-    settled: float = chosen(4.0, "shortest lags from which on the noise of the sensors has about its full size")
-    louder: float = chosen(2.0, "times the noise in the stretch that counts elsewhere: calm seconds are too quiet")
+    long: int = chosen(
+        32, "multiple of the shortest lag up to which noise is coloured; longer errors are a wandering bias"
+    )
+    settled: float = chosen(4.0, "multiple of the shortest lag from which the sensors' noise has about its full size")
+    louder: float = chosen(
+        2.0, "largest ratio of the noise elsewhere to that in the stretch: calm seconds are too quiet"
+    )
     # Biases.
     blocks: int = chosen(32, "parts of a recording whose typical differences are compared")
-    least_block: int = chosen(16, "steps in one of them, so that its median is no accident")
-    certain: float = chosen(4.0, "times what noise makes of it from which on a bias wanders from part to part")
-    wanders: float = chosen(0.1, "of the noise: a wandering bias counts from here on; less is not seen beside it")
-    usual: float = chosen(0.75, "quantile of how far biases wander in the stretch: sensors are healthy there")
-    rare: float = chosen(0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it does no harm")
+    least_block: int = chosen(16, "least steps in one part, for a reliable median")
+    certain: float = chosen(4.0, "multiple of the variance due to noise at which a bias counts as wandering")
+    wanders: float = chosen(0.1, "least ratio of a wandering bias to the noise; smaller ones are not visible beside it")
+    usual: float = chosen(0.75, "quantile of the wandering of biases in the stretch: sensors are healthy there")
+    rare: float = chosen(
+        0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it has no effect"
+    )
     # The model file.
     uncertain: float = chosen(
-        3.0, "spreads within which another recording's level begins: the file serves others as well"
+        3.0,
+        "standard deviations of the level that the initial belief covers, so the file fits other recordings as well",
     )
 
 

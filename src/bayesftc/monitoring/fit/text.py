@@ -1,4 +1,4 @@
-"""A fitted model as a monitor's model file, and in words."""
+"""The text of a model file from a fitted model."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str, Place]) -> str:
-    """Return the text of a model file that `load_monitor` reads.
+    """Return the text of a model file, which `load_monitor` reads.
 
     Parameters
     ----------
     fitted : FittedModel
-        What was found.
+        The fitted model.
     recording : Recording
-        In what.
+        Its recording.
     places : mapping of str to Place
-        Where each sensor stands.
+        File and columns of each sensor.
     """
     several = len({place.file for place in places.values()}) > 1
     time = next(iter(places.values())).time
     lines = [
         f"# Fitted by bayesftc monitor --fit to {recording.time[0]:g} to {recording.time[-1]:g} s.",
         "",
-        f"dt = {float(recording.dt):.10g}  # s, of a step",
+        f"dt = {float(recording.dt):.10g}  # sample time in s",
         f"time = {_text(time)}  # the column of times",
         "",
         "[model]",
@@ -49,16 +49,16 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
         if place.time != time:
             lines.append(f"time = {_text(place.time)}")
         lines += [
-            f"std = {_number(sensor.std)}  # of its white noise",
-            f"bias = {_number(sensor.bias)}  # its constant difference from the typical sensor",
+            f"std = {_number(sensor.std)}  # of the white noise",
+            f"bias = {_number(sensor.bias)}  # constant difference from the typical sensor",
             f"resolution = {_number(sensor.resolution)}" + ("" if sensor.resolution else "  # too fine to matter"),
-            f"repeats = {_number(sensor.repeats)}  # share of its samples that equal the one before",
+            f"repeats = {_number(sensor.repeats)}  # share of samples that equal the one before",
         ]
     for errors in fitted.errors:
         named = ", ".join(map(_text, errors.sensors or ()))
         lines += [
             "",
-            "[[errors]]  # " + ("that these sensors share" if errors.common else "that last"),
+            "[[errors]]  # " + ("common to these sensors" if errors.common else "lasting"),
             f"sensors = [{named}]",
             f"std = {_number(errors.std)}",
             f"time_constant = {_number(errors.time_constant)}  # s",
@@ -70,11 +70,11 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
 def _plant(fitted: FittedModel) -> list[str]:
     kind, std = type(fitted.plant).__name__, _number(fitted.plant.std)
     if not isinstance(fitted.plant, ConstantRate):
-        return [f'kind = "{kind}"  # a level that wanders', f"std = {std}  # of its change in a second"]
+        return [f'kind = "{kind}"  # a level that changes at random', f"std = {std}  # of its change in one second"]
     spread = max(FIT.uncertain * fitted.spread, fitted.plant.std)
     return [
-        f'kind = "{kind}"  # a level with a rate that wanders',
-        f"std = {std}  # of the rate's change in a second",
+        f'kind = "{kind}"  # a level whose rate changes at random',
+        f"std = {std}  # of the rate's change in one second",
         f"initial_mean = [{_number(fitted.level)}, 0.0]  # level and rate before the first sample",
         f"initial_std = [{_number(spread)}, {_number(max(fitted.rate, fitted.plant.std))}]",
     ]
