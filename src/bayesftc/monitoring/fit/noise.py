@@ -107,9 +107,9 @@ def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
 def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Floats:
     """Return the variances of each sensor and each group that add up to those of the pairs; NaN where no pair has data.
 
-    The result is the median over separately solved windows, so a fault affects only the sensor that has it. The equations are those
-    of the three-cornered hat (Gray and Allan, 1974), solved by least squares of relative errors. If the quantity moves little, a
-    sensor's own differences are more accurate: the estimate that scatters less over the windows is used.
+    The result is the median over separately solved windows, so a fault affects only the sensor that has it. The equations are
+    those of the three-cornered hat (Gray and Allan, 1974), solved by least squares of relative errors. If the quantity moves
+    little, a sensor's own differences are more accurate: the estimate that scatters less over the windows is used.
 
     Parameters
     ----------
