@@ -1,6 +1,6 @@
 """Reports of campaigns: a stored campaign as one self-contained page.
 
-The way of the data: `contents.py` decides what a campaign can say (which factor is compared, which signals are errors),
-`pooling.py` and `levels.py` how sure means over several points are, `tables.py` and `comparisons.py` write, `bands.py`,
-`grids.py` and `detection.py` read the store and draw, `page.py` puts text, tables and figures into the template ``page.html``.
+`contents.py` chooses the content (the compared factor, the error signals). `pooling.py` and `levels.py` compute means over
+several points with their intervals. `tables.py` and `comparisons.py` write tables and sentences. `bands.py`, `grids.py` and
+`detection.py` read the store and draw figures. `page.py` puts all into the template ``page.html``.
 """

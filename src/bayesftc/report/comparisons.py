@@ -1,4 +1,4 @@
-"""What the compared factor does: its levels beside each other, over all points and in each cell, and a sentence of it."""
+"""The effect of the compared factor: differences of its levels over all points and in each cell, and sentences on them."""
 
 from __future__ import annotations
 
@@ -27,18 +27,16 @@ def overall(contents: Contents) -> Table | None:
         rows.append([_minus(each), str(each.points), str(each.difference.runs), text, p_text(each.p)])
     paired, apart = (any(each.paired is way for each in pairs) for way in (True, False))
     how = [
-        *(["differences run by run, of the same seed at the same point"] if paired else []),
+        *(["differences of runs with the same seed at the same point"] if paired else []),
         *(["differences of means of independent runs"] if apart else []),
     ]
     note = f"{' and '.join(how).capitalize()}; ± is half of the 95 % confidence interval over seeds"
     every = pairs[0].pairs
-    note += f", which holds for all {every} pairs together, as p does (Bonferroni)." if every > 1 else "."
+    note += f". Interval and p hold for all {every} pairs together (Bonferroni)." if every > 1 else "."
     if len(contents.levels()) > MOST_COMPARED:
-        note += " Of so many levels only the two with the lowest means are compared."
+        note += " With so many levels only the two with the lowest means are compared."
     if contents.others:
-        note += (
-            f" Means over the combinations of {', '.join(contents.others)}: what holds of them need not hold of each."
-        )
+        note += f" Means over the combinations of {', '.join(contents.others)}; a single combination can differ."
     kind = "pairs of runs" if not apart else "runs, at least"
     columns = [contents.compared, "combinations", kind, f"difference of {contents.metric}", "p"]
     return Table("Comparison", columns, rows, note)
@@ -46,10 +44,10 @@ def overall(contents: Contents) -> Table | None:
 
 def in_cells(contents: Contents) -> Table | None:
     """Return the differences between each two levels in each combination of the other factors."""
-    found = _tests(contents) if contents.others else None
-    if found is None:
+    tests = _tests(contents) if contents.others else None
+    if tests is None:
         return None
-    frame, by, paired = found
+    frame, by, paired = tests
     rows = [
         [
             *(text_of(row[name]) for name in by),
@@ -61,8 +59,8 @@ def in_cells(contents: Contents) -> Table | None:
         ]
         for row in frame.head(ROWS).to_dict("records")
     ]
-    how = "Paired t-tests, run by run with the same noise" if paired else "Welch's t-tests"
-    note = f"{how}; ± is half of each 95 % confidence interval by itself, p is corrected for {len(frame)} tests (Holm)."
+    how = "Paired t-tests of runs with the same noise" if paired else "Welch's t-tests"
+    note = f"{how}; ± is half of a single 95 % confidence interval, p is corrected for {len(frame)} tests (Holm)."
     note += f" Effect: {'mean over standard deviation of the differences' if paired else 'Cohen’s d'}."
     note += f" {len(frame) - ROWS} further rows are left out here." if len(frame) > ROWS else ""
     columns = [*by, str(contents.compared), f"difference of {contents.metric}", "effect", "p"]
@@ -70,7 +68,7 @@ def in_cells(contents: Contents) -> Table | None:
 
 
 def sentences(contents: Contents) -> list[str]:
-    """Return what the numbers say, no more than intervals and tests carry."""
+    """Return the findings in sentences, as far as intervals and tests support them."""
     metric, factor = contents.metric, contents.compared
     if metric is None:
         return []
@@ -83,7 +81,7 @@ def sentences(contents: Contents) -> list[str]:
     beside = [pair(contents, level, best, every) for level, _ in order[1:4]]
     head = f"{metric} is lowest with {factor} = {text_of(best)}, {lowest.value:.4g} on average"
     if not beside[0].points:
-        return [f"{head}; the levels have no point in common, so that nothing tells what of this is {factor}'s doing."]
+        return [f"{head}. The levels have no point in common, so the effect of {factor} alone is not known."]
     if not beside[0].certain:
         return [head + _undecided(beside[0]), *_cells(contents, beside[0])]
     sure = [each for each in beside if each.certain]
@@ -94,36 +92,34 @@ def sentences(contents: Contents) -> list[str]:
 def _undecided(each: Pair) -> str:
     value, half = each.difference.value, each.half
     if half != half:
-        return (
-            f"; one seed does not tell whether {text_of(each.first)}, {value:.3g} above it, differs by more than noise."
-        )
+        return f". {text_of(each.first)} is {value:.3g} above it, but with one seed this may be noise."
     return (
-        f", but no difference to {text_of(each.first)} is certain: the 95 % interval of it reaches from "
-        f"{value - half:.3g} to {value + half:.3g}."
+        f", but the difference to {text_of(each.first)} is not certain: its 95 % interval is {value - half:.3g} to "
+        f"{value + half:.3g}."
     )
 
 
 def _cells(contents: Contents, beside: Pair) -> list[str]:
-    """Return how it is in each combination of the other factors."""
-    found = _tests(contents)
-    if found is None or not found[1]:
+    """Return a sentence on the combinations of the other factors."""
+    tests = _tests(contents)
+    if tests is None or not tests[1]:
         return []
-    frame, by, _ = found
-    ours, theirs = beside.second, beside.first
-    mine = frame[frame["first"].isin([ours, theirs]) & frame["second"].isin([ours, theirs])]
-    sign = mine["first"].map(lambda level: 1.0 if level == ours else -1.0)
-    certain = mine["p_corrected"] < 0.05
-    lower = int((certain & (sign * mine["difference"] < 0)).sum())
-    higher = int((certain & (sign * mine["difference"] > 0)).sum())
-    rest = len(mine) - lower - higher
+    frame, by, _ = tests
+    best, other = beside.second, beside.first
+    rows = frame[frame["first"].isin([best, other]) & frame["second"].isin([best, other])]
+    sign = rows["first"].map(lambda level: 1.0 if level == best else -1.0)
+    certain = rows["p_corrected"] < 0.05
+    lower = int((certain & (sign * rows["difference"] < 0)).sum())
+    higher = int((certain & (sign * rows["difference"] > 0)).sum())
+    rest = len(rows) - lower - higher
     return [
-        f"Of the {len(mine)} combinations of {', '.join(by)}, {text_of(ours)} is lower than {text_of(theirs)} in {lower}, higher "
+        f"Of the {len(rows)} combinations of {', '.join(by)}, {text_of(best)} is lower than {text_of(other)} in {lower}, higher "
         f"in {higher}, and {rest} {'is' if rest == 1 else 'are'} undecided (tests at 5 %, corrected)."
     ]
 
 
 def _tests(contents: Contents) -> tuple[pd.DataFrame, list[str], bool] | None:
-    """Return the tests in each combination of the other factors that has runs of all levels, these factors, and the way."""
+    """Return the tests in each combination of the other factors with runs of all levels, these factors, and whether paired."""
     from bayesftc.cosim.errors import ModelError
     from bayesftc.cosim.statistics import compare
 
@@ -131,17 +127,17 @@ def _tests(contents: Contents) -> tuple[pd.DataFrame, list[str], bool] | None:
     if factor is None or metric is None or not 2 <= levels <= MOST_COMPARED:
         return None
     table = contents.table.assign(**{"combination ": contents.combinations})
-    table = table.drop_duplicates(["combination ", factor, "seed"])  # a point that is there twice
+    table = table.drop_duplicates(["combination ", factor, "seed"])  # a point may occur twice
     same = table[table.groupby(["combination ", "seed"])[factor].transform("nunique") == levels]
     paired = bool(len(same))
     used = same if paired else table[table.groupby("combination ")[factor].transform("nunique") == levels]
     if not len(used):
         return None
     try:
-        found = compare(used, metric, factor, by=contents.others or None, paired=paired, correction="holm")
+        tests = compare(used, metric, factor, by=contents.others or None, paired=paired, correction="holm")
     except ModelError:
         return None
-    return found, contents.others, paired
+    return tests, contents.others, paired
 
 
 def _minus(each: Pair) -> str:

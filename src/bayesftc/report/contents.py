@@ -1,4 +1,4 @@
-"""What a campaign can say: which factor is compared, which metric counts, which signals are errors, what tells of detection."""
+"""The content of a report: the compared factor, the main metric, the error signals."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MOST_LEVELS = 6
-"""Levels of a factor that are told apart by colours."""
+"""Largest number of levels with distinct colours."""
 
 
 @dataclass(frozen=True)
 class ErrorSignal:
-    """A signal less a reference, both recorded, as a metric has them."""
+    """A signal minus a reference, both recorded, from a metric."""
 
     signal: str
     reference: str
@@ -32,20 +32,20 @@ class ErrorSignal:
 
 
 class Contents:
-    """A stored campaign, as its report sees it.
+    """A stored campaign with the choices of its report.
 
     Parameters
     ----------
     store : StoredCampaign
-        What is reported.
+        The campaign.
     metric, compare : str, optional
-        The metric that counts, by default the first; the factor whose levels are compared, by default the first of names rather
-        than numbers.
+        The main metric, by default the first; the factor whose levels are compared, by default the first whose values are names
+        and not numbers.
 
     Raises
     ------
     StoreError
-        If no run is done yet.
+        If there is no run yet.
     UnknownNameError
         If there is no such metric or factor.
     """
@@ -53,7 +53,7 @@ class Contents:
     def __init__(self, store: StoredCampaign, metric: str | None = None, compare: str | None = None):
         self.store, self.table = store, store.table()
         if not len(self.table):
-            raise StoreError(f"The campaign in {store.path} has no run yet; run it first.")
+            raise StoreError(f"The campaign in {store.path} has no run yet. Run it first.")
         self.metrics = list(store.metadata.metrics)
         if metric is not None and metric not in self.metrics:
             raise UnknownNameError(f"The campaign has no metric {metric!r}; {did_you_mean(metric, self.metrics)}")
@@ -70,21 +70,21 @@ class Contents:
 
     @cached_property
     def varied(self) -> list[str]:
-        """Factors that have more than one value."""
+        """Factors with more than one value."""
         return [name for name in self.factors if self.values(name) > 1]
 
     @property
     def others(self) -> list[str]:
-        """Factors that are varied, but not compared."""
+        """Varied factors, except the compared one."""
         return [name for name in self.varied if name != self.compared]
 
     def values(self, factor: str) -> int:
-        """Return how many values a factor has, among the runs that are done."""
+        """Return the number of values of a factor in the table."""
         return int(self.table[factor].nunique(dropna=False))
 
     @cached_property
     def combinations(self) -> Any:
-        """Return for each run the number of the combination of the factors that are not compared."""
+        """Index, for each run, of the combination of the factors that are not compared."""
         others = [name for name in self.factors if name != self.compared]
         if not others:
             return self.table["run"].to_numpy() * 0
@@ -92,27 +92,27 @@ class Contents:
 
     @cached_property
     def seed_lists(self) -> Any:
-        """For each point the number of its list of seeds: points with other lists have noise of their own."""
+        """Index, for each point, of its list of seeds: points with different lists have independent noise."""
         place: dict[tuple[int, ...], int] = {}
-        return np.array([place.setdefault(own, len(place)) for own in self.store.plan.seeds])
+        return np.array([place.setdefault(seeds, len(place)) for seeds in self.store.plan.seeds])
 
     def levels(self) -> list[Any]:
-        """Return the levels of the factor that is compared, in the order of the design; [None] without one."""
+        """Return the levels of the compared factor in the order of the design; [None] without one."""
         return [None] if self.compared is None else list(self.table[self.compared].drop_duplicates())
 
     def runs_of(self, level: Any) -> pd.DataFrame:
-        """Return the rows of the table at a level of the factor that is compared."""
+        """Return the rows of the table at a level of the compared factor."""
         if self.compared is None:
             return self.table
         column = self.table[self.compared]
         return self.table[column.isna() if level is None or level != level else column == level]
 
     def drawn(self) -> dict[Any, Style]:
-        """Return the levels that figures show, and how each is drawn in all of them."""
+        """Return the levels in figures, with the style of each."""
         return dict(zip(self.levels(), styles(), strict=False))
 
     def name(self, level: Any) -> str | None:
-        """Return what a level is called in a figure: its text, or which factor has which number."""
+        """Return the name of a level in a figure: its text, or factor and number."""
         if level is None or self.compared is None:
             return None
         number = _is_number(self.table[self.compared])
@@ -120,32 +120,32 @@ class Contents:
 
     @property
     def undrawn(self) -> str:
-        """A sentence on levels that figures do not show, if there are any."""
+        """A sentence on levels that figures do not show, or nothing."""
         every, drawn = len(self.levels()), len(self.drawn())
-        return f" Drawn are the first {drawn} of {every} levels." if every > drawn else ""
+        return f" Only the first {drawn} of {every} levels are drawn." if every > drawn else ""
 
     @property
     def failed(self) -> int:
-        """Number of runs that have failed."""
+        """Number of failed runs."""
         return int((self.table["status"] != OK).sum())
 
     @property
     def description(self) -> Mapping[str, Any]:
-        """What the campaign says of itself."""
+        """The campaign's description from its metadata."""
         return self.store.metadata.description
 
     def errors(self) -> list[ErrorSignal]:
-        """Return the signals that metrics compare with a reference, where both were recorded whole."""
-        found: dict[ErrorSignal, None] = {}
-        known = {name for name, (shape, _) in self.store.metadata.signals.items() if not shape}
+        """Return the signals that metrics compare with a reference, if both are recorded scalars."""
+        errors: dict[ErrorSignal, None] = {}
+        recorded = {name for name, (shape, _) in self.store.metadata.signals.items() if not shape}
         for metric in self.description.get("metrics", []):
             signal, reference = metric.get("signal"), metric.get("reference")
-            if {signal, reference} <= known:
-                found[ErrorSignal(signal, reference, int(metric.get("shift", 0)))] = None
-        return list(found)
+            if {signal, reference} <= recorded:
+                errors[ErrorSignal(signal, reference, int(metric.get("shift", 0)))] = None
+        return list(errors)
 
     def scalars(self) -> list[str]:
-        """Return the recorded signals that are one number at each time; whether faults are there is no signal like others."""
+        """Return the recorded scalar signals, except the flags of active faults."""
         faults = {
             f"{f}.active" for chain in self.description.get("roles", {}).get("faults_of_sensors", []) for f in chain
         }

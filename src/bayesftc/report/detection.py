@@ -1,4 +1,4 @@
-"""How well faults were detected: receiver operating characteristics, delay against false alarms, the reliability diagram."""
+"""The quality of fault detection: receiver operating characteristics, delay against false alarms, the reliability diagram."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from bayesftc.report.contents import Contents
 
 RUNS = 200
-"""Runs of each level that are looked at, drawn at random: more would not be seen."""
+"""Largest number of runs of each level, drawn at random; more would not change the figures visibly."""
 LINE = 0.18
-"""Inches of a line of the legend."""
+"""Height of a line of the legend in inches."""
 SCORES = ("fault_probability", "beta")
-"""Outputs of a controller that tell of faults, the better first."""
+"""Outputs of a controller that indicate faults, in order of preference."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Level:
     """Scores and truth of some runs of a level of the compared factor."""
 
     score_name: str  # the signal that ranks samples
-    # Of each run, of shape (steps, sensors).
+    # One array per run, of shape (steps, sensors).
     score: list[Floats]
     truth: list[Any]
-    seeds: list[int]  # Of each run. Those of the same seed have the same noise.
-    of: int  # from how many runs they were drawn
+    seeds: list[int]  # one per run; runs with the same seed have the same noise
+    of: int  # number of runs from which these were drawn
 
     @property
     def is_probability(self) -> bool:
@@ -41,44 +41,44 @@ class Level:
         return self.score_name.endswith(SCORES[0])
 
     def by_seed(self) -> tuple[list[Floats], list[Any]]:
-        """Return scores and truth, of the runs of a seed together: intervals count seeds, for only these are independent."""
+        """Return scores and truth, with the runs of a seed joined: intervals count seeds, because only these are independent."""
         place: dict[int, list[int]] = {}
         for i, seed in enumerate(self.seeds):
             place.setdefault(seed, []).append(i)
         return tuple(
-            [np.concatenate([all_[i] for i in own]) for own in place.values()] for all_ in (self.score, self.truth)
+            [np.concatenate([all_[i] for i in runs]) for runs in place.values()] for all_ in (self.score, self.truth)
         )  # type: ignore[return-value]
 
 
 def read_detection(contents: Contents) -> dict[Any, Level]:
-    """Return for each level what was recorded of faults and of their detection; without those of which that does not suffice."""
-    roles, known = contents.description.get("roles", {}), contents.store.metadata.signals
+    """Return recorded scores and faults of each level for which these suffice."""
+    roles, recorded = contents.description.get("roles", {}), contents.store.metadata.signals
     faults = sorted({name for chain in roles.get("faults_of_sensors", []) for name in chain})
     scores = [f"{roles.get('controller')}.{name}" for name in SCORES]
-    scores = [name for name in scores if name in known]
+    scores = [name for name in scores if name in recorded]
     active = [f"{name}.active" for name in faults]
-    if not faults or not scores or not set(active) <= set(known):
+    if not faults or not scores or not set(active) <= set(recorded):
         return {}
     runs = _read(contents, scores, active, roles["faults_of_sensors"])
-    found = {}
+    detection = {}
     for level in contents.drawn():
         for name in scores:
-            own = [(s[name], truth, seed) for s, truth, seed in runs.get(level, ()) if s[name].shape == truth.shape]
-            if _tells(own):
-                score, truth, seeds = (list(column) for column in zip(*own, strict=True))
+            samples = [(s[name], truth, seed) for s, truth, seed in runs.get(level, ()) if s[name].shape == truth.shape]
+            if _suffices(samples):
+                score, truth, seeds = (list(column) for column in zip(*samples, strict=True))
                 good = int((contents.runs_of(level)["status"] == OK).sum())
-                found[level] = Level(name, score, truth, seeds, good)
+                detection[level] = Level(name, score, truth, seeds, good)
                 break
-    return found
+    return detection
 
 
-def _tells(runs: list[Any]) -> bool:
-    """Return whether there are samples with a score, faulty and healthy ones, and scores that are not all the same."""
-    known = [np.isfinite(score) for score, _, _ in runs]
-    if not any(k.any() for k in known):
+def _suffices(runs: list[Any]) -> bool:
+    """Return whether there are faulty and healthy samples with a score, and at least two different scores."""
+    finite = [np.isfinite(score) for score, _, _ in runs]
+    if not any(k.any() for k in finite):
         return False
-    score = np.concatenate([s[k] for (s, _, _), k in zip(runs, known, strict=True)])
-    truth = np.concatenate([t[k] for (_, t, _), k in zip(runs, known, strict=True)])
+    score = np.concatenate([s[k] for (s, _, _), k in zip(runs, finite, strict=True)])
+    truth = np.concatenate([t[k] for (_, t, _), k in zip(runs, finite, strict=True)])
     return bool(truth.any() and not truth.all() and np.ptp(score) > 0)
 
 
@@ -93,30 +93,30 @@ def _read(
         if len(rows) > RUNS:
             rows = rows.iloc[np.sort(rng.choice(len(rows), RUNS, replace=False))]
         chosen |= {int(run): (level, int(seed)) for run, seed in zip(rows["run"], rows["seed"], strict=True)}
-    found: dict[Any, list[tuple[dict[str, Floats], Any, int]]] = {}
+    samples: dict[Any, list[tuple[dict[str, Floats], Any, int]]] = {}
     for piece, signals in contents.store.pieces_of_signals([*scores, *active]):
         for run in range(piece.begin, piece.end):
             if run not in chosen:
                 continue
             level, seed = chosen[run]
-            own = {name: values[run - piece.begin] for name, values in signals.items()}
-            rank = {name: own[name].reshape(len(own[name]), -1).copy() for name in scores}
+            of_run = {name: values[run - piece.begin] for name, values in signals.items()}
+            rank = {name: of_run[name].reshape(len(of_run[name]), -1).copy() for name in scores}
             columns = [
-                np.any([_of(own[f"{name}.active"]) for name in chain], axis=0)
+                np.any([_any(of_run[f"{name}.active"]) for name in chain], axis=0)
                 if chain
                 else np.zeros(len(rank[scores[0]]), bool)
                 for chain in chains
             ]
-            found.setdefault(level, []).append((rank, np.stack(columns, axis=1), seed))
-    return found
+            samples.setdefault(level, []).append((rank, np.stack(columns, axis=1), seed))
+    return samples
 
 
-def _of(flags: Floats) -> Any:
+def _any(flags: Floats) -> Any:
     return flags.reshape(len(flags), -1).any(axis=1)
 
 
 def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure, str]:
-    """Return the curves of all levels: found faults against false alarms, and delay against false alarms."""
+    """Return the curves of all levels: detected faults against false alarms, and delay against false alarms."""
     from matplotlib.ticker import NullLocator
 
     from bayesftc.cosim.judging.signals import ALARM
@@ -125,23 +125,23 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
     made, (left, right) = figure(3.2 + LINE * len(detection), 1, 2)
     time = contents.store.time
     step = float(time[1] - time[0]) if len(time) > 1 else 1.0
-    names = {own.score_name for own in detection.values()}
+    names = {each.score_name for each in detection.values()}
     least, alarms = 1.0, []
-    for level, own in detection.items():
-        style, curve = contents.drawn()[level], roc(*own.by_seed())
+    for level, each in detection.items():
+        style, curve = contents.drawn()[level], roc(*each.by_seed())
         x, mean = curve.false_positive_rate, curve.true_positive_rate
         left.fill_between(x, curve.lower, curve.upper, color=style.colour, alpha=0.18, lw=0)
         sure = f" ({curve.low:.3f} to {curve.high:.3f})" if curve.low == curve.low else ""
-        ranked = f" by {own.score_name}" if len(names) > 1 else ""
+        ranked = f" by {each.score_name}" if len(names) > 1 else ""
         name = "" if level is None else f"{words(contents.name(level), 32, 1)}{ranked}: "
         left.plot(x, mean, color=style.colour, ls=style.line, lw=1.5, label=f"{name}AUC {curve.auc:.3f}{sure}")
-        delays = delay_curve(own.score, own.truth, step=step)
+        delays = delay_curve(each.score, each.truth, step=step)
         share = delays["false_share"].to_numpy()
         least = min([least, *share[share > 0]])
         look: dict[str, Any] = {"color": style.colour, "ls": style.line, "marker": style.marker}
         right.plot(share, delays["median_delay"], lw=1.5, ms=2.5, **look)
-        if own.is_probability:
-            at = delay_curve(own.score, own.truth, step=step, thresholds=[ALARM]).iloc[0]
+        if each.is_probability:
+            at = delay_curve(each.score, each.truth, step=step, thresholds=[ALARM]).iloc[0]
             false, missed, delay = (float(at[name]) for name in ("false_share", "missed_share", "median_delay"))
             right.plot([false], [delay], ms=8, mfc="none", **look)
             alarms.append(
@@ -158,12 +158,12 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
     right.set_ylim(bottom=0)
     legend(left, columns=1)
     seeds = (
-        ", band and intervals (95 %) over seeds" if any(len(set(own.seeds)) > 1 for own in detection.values()) else ""
+        ", band and intervals (95 %) over seeds" if any(len(set(each.seeds)) > 1 for each in detection.values()) else ""
     )
     return made, (
-        f"Faults of sensors, found by {' or '.join(sorted(names))}, {_chosen(detection)}. Left: the mean of the curves of the "
-        f"seeds; AUC is of all samples together{seeds}. Right: delay of an alarm over how often there is a false one, at all "
-        "thresholds; a curve ends where most faults are missed."
+        f"Detection of sensor faults by {' or '.join(sorted(names))}, {_chosen(detection)}. Left: mean of the seeds' curves, "
+        f"with the AUC of all samples{seeds}. Right: delay of alarms over the share of false alarms, for all thresholds; a curve "
+        "ends where most faults are missed."
         + (f" At a fault probability of {ALARM:g} (circle): {'; '.join(alarms)}." if alarms else "")
         + _without(contents, detection)
     )
@@ -174,46 +174,38 @@ def _seconds(delay: float) -> str:
 
 
 def _chosen(detection: dict[Any, Level]) -> str:
-    used, of = (max(numbers) for numbers in zip(*((len(own.seeds), own.of) for own in detection.values()), strict=True))
+    used, of = (max(numbers) for numbers in zip(*((len(d.seeds), d.of) for d in detection.values()), strict=True))
     each = " of each" if len(detection) > 1 else ""
-    return (
-        f"in {used} of {of} runs{each}, drawn at random"
-        if used < of
-        else f"in all {of} runs{each} that went to their end"
-    )
+    return f"in {used} of {of} runs{each}, drawn at random" if used < of else f"in all {of} complete runs{each}"
 
 
 def _without(contents: Contents, detection: dict[Any, Level]) -> str:
     missing = [str(contents.name(level)) for level in contents.drawn() if level not in detection]
-    return (
-        f" Without scores that tell samples apart: {', '.join(missing)}."
-        if missing and len(contents.levels()) > 1
-        else ""
-    )
+    return f" Without different scores: {', '.join(missing)}." if missing and len(contents.levels()) > 1 else ""
 
 
 def reliability_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure, str] | None:
     """Return the reliability diagram of all levels whose score is a probability; None without one."""
     from bayesftc.cosim.statistics import calibration
 
-    own_probability = {level: own for level, own in detection.items() if own.is_probability}
-    if not own_probability:
+    with_probability = {level: each for level, each in detection.items() if each.is_probability}
+    if not with_probability:
         return None
-    made, (axis,) = figure(3.2 + LINE * len(own_probability))
+    made, (axis,) = figure(3.2 + LINE * len(with_probability))
     axis.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
-    for level, own in own_probability.items():
-        style, found = contents.drawn()[level], calibration(*own.by_seed(), equal="widths")
-        p, share = found.pooled.predicted, found.pooled.observed
-        bars = np.nan_to_num(np.clip([share - found.observed_low, found.observed_high - share], 0.0, None))
+    for level, each in with_probability.items():
+        style, result = contents.drawn()[level], calibration(*each.by_seed(), equal="widths")
+        p, share = result.pooled.predicted, result.pooled.observed
+        bars = np.nan_to_num(np.clip([share - result.observed_low, result.observed_high - share], 0.0, None))
         name = "" if level is None else f"{words(contents.name(level), 32, 1)}: "
-        label = f"{name}calibration error {found.pooled.calibration_error:.3f}"
+        label = f"{name}calibration error {result.pooled.calibration_error:.3f}"
         error_bars(axis, p, share, bars, style, label=label)
     whole = (-0.02, 1.02)
     axis.set(xlabel="fault probability", ylabel="share of samples with the fault", xlim=whole, ylim=whole)
     axis.set_aspect("equal")
     legend(axis, columns=1)
     return made, (
-        f"Reliability of the fault probability, {_chosen(own_probability)}: samples in ten bins of equal width. On the dotted "
-        "line a fault is there as often as the probability says, above it more often. Intervals (95 %) over seeds. The "
-        "calibration error is the mean distance from the line, each bin counting by its samples."
+        f"Reliability of the fault probability, {_chosen(with_probability)}: samples in ten bins of equal width. On the dotted "
+        "line the probability equals the share of samples with a fault, above it faults are more frequent. Intervals (95 %) over "
+        "seeds. The calibration error is the mean distance from the line, weighted by the samples of each bin."
     )

@@ -1,4 +1,4 @@
-"""The metric over the factors: each cell's mean by colour and number, or over each factor a line with its intervals, or dots."""
+"""The metric over the factors: a map of the cells' means, or for each factor a line with intervals, or dots."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from bayesftc.report.contents import Contents
 
 MOST = 15
-"""Values of a factor that have a column of a map, or a place on a line."""
+"""Largest number of values of a factor in a map or on a line."""
 PANELS = 4
-"""Factors that have a panel."""
+"""Largest number of factors with a panel."""
 FEW = 8
-"""Values of a factor that all have a tick."""
+"""Largest number of values that all get a tick."""
 DOTS = 2_000
-"""Points of a level that are drawn: more would be one blot."""
+"""Largest number of drawn points of a level; more would merge into one area."""
 
 
 def over_grid(contents: Contents) -> tuple[Figure, str] | None:
-    """Return a figure of the metric over the factors that are varied, and what it shows; None without factor or metric."""
+    """Return a figure of the metric over the varied factors, and its caption; None without factor or metric."""
     if contents.metric is None or not contents.varied:
         return None
     few = [name for name in contents.others if contents.values(name) <= MOST]
@@ -72,7 +72,7 @@ def _maps(contents: Contents, metric: str, down: str, across: str) -> tuple[Figu
 
 
 def _cells(contents: Contents, level: Any, metric: str, down: str, across: str) -> pd.DataFrame:
-    """Return the mean of each cell, rows and columns in the order of the design, or rising where they are numbers."""
+    """Return the mean of each cell, with rows and columns in the order of the design, or sorted if they are numbers."""
     mean = contents.runs_of(level).groupby([down, across], dropna=False)[metric].mean().unstack()
     return mean.reindex(index=_ordered(contents, down), columns=_ordered(contents, across))
 
@@ -83,16 +83,16 @@ def _ordered(contents: Contents, name: str) -> list[Any]:
 
 
 def _write(axis: Axes, mean: pd.DataFrame, image: Any) -> None:
-    """Write each cell's number on it, in whichever of black and white is read better."""
+    """Write each cell's number on it, in black or white, whichever has more contrast."""
     colours = image.cmap(image.norm(mean.to_numpy()))
     size = 8 if mean.shape[1] <= 9 else 6.5
     for i, row in enumerate(mean.to_numpy()):
         for j, value in enumerate(row):
             red, green, blue = (c / 12.92 if c <= 0.04 else ((c + 0.055) / 1.055) ** 2.4 for c in colours[i, j, :3])
             bright = 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.18
-            known = np.isfinite(value)
-            ink = INK if not known else "black" if bright else "white"
-            axis.text(j, i, f"{value:.3g}" if known else "–", ha="center", va="center", fontsize=size, color=ink)
+            finite = np.isfinite(value)
+            ink = INK if not finite else "black" if bright else "white"
+            axis.text(j, i, f"{value:.3g}" if finite else "–", ha="center", va="center", fontsize=size, color=ink)
 
 
 def _panels(contents: Contents, metric: str, names: list[str]) -> tuple[Figure, str]:
@@ -113,7 +113,7 @@ def _panels(contents: Contents, metric: str, names: list[str]) -> tuple[Figure, 
     for axis in axes[len(names) :]:
         axis.set_visible(False)
     legend(axes[0])
-    said = [
+    marks = [
         *(["dots are points of the design, each the mean of its runs"] if dots else []),
         *(["means with 95 % confidence intervals over seeds"] if bars else []),
     ]
@@ -122,7 +122,7 @@ def _panels(contents: Contents, metric: str, names: list[str]) -> tuple[Figure, 
         if len(contents.varied) > 1 + (contents.compared not in {None, *names})
         else ""
     )
-    return made, f"{metric} over {', '.join(names)}: {'; '.join(said)}.{pooled}{contents.undrawn}"
+    return made, f"{metric} over {', '.join(names)}: {'; '.join(marks)}.{pooled}{contents.undrawn}"
 
 
 def _dots(axis: Axes, contents: Contents, metric: str, name: str) -> None:
@@ -137,16 +137,18 @@ def _dots(axis: Axes, contents: Contents, metric: str, name: str) -> None:
 def _bars(axis: Axes, contents: Contents, metric: str, name: str) -> None:
     values = _ordered(contents, name)[:MOST]
     numeric = contents.table[name].dtype.kind in "if"
-    own = name == contents.compared
-    drawn = {None: next(iter(contents.drawn().values()))} if own else contents.drawn()
+    is_compared = name == contents.compared
+    drawn = {None: next(iter(contents.drawn().values()))} if is_compared else contents.drawn()
     for i, (level, style) in enumerate(drawn.items()):
-        runs = contents.table if own else contents.runs_of(level)
-        found = [estimate(contents, runs[runs[name] == value], metric) for value in values]
-        # Beside each other, as far as there is no scale that would be wrong then.
+        runs = contents.table if is_compared else contents.runs_of(level)
+        means = [estimate(contents, runs[runs[name] == value], metric) for value in values]
+        # Names are drawn side by side; numbers stay at their places on the scale.
         at = np.array(values, dtype=float) if numeric else np.arange(len(values)) + 0.12 * (i - (len(drawn) - 1) / 2)
-        half = np.nan_to_num([e.half() for e in found])
+        half = np.nan_to_num([e.half() for e in means])
         drawn_as = style if numeric else style._replace(line="none")
-        error_bars(axis, at, [e.value for e in found], half, drawn_as, label=None if own else _name(contents, level))
+        error_bars(
+            axis, at, [e.value for e in means], half, drawn_as, label=None if is_compared else _name(contents, level)
+        )
     if numeric and len(values) <= FEW:
         axis.set_xticks(values, [_short(v) for v in values])
     if not numeric:

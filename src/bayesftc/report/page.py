@@ -1,4 +1,4 @@
-"""The page: what a campaign can say is put into the template, in the order in which one asks."""
+"""The page: the report's content in the template, with the results first."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Drawn = tuple["Figure", str] | None
 
 @dataclass(frozen=True)
 class Part:
-    """A heading with a figure, a table, or both; and a table for those who want more."""
+    """A heading with a figure, a table, or both; and a table with details."""
 
     title: str
     svg: str = ""
@@ -36,14 +36,14 @@ class Part:
 def report(
     store: StoredCampaign, *, metric: str | None = None, compare: str | None = None, title: str | None = None
 ) -> str:
-    """Return the report of a campaign as one page of HTML, which needs nothing else.
+    """Return the report of a campaign as one self-contained page of HTML.
 
     Parameters
     ----------
     store : StoredCampaign
         The campaign.
     metric, compare : str, optional
-        Which metric counts, and which factor's levels are compared; see `Contents`.
+        The main metric, and the factor whose levels are compared; see `Contents`.
     title : str, optional
         The question of the campaign; by default the name of its folder.
 
@@ -105,7 +105,7 @@ def _part(title: str, drawn: Drawn, table: tables.Table | None = None) -> Part:
 def _lead(contents: Contents) -> str:
     runs, points = len(contents.table), contents.table["point"].nunique()
     whole = (
-        "" if runs == contents.store.plan.runs else f" of {contents.store.plan.runs} (the campaign is not whole yet)"
+        "" if runs == contents.store.plan.runs else f" of {contents.store.plan.runs} (the campaign is not complete yet)"
     )
     varied = f"; varied: {', '.join(contents.varied)}" if contents.varied else ""
     failed = f"; {contents.failed} failed" if contents.failed else ""
@@ -113,7 +113,7 @@ def _lead(contents: Contents) -> str:
 
 
 def _findings(contents: Contents) -> list[str]:
-    """Return what the numbers say, in a sentence or two."""
+    """Return the findings in a sentence or two."""
     if contents.metric is None and contents.metrics:
         return [f"No run has a value of {', '.join(contents.metrics)}."]
     return comparisons.sentences(contents)

@@ -1,9 +1,9 @@
-"""Means over several points, whose runs share seeds, with intervals that know it.
+"""Means over several points with confidence intervals that take the common seeds of the points into account.
 
-All points of a campaign have the same seeds by default. So runs of a seed at several points have the same noise, and count as
-one where it is asked how sure a mean is: deviations from the means of the points are summed over each seed, and the sums are
-independent. Of one point that is Student's interval of the mean of its runs. The points themselves are what they are: an
-interval says how far other noise would move the mean, not other points.
+By default all points of a campaign have the same seeds. The runs of a seed at several points then have the same noise and are
+not independent. Therefore the deviations from the means of the points are summed over each seed; these sums are independent.
+With one point the result is Student's interval of the mean of its runs. The points are fixed: an interval covers other noise,
+not other points.
 """
 
 from __future__ import annotations
@@ -20,45 +20,45 @@ NAN = float("nan")
 class Estimate(NamedTuple):
     """A mean or a difference of means."""
 
-    value: float  # of all runs that have one; NaN without any
-    # Its standard error, and the degrees of freedom of Student's t; NaN with one seed.
+    value: float  # over all runs with a value; NaN without any
+    # Standard error and degrees of freedom of Student's t; NaN with one seed.
     error: float
     freedom: float
-    runs: int  # how many runs, or pairs of runs, it is of
+    runs: int  # number of runs, or of pairs of runs
 
     def half(self, level: float = 0.95) -> float:
-        """Return half of the confidence interval; NaN where nothing scatters that would tell."""
+        """Return half of the confidence interval; NaN with one seed."""
         from scipy.special import stdtrit
 
         return float(stdtrit(self.freedom, 0.5 + level / 2) * self.error)
 
     @property
     def p(self) -> float:
-        """Probability of a value as far from zero in either direction, if it were zero but for noise."""
+        """Two-sided p-value for the hypothesis that the true value is zero."""
         from scipy.special import stdtr
 
-        if self.error == 0.0:  # seeds make no difference
+        if self.error == 0.0:  # all seeds give the same value
             return float(self.value == 0.0)
         return float(2.0 * stdtr(self.freedom, -abs(self.value) / self.error))
 
 
 def pooled(values: Floats, points: Any, seeds: Any, designs: Any) -> Estimate:
-    """Return the mean of the runs that have a finite value; all arrays have the shape (runs,).
+    """Return the mean of the runs with a finite value; all arrays have the shape (runs,).
 
-    `designs` numbers the list of seeds of each run's point: runs whose points have different lists are independent.
+    `designs` is the index of the list of seeds of each run's point: runs whose points have different lists are independent.
     """
-    known = np.isfinite(values)
-    values, seeds, designs = values[known], seeds[known], designs[known]
+    finite = np.isfinite(values)
+    values, seeds, designs = values[finite], seeds[finite], designs[finite]
     n = len(values)
     if not n:
         return Estimate(NAN, NAN, NAN, 0)
-    _, place = np.unique(points[known], return_inverse=True)
+    _, place = np.unique(points[finite], return_inverse=True)
     means = np.bincount(place, values) / np.bincount(place)
     deviations = (values - means[place]) / n
     variance, weight, most = 0.0, 0.0, 0
     for design in np.unique(designs):
-        _, own = np.unique(seeds[designs == design], return_inverse=True)
-        sums = np.bincount(own, deviations[designs == design])
+        _, seed_index = np.unique(seeds[designs == design], return_inverse=True)
+        sums = np.bincount(seed_index, deviations[designs == design])
         if len(sums) < 2:
             return Estimate(float(values.mean()), NAN, NAN, n)
         part = len(sums) / (len(sums) - 1) * float(sums @ sums)
@@ -70,7 +70,7 @@ def pooled(values: Floats, points: Any, seeds: Any, designs: Any) -> Estimate:
 
 
 def apart(a: Estimate, b: Estimate) -> Estimate:
-    """Return the difference of two means of independent runs, as Welch (1947) has it."""
+    """Return the difference of two means of independent runs (Welch, 1947)."""
     variance = a.error**2 + b.error**2
     weight = a.error**4 / a.freedom + b.error**4 / b.freedom
     freedom = variance**2 / weight if weight > 0 else a.freedom + b.freedom

@@ -1,4 +1,4 @@
-"""Figures as text that stands in the page itself: their ink is that of the page, so they are read by night and in print, too."""
+"""Figures as SVG text in the page itself. They have the colours of the page, so they suit dark mode and print, too."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, GRID = "#010203", "#040506"
-"""Stand for the colour of the page's text, and of thin lines; nothing else has these."""
+"""Placeholders for the colours of the page's text and of thin lines; no other part of a figure has these colours."""
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", INK)
-"""Of Okabe and Ito (2008), who chose them for all eyes; they stand out from white and from black paper."""
+"""Colours of Okabe and Ito (2008), which colour-blind readers can distinguish, on white and on black."""
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 MARKERS = ("o", "^", "s", "D", "v", "P")
 WIDTH = 8.6
-"""Of all figures, in inches."""
+"""Width of all figures in inches."""
 
 
 class Style(NamedTuple):
-    """How a level is drawn, the same in all figures of a page."""
+    """The style of a level, the same in all figures of a page."""
 
     colour: str
     line: Any
@@ -32,17 +32,17 @@ class Style(NamedTuple):
 
 
 def styles() -> list[Style]:
-    """Return as many styles as are told apart, by colour and by line or marker."""
+    """Return the distinct styles, which differ in colour and in line or marker."""
     return [Style(*each) for each in zip(COLOURS, LINES, MARKERS, strict=True)]
 
 
 def words(text: Any, width: int = 36, lines: int = 3) -> str:
-    """Return a text as a figure can show it: in some lines of some letters, nothing in it being a formula."""
-    found = textwrap.wrap(str(text), width) or [""]
-    if len(found) > lines:
-        found = [*found[: lines - 1], f"{found[lines - 1][: width - 2]} …"]
-    shown = "\n".join(found).replace("$", r"\$")
-    return f" {shown}" if shown.startswith("_") else shown  # what begins with it stands in no legend
+    """Return a text for a figure, wrapped and cut to a number of lines, without formulas."""
+    wrapped = textwrap.wrap(str(text), width) or [""]
+    if len(wrapped) > lines:
+        wrapped = [*wrapped[: lines - 1], f"{wrapped[lines - 1][: width - 2]} …"]
+    shown = "\n".join(wrapped).replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown  # matplotlib leaves labels with "_" out of legends
 
 
 def figure(height: float, rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tuple[Figure, list[Axes]]:
@@ -59,7 +59,7 @@ def figure(height: float, rows: int = 1, columns: int = 1, *, sharex: bool = Fal
 
 
 def tidy(axis: Axes) -> None:
-    """Give an axis the page's ink, a thin grid and no frame above and to the right."""
+    """Give an axis the page's text colour and a thin grid, without a frame at the top and on the right."""
     axis.set_facecolor("none")
     axis.grid(True, color=GRID, lw=0.6)
     axis.set_axisbelow(True)
@@ -73,13 +73,13 @@ def tidy(axis: Axes) -> None:
 
 
 def error_bars(axis: Axes, x: Any, y: Any, half: Any, style: Style, label: str | None) -> None:
-    """Draw values with their intervals, as a level is drawn."""
+    """Draw values with their intervals in a level's style."""
     look: dict[str, Any] = {"fmt": style.marker, "ls": style.line, "color": style.colour}
     axis.errorbar(x, y, yerr=half, ms=4, lw=1.2, capsize=3, label=label, **look)
 
 
 def legend(axis: Axes, columns: int = 3) -> None:
-    """Name what an axis shows, above it, if there is anything to name."""
+    """Put a legend above an axis, if it has labels."""
     handles, _ = axis.get_legend_handles_labels()
     if handles:
         above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
@@ -87,29 +87,29 @@ def legend(axis: Axes, columns: int = 3) -> None:
 
 
 def to_svg(made: Figure, description: str) -> str:
-    """Return a figure as an ``svg`` element; the description is for those who cannot see it."""
+    """Return a figure as an ``svg`` element; the description is for screen readers."""
     from html import escape
 
     from matplotlib import rc_context
 
-    for fonts in ("path", "none"):  # letters that the font lacks are left to the browser, which has others
+    for fonts in ("path", "none"):  # if the font lacks letters, the browser's fonts are used
         text = io.StringIO()
         with (
             rc_context({"svg.fonttype": fonts, "svg.hashsalt": description}),
-            warnings.catch_warnings(record=True) as said,
+            warnings.catch_warnings(record=True) as caught,
         ):
             warnings.simplefilter("always")
             made.savefig(text, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-        if not any("Glyph" in str(warning.message) for warning in said):
+        if not any("Glyph" in str(warning.message) for warning in caught):
             break
     svg = text.getvalue()
     svg = re.sub(r"<!--.*?-->\s*", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = svg.replace(INK, "currentColor").replace(GRID, "var(--line)")
-    for i, colour in enumerate(COLOURS[:-1]):  # by night brighter ones
+    for i, colour in enumerate(COLOURS[:-1]):  # the page sets brighter ones for dark mode
         svg = svg.replace(colour.lower(), f"var(--c{i})")
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", svg, count=1)
-    # Several figures stand in one page: what their parts are called must differ.
+    # One page has several figures, so the identifiers of their parts must differ.
     prefix = f"f{zlib.crc32(description.encode()):x}-"  # the same in each process
     svg = re.sub(r'\bid="', f'id="{prefix}', svg)
     svg = svg.replace("url(#", f"url(#{prefix}").replace('href="#', f'href="#{prefix}')

@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from bayesftc.report.pooling import Estimate
 
 ROWS = 60
-"""Of a table; the store has all."""
+"""Largest number of rows of a table; the store has all."""
 WORST, REASONS, METRICS, CELL = 5, 10, 6, 15
-"""Of runs and reasons that are listed, of metrics that have a column, of values of a factor that has rows of its own."""
+"""Largest numbers of listed runs, of listed reasons, of metrics with a column, and of values of a factor with rows."""
 NUMBER = re.compile(r"[-−]?(\d[\d.]*(e[-+]?\d+)?|inf|nan)( ± .*)?|–|< .*|(None|True|False)")
 
 
 @dataclass(frozen=True)
 class Table:
-    """A heading, the names of the columns, rows of texts, and what is to be said below."""
+    """A heading, the names of the columns, rows of texts, and a note below."""
 
     title: str
     columns: list[str]
@@ -31,30 +31,32 @@ class Table:
 
     @property
     def numeric(self) -> list[bool]:
-        """Which columns hold numbers, and so stand right; a list without headings has none."""
+        """Whether each column has numbers, which are aligned to the right; always false without headings."""
         named = any(self.columns)
         return [named and all(NUMBER.fullmatch(row[i]) for row in self.rows) for i in range(len(self.columns))]
 
 
 def settings(contents: Contents) -> Table:
-    """Return what the campaign was: what is common to all runs."""
-    said, metadata = contents.description, contents.store.metadata
+    """Return the settings that all runs have in common."""
+    description, metadata = contents.description, contents.store.metadata
     versions = metadata.environment.get("versions", {})
     plan = contents.store.plan
     rows = [
-        ["duration of a run", str(said.get("duration", ""))],
-        ["base step", str(said.get("step", ""))],
+        ["duration of a run", str(description.get("duration", ""))],
+        ["base step", str(description.get("step", ""))],
         ["points", str(len(plan.points))],
         ["runs", f"{len(contents.table)} of {plan.runs}"],
         ["failed", str(contents.failed)],
         ["computing time", f"{contents.store.seconds:.4g} s, of all cores together"],
         ["recorded", ", ".join(metadata.signals)],
-        *([f"block {name}", text] for name, text in said.get("blocks", {}).items()),
+        *([f"block {name}", text] for name, text in description.get("blocks", {}).items()),
         *([f"FMU {name}", f"SHA-256 {digest}"] for digest, name in metadata.fmus.items()),
         ["versions", ", ".join(f"{name} {version}" for name, version in versions.items())],
     ]
     note = (
-        "Blocks are shown with the settings of the first point." if said.get("blocks") and len(plan.points) > 1 else ""
+        "Blocks are shown with the settings of the first point."
+        if description.get("blocks") and len(plan.points) > 1
+        else ""
     )
     return Table("Settings", ["", ""], [row for row in rows if row[1]], note)
 
@@ -66,7 +68,7 @@ def design(contents: Contents) -> Table | None:
         values = list(contents.table[name].drop_duplicates())
         shown = ", ".join(map(text_of, values[:8]))
         rows.append([name, str(len(values)), shown + (f", … {text_of(values[-1])}" if len(values) > 8 else "")])
-    return Table("Factors", ["factor", "values", "which"], rows) if rows else None
+    return Table("Factors", ["factor", "number", "values"], rows) if rows else None
 
 
 def means(contents: Contents) -> Table | None:
@@ -76,29 +78,27 @@ def means(contents: Contents) -> Table | None:
     if not metrics:
         return None
     few = [name for name in contents.others if contents.values(name) <= CELL]
-    own = [contents.compared] if contents.compared else []
-    by = [*few[: 4 - len(own)], *own]
+    compared = [contents.compared] if contents.compared else []
+    by = [*few[: 4 - len(compared)], *compared]
     cells = list(table.groupby(by, sort=False, dropna=False)) if by else [((), table)]
     shown, rows = metrics[:METRICS], []
     for key, runs in cells[:ROWS]:
         failed = [str(int((runs["status"] == "failed").sum()))] if contents.failed else []
-        found = [estimate(contents, runs, metric) for metric in shown]
-        rows.append([*map(text_of, key), str(len(runs)), *failed, *(mean_text(e, len(runs)) for e in found)])
+        estimates = [estimate(contents, runs, metric) for metric in shown]
+        rows.append([*map(text_of, key), str(len(runs)), *failed, *(mean_text(e, len(runs)) for e in estimates)])
     pools = any(runs["point"].nunique() > 1 for _, runs in cells)
     note = "Mean ± half of its 95 % confidence interval (Student's t over seeds)."
     if pools:
-        note += (
-            " A row is of several points: the mean is over these, the interval for other noise, not for other points."
-        )
+        note += " A row has several points: its mean is over these; its interval covers other noise, not other points."
     if contents.failed or any(table[m].isna().any() for m in shown):
-        note += " Runs without a value, such as failed ones, are left out; n is how many have one, where not all do."
+        note += " Runs without a value, such as failed runs, are left out; n is the number of the others."
     note += f" {len(cells) - ROWS} further rows are left out here." if len(cells) > ROWS else ""
     note += f" {len(metrics) - METRICS} further metrics are in the store." if len(metrics) > METRICS else ""
     return Table("Results", [*by, "runs", *(["failed"] if contents.failed else []), *shown], rows, note)
 
 
 def worst(contents: Contents) -> Table | None:
-    """Return the runs with the largest metric, each with the command that makes it again."""
+    """Return the runs with the largest metric, each with the command that repeats it."""
     if contents.metric is None:
         return None
     ordered = contents.table.sort_values(contents.metric, ascending=False, na_position="last", kind="stable")
@@ -117,12 +117,12 @@ def worst(contents: Contents) -> Table | None:
         if len(rows) > 1
         else f"The run and its {contents.metric}"
     )
-    note = "Failed runs have no value and are not among them." if contents.failed else ""
-    return Table(title, ["run", *contents.varied, contents.metric, "once more"], rows, note) if rows else None
+    note = "Failed runs have no value and are not listed." if contents.failed else ""
+    return Table(title, ["run", *contents.varied, contents.metric, "repeat with"], rows, note) if rows else None
 
 
 def failures(contents: Contents) -> Table | None:
-    """Return why runs have failed, how many of each reason, and the command that repeats the first."""
+    """Return the reasons of failed runs, the number of runs of each, and the command that repeats the first."""
     failed = contents.table[contents.table["status"] == "failed"]
     if not len(failed):
         return None
@@ -132,29 +132,29 @@ def failures(contents: Contents) -> Table | None:
     ]
     rows.sort(key=lambda row: -int(row[0]))
     note = f"{len(rows) - REASONS} further reasons are in the store." if len(rows) > REASONS else ""
-    title = f"{len(failed)} of {len(contents.table)} runs {'has' if len(failed) == 1 else 'have'} failed"
-    return Table(title, ["runs", "at points", "reason", "the first of them once more"], rows[:REASONS], note)
+    title = f"{len(failed)} of {len(contents.table)} runs failed"
+    return Table(title, ["runs", "at points", "reason", "repeat the first with"], rows[:REASONS], note)
 
 
 def command(contents: Contents, run: Any) -> str:
-    """Return the command that makes a run again."""
+    """Return the command that repeats a run."""
     return f"bayesftc replay {shlex.quote(str(contents.store.path))} {int(run)}"
 
 
 def text_of(value: Any) -> str:
-    """Return a value as it stands in a table."""
+    """Return the text of a value in a table."""
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def mean_text(found: Estimate, runs: int | None = None) -> str:
-    """Return a mean and half of its interval, and of how many runs if these are not all of `runs`."""
-    if not found.runs:
+def mean_text(mean: Estimate, runs: int | None = None) -> str:
+    """Return a mean, half of its interval, and its number of runs if this is not `runs`."""
+    if not mean.runs:
         return "–"
-    half = found.half()
-    text = f"{found.value:.4g}" + (f" ± {half:.2g}" if half == half else "")
-    return text if runs in {None, found.runs} else f"{text} (n = {found.runs})"
+    half = mean.half()
+    text = f"{mean.value:.4g}" + (f" ± {half:.2g}" if half == half else "")
+    return text if runs in {None, mean.runs} else f"{text} (n = {mean.runs})"
 
 
 def p_text(p: float) -> str:
-    """Return a probability as it stands in a table."""
+    """Return the text of a p-value in a table."""
     return "–" if p != p else "< 0.001" if p < 0.001 else f"{p:.3f}"
