@@ -1,7 +1,7 @@
-"""What this package costs: speed, start-up, memory and compilation, beside what one would do without it.
+"""Measure speed, start-up, memory and compilation of this package, compared with alternatives without it.
 
-``bayesftc bench`` prints a table, ``bayesftc bench --json`` one JSON object. All that is compared runs in turns in one go
-on one machine, because only ratios carry over to another.
+``bayesftc bench`` prints a table, ``bayesftc bench --json`` one JSON object. All candidates of a comparison run in turns on
+the same machine, because only ratios are valid on another machine.
 """
 
 from bayesftc.bench._run import SECTIONS, main, measure

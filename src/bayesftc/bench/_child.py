@@ -1,4 +1,4 @@
-"""Runs a piece of Python in a process of its own, and times it from outside."""
+"""Run Python code in a separate process and measure its time from outside."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from typing import Any
 
 
 class ChildError(Exception):
-    """The process failed; the message is a sentence that says so."""
+    """The process failed."""
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A process that came to its end: how long it took in seconds, and what its last line said if that was JSON."""
+    """A process that has ended: its time in seconds, and the value of its last line if that is JSON."""
 
     seconds: float
-    said: Any
+    value: Any
 
 
 def run_code(code: str, environment: Mapping[str, str] | None = None) -> Finished:
-    """Run Python code; what it prints last, as JSON, comes back."""
+    """Run Python code; its last printed line, as JSON, is the returned value."""
     return run_python(["-c", code], environment)
 
 
@@ -35,9 +35,9 @@ def run_python(arguments: Sequence[str], environment: Mapping[str, str] | None =
     Raises
     ------
     ChildError
-        If it ends with another status than 0.
+        If its exit status is not 0.
     """
-    # -P: what lies in the current folder must not stand in for what is installed.
+    # -P: modules in the current folder must not replace installed ones.
     command = [sys.executable, "-P", *arguments]
     started = time.perf_counter()
     done = subprocess.run(
@@ -47,22 +47,22 @@ def run_python(arguments: Sequence[str], environment: Mapping[str, str] | None =
     if done.returncode != 0:
         last = done.stderr.strip().splitlines()[-1:] or [""]
         kind = last[0].partition(":")[0].rpartition(".")[2]
-        # Only the kind of the error: its text may hold paths, which have no place in a report that is handed on.
+        # Only the class of the error: its text may contain paths of this machine, and reports are passed on.
         why = f" with {kind}" if kind.isidentifier() else ""
         raise ChildError(f"A process of the measurement failed{why} (exit status {done.returncode}).")
     try:
-        said = json.loads(done.stdout.strip().rpartition("\n")[2])
+        value = json.loads(done.stdout.strip().rpartition("\n")[2])
     except ValueError:
-        said = None
-    return Finished(seconds, said)
+        value = None
+    return Finished(seconds, value)
 
 
 def repeated(code: str, times: int = 1) -> tuple[list[Any], str | None]:
-    """Run code some times; return what each run said last, and a sentence if one failed, after which there are no more."""
-    said: list[Any] = []
+    """Run code a number of times, until one run fails; return the values of the runs, and the reason of a failure or None."""
+    values: list[Any] = []
     try:
         for _ in range(times):
-            said.append(run_code(code).said)
+            values.append(run_code(code).value)
     except ChildError as error:
-        return said, str(error)
-    return said, None
+        return values, str(error)
+    return values, None

@@ -1,4 +1,4 @@
-"""What a measurement yields: figures with their bars, from which both the table and the JSON are made."""
+"""The results of a measurement: figures with their bars, which the table and the JSON show."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from typing import Any
 class Figure:
     """One measured quantity."""
 
-    # Its name in the JSON, what it is in words, and its unit (empty for a plain number).
-    key: str
+    key: str  # name in the JSON
     label: str
-    unit: str
-    samples: Sequence[float]  # A value for each repetition; empty where it could not be measured
-    # The bars that its median should clear.
+    unit: str  # empty for a plain number
+    samples: Sequence[float]  # one value per repetition; empty if it could not be measured
+    # Limits of the median.
     at_least: float | None = None
     at_most: float | None = None
-    # Figures of one section with the same word here are alternatives: one that clears its bar is enough.
+    # Figures of a section with the same word are alternatives: it is enough if one of them meets its bar.
     either: str | None = None
-    reason: str | None = None  # why there are no samples, as a sentence
-    note: str = ""  # what else there is to say
+    reason: str | None = None  # a sentence on why there are no samples
+    note: str = ""
 
     @property
     def value(self) -> float | None:
@@ -32,12 +31,12 @@ class Figure:
 
     @property
     def has_bar(self) -> bool:
-        """Whether there is anything to clear."""
+        """Whether the figure has a limit."""
         return self.at_least is not None or self.at_most is not None
 
     @property
     def clears(self) -> bool | None:
-        """Whether the median clears the figure's own bars; None without bars or samples."""
+        """Whether the median meets the figure's own bars; None without bars or samples."""
         value = self.value
         if value is None or not self.has_bar:
             return None
@@ -58,14 +57,14 @@ class Section:
     key: str
     title: str
     figures: tuple[Figure, ...]
-    reason: str | None = None  # why there are no figures, as a sentence
+    reason: str | None = None  # a sentence on why there are no figures
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures by name as plain data; of a section without figures, the reason."""
+        """Return the figures by name as plain data; without figures, the reason."""
         return {f.key: f.as_json() for f in self.figures} | ({"reason": self.reason} if self.reason else {})
 
     def met(self, figure: Figure) -> bool | None:
-        """Return whether a figure's bar is met, by itself or by its alternative; None where that is not known."""
+        """Return whether a figure's bar is met, by itself or by an alternative; None if that is not known."""
         verdicts = [
             f.clears for f in self.figures if f is figure or (f.either is not None and f.either == figure.either)
         ]
@@ -74,11 +73,11 @@ class Section:
         return None if None in verdicts else False
 
     def alternatives(self, figure: Figure) -> list[Figure]:
-        """Return the other figures of which one is enough."""
+        """Return the alternatives of a figure."""
         return [f for f in self.figures if f is not figure and f.either is not None and f.either == figure.either]
 
     def bars(self) -> dict[str, dict[str, Any]]:
-        """Return each bar with the value that was measured, as plain data."""
+        """Return each bar with the measured value, as plain data."""
         return {
             f"{self.key}.{f.key}": {
                 "value": f.value,
@@ -93,7 +92,7 @@ class Section:
 
 
 def in_turns(candidates: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
-    """Measure the candidates one after the other, `rounds` times, so that a busy minute falls on all of them alike."""
+    """Measure the candidates in turns, `rounds` times, so that other load of the machine affects all equally."""
     samples: dict[str, list[float]] = {name: [] for name in candidates}
     for _ in range(rounds):
         for name, candidate in candidates.items():

@@ -1,4 +1,4 @@
-"""Which machine and which versions the figures belong to; nothing that would name the machine itself."""
+"""The kind of machine and the versions of a measurement, without the machine's name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def describe_machine() -> dict[str, str | int]:
-    """Return processor, number of cores, and the versions on which speed depends."""
+    """Return the processor, the number of cores, and the versions that affect speed."""
     return {
         "cpu": _processor(),
         "cores": os.cpu_count() or 1,

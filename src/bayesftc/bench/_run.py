@@ -1,4 +1,4 @@
-"""Runs the measurements and prints them, as a table or as JSON."""
+"""Run the measurements and print them as tables or as JSON."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ SECTIONS = (
 
 
 def measure(sections: Iterable[str] = SECTIONS, *, quick: bool = False) -> Iterator[Section]:
-    """Check the names, and return the measurements, each of which is made when it is asked for.
+    """Check the names and return an iterator that makes the measurements one by one.
 
     Parameters
     ----------
     sections : iterable of str
-        Which of `SECTIONS`.
+        Names from `SECTIONS`.
     quick : bool
-        Few and short repetitions, which show that everything works but not how fast.
+        Few and short repetitions: a check that everything works, not a measurement.
 
     Returns
     -------
     iterator of Section
-        One that cannot be measured here has no figures and a `reason`.
+        A section that cannot be measured here has no figures and a `reason`.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def _measured(name: str, quick: bool) -> Section:
     from bayesftc.fmus._compiler import CompilerError
 
     console = Console(stderr=True)
-    if console.is_terminal:  # a line each and no spinner: its thread would take turns with what is measured
+    if console.is_terminal:  # lines instead of a spinner, whose thread would disturb the measurement
         console.print(f"measuring: {name.replace('_', ' ')}")
     try:
         section: Section = import_module(f"bayesftc.bench.measures.{name}").measure(quick)
@@ -79,9 +79,9 @@ def _measured(name: str, quick: bool) -> Section:
 
 
 def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = SECTIONS) -> None:
-    """Measure `sections`, see `measure`, and print each table when it is there, or one JSON object at the end.
+    """Measure `sections` (see `measure`) and print each table at once, or one JSON object at the end.
 
-    A bar that is missed is no error. At Ctrl-C or an error, the object has what was measured until then.
+    A missed bar is no error. After Ctrl-C or an error, the object has the measurements until then.
     """
     measured = measure(sections, quick=quick)
     if json:
@@ -95,7 +95,7 @@ def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = S
         return
     from rich.console import Console
 
-    console = Console() if sys.stdout.isatty() else Console(width=110)  # else rich takes 80 columns for granted
+    console = Console() if sys.stdout.isatty() else Console(width=110)  # rich's default is 80 columns
     machine = describe_machine()
     console.print(", ".join(f"{name} {value}" for name, value in machine.items()), highlight=False)
     for section in measured:
@@ -104,7 +104,7 @@ def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = S
         else:
             console.print(as_table(section))
     if quick:
-        console.print("These are quick figures: too few steps to judge speed by.")
+        console.print("These are quick figures with too few steps to judge speed.")
 
 
 def as_json(sections: Iterable[Section], quick: bool) -> dict[str, Any]:
@@ -151,11 +151,11 @@ def _bar(figure: Figure) -> str:
 
 
 def _verdict(section: Section, figure: Figure) -> str:
-    from rich.markup import escape  # of what is said, [campaign] is no markup
+    from rich.markup import escape  # texts such as [campaign] are no markup
 
     met = section.met(figure) if figure.has_bar else None
     words = {True: "[green]yes[/]", False: "[bold red]no[/]", None: ""}[met]
     if met and not figure.clears:
-        words = "by the other"
-    said = figure.reason or "", f"({figure.note})" if figure.note else ""
-    return " ".join(text for text in (words, *map(escape, said)) if text)
+        words = "by the alternative"
+    remarks = figure.reason or "", f"({figure.note})" if figure.note else ""
+    return " ".join(text for text in (words, *map(escape, remarks)) if text)

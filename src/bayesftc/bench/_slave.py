@@ -1,4 +1,4 @@
-"""The shipped car as an fmpy slave, the way a user of fmpy holds it."""
+"""The shipped car as an fmpy slave, as a user of fmpy would use it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CAR = "CruiseControl"
 
 @dataclass(frozen=True)
 class Unpacked:
-    """An unpacked FMU: where, what it says of itself, and the value reference of each variable."""
+    """An unpacked FMU: its folder, its description, and the value reference of each variable."""
 
     folder: Path
     description: Any
@@ -48,7 +48,7 @@ class Unpacked:
 
 @contextmanager
 def unpacked_car() -> Iterator[Unpacked]:
-    """Unpack the shipped FMU with fmpy into a folder that is gone afterwards."""
+    """Unpack the shipped FMU with fmpy into a temporary folder."""
     import fmpy
 
     path = str(fmus.path(CAR))

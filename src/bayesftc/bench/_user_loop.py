@@ -1,4 +1,4 @@
-"""The whole loop as one would write it with fmpy, NumPy and filterpy, without this package."""
+"""The whole loop written with fmpy, NumPy and filterpy, without this package."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True)
 class Setting:
-    """The numbers of the experiment, the same for both loops."""
+    """The parameters of the experiment, the same for both loops."""
 
     step: float = 0.02
     a: float = 0.999
@@ -31,13 +31,13 @@ class Setting:
 
 
 COLUMNS = 8
-"""Recorded at each step: speed, both samples, force, estimate, both precisions, goal."""
+"""Number of values recorded at each step: speed, both samples, force, estimate, both precisions, goal."""
 
 
 def user_loop(car: Unpacked, steps: int, noise: Floats, setting: Setting) -> Floats:
-    """Make `steps` steps and return the recording; ``noise`` has a row for each step: disturbance and both sensors.
+    """Make `steps` steps and return the recording; each row of ``noise`` has the disturbance and both sensors' noise.
 
-    Written for speed as far as Python goes: bound methods, noise and goal drawn up beforehand, arrays that are used again.
+    It is written for speed, as far as Python allows: bound methods, precomputed noise and goal, reused arrays.
     """
     s = setting
     kalman = _filter(s)

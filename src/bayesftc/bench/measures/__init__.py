@@ -1,1 +1,1 @@
-"""What is measured, each in a file of its own."""
+"""The measurements, one per module."""

@@ -1,4 +1,4 @@
-"""Campaigns: steps a second on all cores, beside the bare engine, one core, and a process pool of fmpy and filterpy."""
+"""Campaigns: the rate on all cores, compared with one core, the bare engine, and a process pool of fmpy and filterpy."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ print(json.dumps([seconds, peak()]))
 
 
 def speed_campaign(runs: int) -> Campaign:
-    """Return the loop of `full_loop` with as many seeds, of which nothing is kept but the tracking error."""
+    """Return the loop of `full_loop` with this number of seeds, which keeps only the tracking error."""
     from bayesftc import cosim
 
     error = cosim.RMSE("plant.v", "reference.y", shift=1)
@@ -58,9 +58,9 @@ def measure(quick: bool = False) -> Section:
         measured["user"] = partial(_user_rate, pool, few, on_cores["all"])
         _rate(speed_campaign(2), 1)
         rates = in_turns(measured, rounds)
-    large = 1_000 if quick else MANY  # of fewer runs the time is scaled
-    said, reason = repeated(CHILD.format(runs=large), 1 if quick else 3)
-    seconds, memory = [took * MANY / large for took, _ in said], [peak / 1e6 for _, peak in said]
+    large = 1_000 if quick else MANY  # the time of fewer runs is scaled
+    results, reason = repeated(CHILD.format(runs=large), 1 if quick else 3)
+    seconds, memory = [took * MANY / large for took, _ in results], [peak / 1e6 for _, peak in results]
     rate = "steps/s"
     n, overhead = on_cores["all"], ratios(rates["bare"], rates["one"])
     scaling, over_user = ratios(rates["all"], rates["one"]), ratios(rates["all"], rates["user"])
@@ -102,7 +102,7 @@ def _pool(workers: int) -> ProcessPoolExecutor:
 
 
 def _user_rate(pool: ProcessPoolExecutor, runs: int, workers: int) -> float:
-    list(pool.map(_user_runs, [[0]] * workers))  # each has imported and unpacked once
+    list(pool.map(_user_runs, [[0]] * workers))  # so that each worker has imported and unpacked everything
     seeds = np.array_split(np.arange(runs), workers)
     began = time.perf_counter()
     errors = list(pool.map(_user_runs, [part.tolist() for part in seeds]))
@@ -111,7 +111,7 @@ def _user_rate(pool: ProcessPoolExecutor, runs: int, workers: int) -> float:
 
 
 def _user_runs(seeds: Sequence[int]) -> list[float]:
-    """Return the tracking error of each run, as a user of fmpy and filterpy would compute it."""
+    """Return the tracking error of each run of the user's loop."""
     errors = []
     with unpacked_car() as car:
         for seed in seeds:

@@ -1,4 +1,4 @@
-"""Two coupled FMUs in the compiled engine: one car that follows another, or is towed by it, and a live run of steps."""
+"""Two coupled FMUs in the compiled engine: a car that follows another or is towed by it, and a live run step by step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EVERY = 100
 
 
 def platoon() -> Diagram:
-    """Return two cars: the first follows a sine with a limited force, the second follows the first, both against their errors."""
+    """Return two cars: the first follows a sine with a limited force, the second follows the first."""
     from bayesftc import cosim, fmus
 
     diagram = cosim.Diagram(STEP)
@@ -38,7 +38,7 @@ def platoon() -> Diagram:
 
 
 def towed() -> Diagram:
-    """Return two cars on a rope that is too stiff for anything but iterated steps."""
+    """Return two cars on a rope that is so stiff that only iterated steps are stable."""
     from bayesftc import cosim, fmus
 
     diagram = cosim.Diagram(STEP)
@@ -58,7 +58,7 @@ def towed() -> Diagram:
 
 
 def measure(quick: bool = False) -> Section:
-    """Measure the steps per second, after a check that both engines compute the same speeds."""
+    """Measure the steps per second, and the difference of the speeds of both engines."""
     steps, rounds = (20_000, 2) if quick else (3_000_000, 7)
     diagram = platoon()
     both = [diagram.simulate(20.0, engine=engine)["second.v"] for engine in ("compiled", "interpreted")]

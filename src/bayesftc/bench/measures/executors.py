@@ -1,4 +1,4 @@
-"""Campaigns in other processes: isolated FMUs on a Dask cluster of this machine beside one process, and what processes cost."""
+"""Campaigns in other processes: isolated FMUs on a local Dask cluster and in one process, and the overhead of processes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from bayesftc.cosim.campaign.executors.base import Executor
 
 STARTING = 0.25
-"""Part of the runs that are done when the clock begins: by then all workers are at work."""
+"""Share of the runs before the rate is measured: then all workers are active."""
 
 
 def measure(quick: bool = False) -> Section:
-    """Measure executors in turns: runs a second once all workers are at work, and how long that takes."""
+    """Measure executors in turns: the rate once all workers are active, and the time until the first runs are done."""
     from bayesftc import cosim
 
     few, many, rounds = (16, 200, 1) if quick else (1_600, 60_000, 5)
@@ -70,9 +70,9 @@ def _campaign(runs: int, piece: int, *, isolate: bool = False) -> Campaign:
 
 
 def _rate(campaign: Campaign, executor: Executor) -> tuple[float, float]:
-    """Return seconds until the first runs are done, and steps a second from `STARTING` on."""
-    began, told = time.perf_counter(), list[tuple[int, float]]()
-    campaign.run(executor=executor, progress=lambda done, of, failed: told.append((done, time.perf_counter())))
-    first = next(at for done, at in told if done) - began
-    ready, since = next((done, at) for done, at in told if done >= STARTING * campaign.runs)
-    return first, (campaign.runs - ready) * EXPERIMENT / (told[-1][1] - since)
+    """Return the seconds until the first runs are done, and the steps per second from `STARTING` on."""
+    began, log = time.perf_counter(), list[tuple[int, float]]()
+    campaign.run(executor=executor, progress=lambda done, of, failed: log.append((done, time.perf_counter())))
+    first = next(at for done, at in log if done) - began
+    ready, since = next((done, at) for done, at in log if done >= STARTING * campaign.runs)
+    return first, (campaign.runs - ready) * EXPERIMENT / (log[-1][1] - since)

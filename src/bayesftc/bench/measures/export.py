@@ -1,4 +1,4 @@
-"""Exported C: how long a step takes beside that of the compiled engine, and how large it grows with states and sensors."""
+"""Exported C: the time of a step, compared with the compiled engine, and the size for several states and sensors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.export.c_file import CFile
 
 SIZES = ((1, 2), (2, 3), (5, 5), (10, 10), (20, 20))
-"""States and sensors."""
+"""Numbers of states and sensors."""
 
 SAMPLES = 1024
 _FLAGS = ("-O2", "-std=c99", "-ffp-contract=off")
@@ -75,7 +75,7 @@ int main()
 
 
 def controller_of(states: int, sensors: int) -> BayesianController:
-    """Return a controller with gamma learning: of the car with one state, else of a chain of masses of that size."""
+    """Return a controller with gamma learning: for the car with one state, otherwise for a random linear model."""
     from bayesftc import controllers
 
     s = SETTING
@@ -104,7 +104,7 @@ def controller_of(states: int, sensors: int) -> BayesianController:
 
 
 def measure(quick: bool = False) -> Section:
-    """Check that the C steps as the engine does, measure both in turns, and then the sizes."""
+    """Check that C and engine compute the same, measure both in turns, and then the sizes."""
     from bayesftc.fmus._compiler import why_no_compiler
 
     title = "Controllers with gamma learning as C"
@@ -130,8 +130,8 @@ def _speed(folder: Path, steps: int, rounds: int) -> list[Figure]:
     library.run.restype = ctypes.c_double
     diagram, idle = Diagram(controller.sample_time), Diagram(controller.sample_time)
     node = diagram.add(controller, "controller")
-    diagram.connect(diagram.add(Constant(0.0), "goal")["y"], node["goal"])  # as the C has it that nobody sets
-    for each in (diagram, idle):  # the other is the same without the controller
+    diagram.connect(diagram.add(Constant(0.0), "goal")["y"], node["goal"])  # the default in the C code
+    for each in (diagram, idle):  # `idle` is the same without the controller
         sensors = each.add(Gaussian(mean=SETTING.start_speed, std=[0.1, 0.1]), "sensors")
         if each is diagram:
             diagram.connect(sensors["y"], node["y"])
@@ -202,10 +202,10 @@ def _compile(folder: Path, sources: list[str], *options: str) -> None:
 
 
 def _counted(folder: Path) -> tuple[list[float], list[float], str | None]:
-    """Return the operations of a step (square roots and the like among them), and the bytes that it works on."""
-    compiler = next((found for name in ("c++", "g++", "clang++") if (found := shutil.which(name))), None)
+    """Return the operations of a step, including square roots and the like, and the bytes of its data."""
+    compiler = next((path for name in ("c++", "g++", "clang++") if (path := shutil.which(name))), None)
     if compiler is None:
-        return [], [], "No C++ compiler was found, with which operations are counted."
+        return [], [], "No C++ compiler was found, which is needed to count operations."
     (folder / "count.cpp").write_text(_COUNT)
     shutil.copy(Path(__file__).with_name("counted.h"), folder)
     subprocess.run([compiler, "-w", "count.cpp", "-o", "count", "-lm"], cwd=folder, check=True, capture_output=True)

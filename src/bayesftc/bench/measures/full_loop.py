@@ -1,4 +1,4 @@
-"""The whole loop - noise, two sensors, a fault, precision learning - beside the best loop of a user of fmpy and filterpy."""
+"""The whole loop (noise, two sensors, a fault, precision learning) and a fast loop with fmpy and filterpy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def full_diagram(
     *,
     isolate: bool = False,
 ) -> Diagram:
-    """Return the loop as a diagram of this package; by default with the learner of the user's loop, and the FMU in process."""
+    """Return the loop as a diagram; by default with the learner of the user's loop, and the FMU in process."""
     from bayesftc import controllers, cosim, fmus
 
     s = setting
@@ -64,7 +64,7 @@ def engine_recording(diagram: Diagram, steps: int, seed: int) -> Floats:
 
 
 def own_noise(steps: int, seed: int) -> Floats:
-    """Return the random numbers that the engine draws, in the order of the user's loop."""
+    """Return the engine's random numbers, in the order of the user's loop."""
     from bayesftc.cosim.random import numbers
 
     streams = (("disturbance_noise.noise", 0), ("sensors.noise", 0), ("sensors.noise", 1))
@@ -72,13 +72,13 @@ def own_noise(steps: int, seed: int) -> Floats:
 
 
 def tracking_error(recording: Floats) -> float:
-    """Return the root mean square of speed minus the goal that was set for it one step before."""
+    """Return the root mean square of the speed minus the goal of the step before."""
     return float(np.sqrt(np.mean((recording[1:, 0] - recording[:-1, -1]) ** 2)))
 
 
 def measure(quick: bool = False) -> Section:
-    """Check that both loops do the same, then measure them in turns."""
-    # A million steps record 64 MB: far more at a time would measure how fast the system hands out fresh memory.
+    """Compare the results of both loops, then measure them in turns."""
+    # A million steps record 64 MB. With far more, the speed of the system's memory allocation would be measured.
     fast, slow, rounds, runs = (20_000, 300, 2, 2) if quick else (1_000_000, 20_000, 11, 100)
     diagram = full_diagram()
     with unpacked_car() as car:
@@ -89,10 +89,10 @@ def measure(quick: bool = False) -> Section:
         users = [tracking_error(user_loop(car, EXPERIMENT, _noise(EXPERIMENT, seed), SETTING)) for seed in range(runs)]
         rates = in_turns({"engine": lambda: _engine_rate(diagram, fast), "user": lambda: _user_rate(car, slow)}, rounds)
     rate, label, either = "steps/s", f"compiled engine, {COLUMNS} signals recorded", "this or 4 million steps/s"
-    over, apart, alone = (
+    over, difference, note_on_ratio = (
         ratios(rates["engine"], rates["user"]),
         [float(same[:, 0].max())],
-        "differs from 1 by the noise alone",
+        "differs from 1 only by the noise",
     )
     ratio = [float(np.mean(errors) / np.mean(users))]
     return Section(
@@ -102,10 +102,10 @@ def measure(quick: bool = False) -> Section:
             Figure("engine", label, rate, rates["engine"], at_least=4e6, either="speed"),
             Figure("user", "loop with fmpy, NumPy and filterpy", rate, rates["user"]),
             Figure("engine_over_user", "engine / user's loop", "", over, 100.0, either="speed", note=either),
-            Figure("difference", "largest difference of the speeds, same noise", "m/s", apart, at_most=1e-9),
+            Figure("difference", "largest difference of the speeds, same noise", "m/s", difference, at_most=1e-9),
             Figure("engine_rmse", f"tracking error, engine, {runs} runs of 20 s", "m/s", errors),
             Figure("user_rmse", f"tracking error, user's loop, {runs} runs of 20 s", "m/s", users, note="own noise"),
-            Figure("rmse_ratio", "ratio of the mean tracking errors", "", ratio, 0.9, 1.1, note=alone),
+            Figure("rmse_ratio", "ratio of the mean tracking errors", "", ratio, 0.9, 1.1, note=note_on_ratio),
         ),
     )
 

@@ -1,4 +1,4 @@
-"""What it costs to run an FMU in a process of its own, beside the same loop in process; and what instances leave in memory."""
+"""The cost of running an FMU in a separate process, compared with the same loop in process; the memory left by instances."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ print(json.dumps(grown))
 
 
 def measure(quick: bool = False) -> Section:
-    """Check that both loops give the same bits, then measure them in turns; then how much memory lives in process leave."""
+    """Compare the bits of both loops, measure them in turns, then measure the memory that instances in process leave."""
     slow, fast, rounds, lives = (2_000, 20_000, 2, 200) if quick else (200_000, 1_000_000, 7, 10_000)
     inside, outside = full_diagram(), full_diagram(isolate=True)
     difference = float(np.abs(engine_recording(outside, EXPERIMENT, 1) - engine_recording(inside, EXPERIMENT, 1)).max())
@@ -53,21 +53,21 @@ def measure(quick: bool = False) -> Section:
         rates = in_turns(
             {"in_process": lambda: _rate(inside, first, fast), "isolated": lambda: _rate(outside, second, slow)}, rounds
         )
-    said, reason = repeated(LIVES.format(lives=lives))
+    results, reason = repeated(LIVES.format(lives=lives))
     grown, label = (
-        [growth / 1e6 for run in said for growth in run],
+        [growth / 1e6 for run in results for growth in run],
         f"growth over {lives:,} instances in process, FMI 2 and 3",
     )
     bits, rate = "bit for bit" if difference == 0.0 else "not bit for bit", "steps/s"
     return Section(
         "isolation",
-        "FMUs in processes of their own",
+        "FMUs in separate processes",
         (
             Figure("isolated", "whole loop, FMU isolated", rate, rates["isolated"], at_least=4e4),
             Figure("in_process", "whole loop, FMU in process", rate, rates["in_process"]),
             Figure("over_in_process", "isolated / in process", "", ratios(rates["isolated"], rates["in_process"])),
             Figure(
-                "difference", "largest difference of all that is recorded", "", [difference], at_most=0.0, note=bits
+                "difference", "largest difference of all recorded signals", "", [difference], at_most=0.0, note=bits
             ),
             Figure("start", "start and end of an isolated instance, compiled code loaded", "s", starts),
             Figure("lives", label, "MB", grown, at_most=1.0, reason=reason),

@@ -1,4 +1,4 @@
-"""What learning fault modes costs: the whole FMU loop with `SwitchingPrecision` beside that with `GammaPrecision`."""
+"""The cost of learning fault modes: the whole FMU loop with `SwitchingPrecision` and with `GammaPrecision`."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from bayesftc.cosim.diagram.diagram import Diagram
 
 FEW, SOME, MANY = 2, 5, 8
-"""Numbers of sensors: the paper's, and two more to see how the time grows."""
-QUICK = "not measured in a quick run: compiling takes longer than that."
+"""Numbers of sensors: the paper's, and two larger ones to show how the time grows."""
+QUICK = "not measured in a quick run, because compilation takes too long."
 
 
 def measure(quick: bool = False) -> Section:
-    """Measure the loops in turns: with two sensors all, with more those that show how the time grows."""
+    """Measure the loops in turns: all with two sensors, and some with more to show how the time grows."""
     from bayesftc import controllers
 
     steps, rounds = (20_000, 2) if quick else (200_000, 9)
-    known = {
+    learners = {
         "gamma": None,
         "per_sensor": controllers.SwitchingPrecision(joint=False),
         "joint": controllers.SwitchingPrecision(),
     }
-    wanted = [(name, m) for m in ((FEW,) if quick else (FEW, SOME, MANY)) for name in ("gamma", "per_sensor")]
-    wanted += [] if quick else [("joint", FEW), ("joint", SOME)]
-    loops = {(name, m): full_diagram(precision=known[name], sensors=m) for name, m in wanted}
+    cases = [(name, m) for m in ((FEW,) if quick else (FEW, SOME, MANY)) for name in ("gamma", "per_sensor")]
+    cases += [] if quick else [("joint", FEW), ("joint", SOME)]
+    loops = {(name, m): full_diagram(precision=learners[name], sensors=m) for name, m in cases}
     taken = in_turns(
         {f"{name} {m}": partial(_time_of_a_step, loop, steps) for (name, m), loop in loops.items()}, rounds
     )
@@ -42,7 +42,7 @@ def measure(quick: bool = False) -> Section:
         return ratios(taken.get(f"{name} {m}", ()), taken.get(f"gamma {m}", ()) if f"{name} {m}" in taken else ())
 
     def of_a_sensor(fewer: int, more: int) -> Sequence[float]:
-        """Return the time that the learner takes for each further sensor, beyond the gamma learner's loop."""
+        """Return the learner's time for each further sensor, beyond that of the gamma learner's loop."""
         if f"gamma {more}" not in taken:
             return ()
         beyond = [np.subtract(taken[f"per_sensor {m}"], taken[f"gamma {m}"]) for m in (fewer, more)]
@@ -68,7 +68,7 @@ def measure(quick: bool = False) -> Section:
 
 
 def _time_of_a_step(loop: Diagram, steps: int) -> float:
-    """Return how many nanoseconds of the processor's time a step takes; compiled before, as the first call does."""
+    """Return the processor time of a step in nanoseconds. A first call compiles."""
     loop.simulate(loop.step, seed=1, record=["controller.u"])
     started = time.process_time()
     loop.simulate(steps * loop.step, seed=1, record=["controller.u"])

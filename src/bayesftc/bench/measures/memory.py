@@ -1,4 +1,4 @@
-"""Memory of a long recording, in a process of its own."""
+"""Memory of a long recording, measured in a separate process."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ print(json.dumps([peak() - before, recorded]))
 
 
 def measure(quick: bool = False) -> Section:
-    """Measure how much the process grows at its peak, over the size of what it records."""
+    """Measure the peak growth of the process, and its ratio to the size of the recording."""
     steps = 1_000_000 if quick else 10_000_000
-    said, reason = repeated(CHILD.format(steps=steps, columns=COLUMNS), 1 if quick else 3)
-    growth, samples = [grown / 1e6 for grown, _ in said], [grown / recorded for grown, recorded in said]
+    results, reason = repeated(CHILD.format(steps=steps, columns=COLUMNS), 1 if quick else 3)
+    growth, samples = [grown / 1e6 for grown, _ in results], [grown / recorded for grown, recorded in results]
     label = f"peak growth / recorded arrays, {COLUMNS} signals, {steps / 1e6:g} million steps"
     return Section(
         "memory",
@@ -38,7 +38,7 @@ def measure(quick: bool = False) -> Section:
 
 
 def resident() -> int:
-    """Return the resident memory of this process in bytes; where the system does not tell, its peak so far."""
+    """Return the resident memory of this process in bytes, or its peak if the system does not report it."""
     return _status("VmRSS") or peak()
 
 
@@ -48,16 +48,16 @@ def peak() -> int:
     Raises
     ------
     OSError
-        If this system does not tell.
+        If this system does not report it.
     """
-    # Not getrusage where there is a choice: on Linux its peak is inherited from the process that started this one.
-    known = _status("VmHWM")
-    if known:
-        return known
+    # This is better than getrusage, whose peak a process on Linux inherits from its parent.
+    bytes_ = _status("VmHWM")
+    if bytes_:
+        return bytes_
     try:
         import resource
     except ImportError:
-        raise OSError("This system does not tell the peak of a process's memory.") from None
+        raise OSError("This system does not report the peak of a process's memory.") from None
     import sys
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

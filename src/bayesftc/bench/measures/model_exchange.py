@@ -1,7 +1,7 @@
-"""A model exchange FMU, a pendulum, integrated here and by fmpy: the same binary, tolerances and communication points.
+"""A model exchange FMU, a pendulum, integrated by this package and by fmpy: same binary, tolerances, communication points.
 
-Left alone, fmpy's CVODE runs on from one communication point to the next, where the integrators here begin anew, so that a step
-does not depend on what was before. With an input that jumps at every point, as a controller's does, fmpy begins anew as well.
+Without an input, fmpy's CVODE continues from one communication point to the next. The integrators here restart at each point,
+so a step does not depend on earlier ones. With an input that jumps at every point, as under control, fmpy restarts as well.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from bayesftc.cosim.types import Floats
 
 STEP, RTOL = 0.01, 1e-6
 PERIOD = 3.0
-"""Seconds of the sine that drives it, held from point to point."""
+"""Period in seconds of the sine that drives it, which is held from point to point."""
 
 Run = Callable[[int], tuple[Floats, float]]
-"""Makes the given number of steps; returns the angles and the seconds it took."""
+"""Makes the given number of steps; returns the angles and the time in seconds."""
 
 _VARIABLES = (
     ("q", 'causality="output" initial="calculated"', "<Real/>"),
@@ -48,7 +48,7 @@ def build_pendulum(folder: Path) -> Path:
     from bayesftc.fmus._compiler import compile_library
     from bayesftc.fmus._platforms import host
 
-    folder = folder.absolute()  # the compiler runs in another one
+    folder = folder.absolute()  # the compiler runs in another folder
     library = folder / f"pendulum{fmpy.sharedLibraryExtension}"
     compile_library(Path(__file__).parent, ["pendulum.c"], library, host(), ["m"])
     rows = "".join(
@@ -104,7 +104,7 @@ def theirs(path: Path, folder: Path, *, driven: bool) -> Run:
 
     def run(steps: int) -> tuple[Floats, float]:
         signals = None
-        if driven:  # each instant twice, with the values before and after it
+        if driven:  # each instant twice, with the values before and after the jump
             times, values = np.repeat(STEP * np.arange(steps + 1), 2)[1:], np.repeat(torques(steps), 2)[:-1]
             signals = np.array(list(zip(times, values, strict=True)), dtype=[("time", "f8"), ("torque", "f8")])
         instance.reset()
@@ -129,7 +129,7 @@ def theirs(path: Path, folder: Path, *, driven: bool) -> Run:
 
 
 def exact(steps: int, *, driven: bool) -> Floats:
-    """Return the angles as scipy integrates them to 1e-11."""
+    """Return the angles from scipy, integrated with a tolerance of 1e-11."""
     from scipy.integrate import solve_ivp
 
     def right(t: float, x: Floats, u: float) -> list[float]:
@@ -148,7 +148,7 @@ def exact(steps: int, *, driven: bool) -> Floats:
 
 
 def measure(quick: bool = False) -> Section:
-    """Measure all in turns, and how far from the solution they come."""
+    """Measure all in turns, and their distances from the solution."""
     from bayesftc.fmus._compiler import CompilerError
 
     title = f"Model exchange: a pendulum, steps of {STEP:g} s, tolerance {RTOL:g}"
@@ -159,7 +159,7 @@ def measure(quick: bool = False) -> Section:
         try:
             path = build_pendulum(folder)
         except CompilerError:
-            reason = "No C compiler was found, or it failed; install one to have this figure."
+            reason = "No C compiler was found, or it failed. Install one for this figure."
             missing = tuple(
                 Figure(key, label, "", (), at_least=bar, reason=reason) for key, label, bar in _RATIOS if bar
             )

@@ -1,6 +1,6 @@
-"""The shipped car under proportional control: the compiled engine beside a loop in C and a plain fmpy loop.
+"""The shipped car under proportional control: the compiled engine, a loop in C, and a plain fmpy loop.
 
-All three make the same calls of the same binary in the same order and record every `EVERY`-th speed.
+All three make the same calls of the same binary in the same order, and record every `EVERY`-th speed.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ GAIN, OFFSET = -800.0, 16_000.0  # force = 800 (20 m/s - v)
 EVERY = 100
 
 Loop = Callable[[int], tuple[Floats, float]]
-"""Makes the given number of steps; returns the recorded speeds and the seconds it took."""
+"""Makes the given number of steps; returns the recorded speeds and the time in seconds."""
 
 
 def engine_loop() -> Loop:
-    """Return the loop in this package's compiled engine; its time includes making and freeing the FMU's instance."""
+    """Return the loop in the compiled engine; its time includes making and freeing the FMU's instance."""
     from bayesftc import cosim, fmus
 
     diagram = cosim.Diagram(STEP)
@@ -64,7 +64,7 @@ def c_loop(car: Unpacked, library: Any) -> Loop:
             status = function(*arguments, GAIN, OFFSET, STEP, steps, EVERY, recording.ctypes.data)
             seconds = time.perf_counter() - started
         if status:
-            raise RuntimeError("The car's FMU refused a call of the C loop.")
+            raise RuntimeError("The car's FMU returned an error to the C loop.")
         return recording, seconds
 
     return run
@@ -94,7 +94,7 @@ def fmpy_loop(car: Unpacked) -> Loop:
 
 
 def compile_c_loop(folder: Path) -> Any:
-    """Compile ``c_loop.c`` with the compiler that is found and load it.
+    """Compile ``c_loop.c`` and load it.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def measure(quick: bool = False) -> Section:
             folder = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
             loops["c"] = c_loop(car, compile_c_loop(Path(folder)))
         except CompilerError:
-            reason = "No C compiler was found, or it failed; install one to have this figure."
+            reason = "No C compiler was found, or it failed. Install one for this figure."
         speeds = {name: loop(slow)[0] for name, loop in loops.items()}
         difference = max(float(np.abs(v - speeds["engine"]).max()) for v in speeds.values())
         steps = {name: slow if name == "fmpy" else fast for name in loops}

@@ -20,7 +20,7 @@ A, B = 1 - 5.0 / 100.0 * DT, DT / 100.0
 
 
 def foreign(folder: Path) -> Path:
-    """Return a copy of the shipped car that does not say who has made it, so that its state is known to itself alone."""
+    """Return a copy of the shipped car without this package's annotation, so its state is not accessible."""
     from bayesftc import fmus
 
     path = folder / "car.fmu"
@@ -31,7 +31,7 @@ def foreign(folder: Path) -> Path:
 
 
 def cars(folder: Path) -> dict[str, Any]:
-    """Return the car in each form, as a system of python-control with the inputs force and disturbance and the output v."""
+    """Return the car in each form, as a python-control system with inputs force and disturbance, and output v."""
     import control
 
     from bayesftc import cosim, fmus
@@ -50,7 +50,7 @@ def cars(folder: Path) -> dict[str, Any]:
 
 
 def measure(quick: bool = False) -> Section:
-    """Measure all in turns; that they compute the same is checked."""
+    """Check that all compute the same, and measure them in turns."""
     steps, rounds = (200, 2) if quick else (5_000, 7)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         runs = {name: partial(_response, car, steps) for name, car in cars(Path(folder)).items()}

@@ -1,4 +1,4 @@
-"""A large stored campaign: how fast it is written, opened and drawn, each in a process of its own."""
+"""A large stored campaign: the time to write it and to open and draw it, each in a separate process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIGNALS = (
     *("plant.v", "reference.y", "freeze_0.y", "freeze_0.active", "controller.u", "controller.x_hat", "controller.beta"),
     "sensors.y",
 )
-"""Eight signals, some of them of two sensors."""
+"""Eight signals, some with two sensors."""
 WRITE = """
 import json, time
 from bayesftc import controllers, cosim

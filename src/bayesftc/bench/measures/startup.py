@@ -1,4 +1,4 @@
-"""Start-up and compilation, each in processes of their own with a cache folder of their own."""
+"""Start-up and compilation, in separate processes with separate cache folders."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ steps = len(load_scenario("cruise_control").simulate(duration=20.0).time) - 1
 if steps != 1000:
     raise SystemExit(f"The shipped scenario made {{steps}} steps.")
 {_REPORT}"""
-"""The shipped scenario, 20 s of it: 1,000 steps."""
+"""20 s of the shipped scenario: 1,000 steps."""
 
 OTHER_DIAGRAM = f"""
 from bayesftc.bench.measures.plain_loop import engine_loop
 engine_loop()(1000)
 {_REPORT}"""
-"""A diagram with a block that the scenario has not."""
+"""A diagram with a block that the scenario does not have."""
 
 
 def measure(quick: bool = False) -> Section:
-    """Measure the first run with an empty cache, a second diagram, and then starts with all that in the cache."""
+    """Measure the first run with an empty cache, a second diagram, and then starts with the filled cache."""
     cold = []
     with ExitStack() as stack:
         for _ in range(1 if quick else 3):
@@ -73,15 +73,15 @@ def measure(quick: bool = False) -> Section:
 
 
 def _first_runs(folder: str) -> tuple[Finished | str, Finished | str]:
-    """Run the scenario and then another diagram, with an empty folder as their cache."""
+    """Run the scenario and then another diagram, with an empty folder as the cache."""
     cache = {"BAYESFTC_CACHE": folder}
     first = _attempt(lambda: run_code(SCENARIO, cache))
     before = _engine_files(folder)
     if isinstance(first, Finished):
-        first.said["engine"] = len(before)
+        first.value["engine"] = len(before)
     second = _attempt(lambda: run_code(OTHER_DIAGRAM, cache))
     if isinstance(second, Finished):
-        second.said["engine"] = len(_engine_files(folder) - before)
+        second.value["engine"] = len(_engine_files(folder) - before)
     return first, second
 
 
@@ -106,5 +106,5 @@ def _seconds(key: str, label: str, outcomes: list[Finished | str], at_most: floa
 
 
 def _count(key: str, label: str, outcomes: list[Finished | str], what: str, at_most: float | None = None) -> Figure:
-    samples = [float(o.said[what]) for o in outcomes if isinstance(o, Finished)]
+    samples = [float(o.value[what]) for o in outcomes if isinstance(o, Finished)]
     return Figure(key, label, "", samples, at_most=at_most, reason=_reason(outcomes))
