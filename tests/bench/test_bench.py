@@ -121,7 +121,7 @@ def test_one_of_two_alternatives_is_enough():
     unknown = Figure("unknown", "", "", [], at_least=1.0, reason="There is none.")
     section = Section("s", "S", (fast, slow, alone, unknown))
     assert [section.met(f) for f in section.figures] == [True, True, False, None]
-    assert _run._verdict(section, slow) == "by the other"
+    assert _run._verdict(section, slow) == "by the alternative"
     assert section.bars()["s.slow"]["or"] == ["s.fast"]
     assert section.bars()["s.unknown"] == {"value": None, "at_least": 1.0, "met": None, "reason": "There is none."}
 

@@ -70,10 +70,10 @@ def test_inputs_are_averaged_backwards_and_hold_in_between():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Signal([0, 1], [1.0]), "one value a time"),
-        (lambda: Signal([0, 1, 1], [1, 2, 3]), "sort the recording"),
+        (lambda: Signal([0, 1], [1.0]), "one value per time"),
+        (lambda: Signal([0, 1, 1], [1, 2, 3]), "Sort the recording"),
         (lambda: Signal([0, np.nan], [1, 2]), "without a time"),
-        (lambda: Signal([0, 1], [np.nan, np.inf]), "not a single sample"),
+        (lambda: Signal([0, 1], [np.nan, np.inf]), "no samples"),
         (lambda: Signal([0, 1], [1, 2], smooth=-1.0), "smooth=-1.0"),
         (lambda: Signal([0, 1], [1, 2], delay=np.nan), "delay=nan"),
         (lambda: align({}, {}, DT), "no sensor to monitor"),
@@ -81,7 +81,7 @@ def test_inputs_are_averaged_backwards_and_hold_in_between():
         (lambda: align({"a": Signal([0, 1e9], [1, 2])}, {}, DT), "in seconds"),
         (lambda: align({"a": Signal([0, 1], [1, 2])}, {"u": Signal([2, 3], [1, 2])}, DT), "do not overlap"),
         (lambda: align({"a": Signal([0, 1], [1, 2])}, {}, 0.0), "sample time"),
-        (lambda: align({"a": Signal([0, 1], [1, 2])}, {}, 2.0), "to 1 s is shorter than one step of 2 s; give a smaller dt"),
+        (lambda: align({"a": Signal([0, 1], [1, 2])}, {}, 2.0), "to 1 s is shorter than one step of 2 s. Give a smaller dt"),
     ],
 )  # fmt: skip
 def test_recordings_that_do_not_fit(make, words):
@@ -416,13 +416,13 @@ def monitor_resolution(folder):
         (("dt = 0.05", "dt = = 0.05"), "no valid TOML"),
         (
             ("[inputs.accel]", '[inputs.gyro]\nfile = "x.csv"\n[inputs.accel]'),
-            "takes 1 input, but .* names 'gyro', 'accel'",
+            "has 1 input, but .* names 'gyro', 'accel'",
         ),
         (
             ("[inputs.accel]\nerror_std = 1.0\nerror_walk = 0.02\n", ""),
-            "Integrator takes 1 input, but .* names none; name each",
+            "Integrator has 1 input, but .* names none. Name each",
         ),
-        (('"Integrator"', '"RandomWalk"'), "RandomWalk takes no inputs, but .* names 'accel'; take out"),
+        (('"Integrator"', '"RandomWalk"'), "RandomWalk has no inputs, but .* names 'accel'. Remove"),
         (
             (
                 "dt = 0.05",
@@ -441,7 +441,7 @@ def monitor_resolution(folder):
             ),
             r"'precision.process_modes\[0\].kind' is 'NoiserProcess'.* did you mean 'NoisierProcess'",
         ),
-        ((MODEL, "dt = 1.0\n[model]\nkind = 'RandomWalk'\nstd = 1.0\n[sensors]\n"), "names no sensor"),
+        ((MODEL, "dt = 1.0\n[model]\nkind = 'RandomWalk'\nstd = 1.0\n[sensors]\n"), "has no sensor"),
     ],
 )
 def test_mistakes_in_the_file_are_named_with_their_place(change, words, tmp_path):
@@ -465,7 +465,7 @@ def test_states_that_no_sensor_reads_need_a_beginning(tmp_path):
 
 def test_a_model_of_another_size_is_refused():
     recording = align({"a": Signal([0, 1], [1, 2])}, {}, 1.0)
-    with pytest.raises(ModelError, match=r"2 sensors, 1 .* and steps of 1 s; the recording has 1"):
+    with pytest.raises(ModelError, match=r"2 sensors, 1 .* and steps of 1 s, but the recording has 1"):
         monitor_recording(recording, LinearModel([[1]], [[1]], [[1], [1]], 1.0, 1.0, 1.0))
     with pytest.raises(ModelError, match=r"threshold=1\.5"):
         monitor_recording(recording, LinearModel([[1]], [[1]], [[1]], 1.0, 1.0, 1.0), alarm=Alarm(1.5))
@@ -479,22 +479,22 @@ def test_a_model_of_another_size_is_refused():
         ("t,left,rigth,gnss,accel\n0,1,1,1,1\n", "no column 'right' for the sensor 'right'; did you mean 'rigth'"),
         ("time,left,right,gnss,accel\n0,1,1,1,1\n", "no column 't' for the times of the sensor 'left'"),
         ("t,left,right,gnss\n0,1,1,1\n", "no column 'accel' for the input 'accel'"),
-        ("t,left,right,gnss,accel\n1,1,1,1,1\n0,1,1,1,1\n", "the sensor 'left': .* sort the recording"),
-        ("t,left,right,gnss,accel\n0,1,1,,1\n", "the sensor 'gnss': .* not a single sample"),
+        ("t,left,right,gnss,accel\n1,1,1,1,1\n0,1,1,1,1\n", "the sensor 'left': .* Sort the recording"),
+        ("t,left,right,gnss,accel\n0,1,1,,1\n", "the sensor 'gnss': .* no samples"),
         ("", "data.csv is empty"),
         ("\n \n", "data.csv is empty"),
         ("t,left,right,gnss,accel\n", "no row of samples"),
         ("0,1,1,1,1\n1,1,1,1,1\n", "begins with numbers"),
-        ("t;left;right;gnss;accel\n0;1,5;1;1;1\n", "semicolons between its columns; save it with commas"),
+        ("t;left;right;gnss;accel\n0;1,5;1;1;1\n", "semicolons between its columns. Save it with commas"),
         ("t\tleft\tright\tgnss\taccel\n0\t1\t1\t1\t1\n", "tabs between its columns"),
         (
             "t,left,left,right,gnss,accel\n0,1,1,1,1,1\n",
-            "2 columns 'left', the first being number 2 and the last number 3",
+            "2 columns 'left': the first is number 2, the last number 3",
         ),
         ("t,left,right,gnss,accel\n0,1,1,1,1\n1,1,1\n", "line 3 has 3 cell.* the first row has 5 name"),
         ("t,left,right,gnss,accel\n0,1,1,1,1,\n1,1,1,1,1,\n", "line 2 has 6 cell.* the first row has 5 name"),
         ("# a drive\nt,left,right,gnss,accel\n0,1,1,1,1\n", "line 2 has 5 cell.* the first row has 1 name"),
-        ('t,left\n0,"1\n', "no table of values"),
+        ('t,left\n0,"1\n', "no CSV table"),
         (b"\xff\xfe\x00", "no text in UTF-8"),
     ],
 )
@@ -519,7 +519,7 @@ def test_several_files_and_folders(tmp_path):
     rows = zip(columns["t"][known] + 0.003, columns["gnss"][known], strict=True)
     text = "stamp,gnss\n" + "".join(f"{t},{v}\n" for t, v in rows)
     (tmp_path / "slow" / "gnss.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"does not say in which file"):
+    with pytest.raises(RecordingError, match=r"has no file"):
         monitor.read([tmp_path / "data.csv", tmp_path / "slow"])
     text = file.read_text(encoding="utf-8")
     for name in ("[inputs.accel]", "[sensors.left]", "[sensors.right]"):

@@ -255,9 +255,9 @@ WRONG = {
     "no plant": (('fmu = "CruiseControl"', "#"), ScenarioError, ["'plant'", "fmu = ", "A, B, C"]),
     "one bracket": (("[[faults]]", "[faults]"), ScenarioError, ["'faults'", "[[faults]]"]),
     "one bracket of an input": (
-        ("[[faults]]", "[input_faults.force]"), ScenarioError, ["'input_faults.force'", "write [[input_faults.force]], with two"],
+        ("[[faults]]", "[input_faults.force]"), ScenarioError, ["'input_faults.force'", "Write [[input_faults.force]], with two"],
     ),
-    "no input": (("[[faults]]", "[[input_faults]]"), ScenarioError, ["'input_faults'", "write [[input_faults.<input>]]"]),
+    "no input": (("[[faults]]", "[[input_faults]]"), ScenarioError, ["'input_faults'", "Write [[input_faults.<input>]]"]),
     "faulty input": (("[[faults]]", "[[input_faults.froce]]"), UnknownNameError, ["'froce'", "did you mean 'force'"]),
     "setting of an input fault": (
         ("[[faults]]", "[[input_faults.force]]\nbegin = 1"), ScenarioError, ["'input_faults.force[0]'", "'begin'"],
@@ -265,7 +265,7 @@ WRONG = {
     "function": (("count = 2", "count = 2\nfunction = 'sin'"), ScenarioError, ["sensors.function", "Python script"]),
     "syntax": (("count = 2", "count = "), ScenarioError, ["no valid TOML", "line 21"]),
     "twice": (("seed = 1", "seed = 1\nseed = 2"), ScenarioError, ["no valid TOML", "line 9"]),
-    "fmi of a file": (('"CruiseControl"', '"a.fmu"\nfmi = "2.0"'), ScenarioError, ["plant.fmi", "leave 'fmi' out"]),
+    "fmi of a file": (('"CruiseControl"', '"a.fmu"\nfmi = "2.0"'), ScenarioError, ["plant.fmi", "Leave out 'fmi'"]),
     "fmu name": (('"CruiseControl"', '"CruseControl"'), FMUError, ["plant.fmu", "CruiseControl", ".fmu"]),
     "fmu file": (('"CruiseControl"', '"nope.fmu"'), FMUError, ["'plant'", "nope.fmu"]),
     "parameter": (("v0 = 20.0", "v00 = 20.0"), UnknownNameError, ["'plant'", "'v00'", "did you mean 'v0'"]),
@@ -486,7 +486,7 @@ def test_every_law_can_be_said(write, law):
         (
             '{ kind = "GammaPrecision" }',
             '{ kind = "SwitchingPrecision", process_modes = [{ kind = "Noisier" }] }',
-            "controller.precision.process_modes[0].kind' is 'Noisier', which is no kind that can stand here; did you mean "
+            "controller.precision.process_modes[0].kind' is 'Noisier', which is no valid kind here; did you mean "
             "'NoisierProcess'?",
         ),
         (
@@ -559,18 +559,18 @@ def test_a_design_knows_the_sensors_of_the_file(write, more, covariance):
 @pytest.mark.parametrize(
     ("more", "error", "said"),
     [
-        ("measured = 'y'", ScenarioError, "'controller.measured' is said by [plant] and [sensors] already"),
+        ("measured = 'y'", ScenarioError, "'controller.measured' is already set by [plant] and [sensors]"),
         ("sensor_stdd = 1", ScenarioError, "'controller' has the unknown key 'sensor_stdd'; did you mean 'sensor_std'"),
         ("goal = true", ScenarioError, "'controller.goal' is true; it must be a text in quotes"),
         ("goal = 'z'", UnknownNameError, "'controller': "),
         ("u_min = 3\nu_max = 2", ModelError, "'controller': u_min [3.0] lies above u_max [2.0]"),
         ("precision = 'x'", ScenarioError, "'controller.precision' is 'x'; it must be a table such as"),
-        ("[model]\nA = [[1]]", ScenarioError, "'model' is not for kind = 'design', which makes its model of the plant"),
-        ("[sensors]\nmatrix = [[2]]", ScenarioError, "'controller' cannot be a design, for [sensors] has a matrix"),
+        ("[model]\nA = [[1]]", ScenarioError, "'model' cannot be used with kind = 'design', which makes its model from"),
+        ("[sensors]\nmatrix = [[2]]", ScenarioError, "'controller' cannot be a design, because [sensors] has a matrix"),
         (
             "[sensors]\ncovariance = [[2]]",
             ScenarioError,
-            "'controller' lacks 'sensor_std', for [sensors] has a covariance",
+            "'controller' lacks 'sensor_std', which a design needs if [sensors] has a covariance",
         ),
     ],
 )

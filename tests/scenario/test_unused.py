@@ -30,7 +30,7 @@ def car(tmp_path):
 def test_a_fault_after_the_end_is_a_note_where_it_disturbs_nobody(bayesftc_, car):
     car()
     short = ("run", "car.toml", "--engine", "interpreted", "--duration", "2")
-    note = "car.toml: 'faults[0]' starts at 6 s, but the run ends at 2 s, so that there is no such fault in it."
+    note = "car.toml: 'faults[0]' starts at 6 s, but the run ends at 2 s. The fault has no effect."
     assert f"Note: {note}\n" == bayesftc_(*short).stderr
     assert bayesftc_(*short, "--quiet").output == ""
     done = bayesftc_(*short, "--json")
@@ -43,10 +43,10 @@ def test_sensors_and_variables_that_nobody_reads_are_said(car):
     path = car(("C = [[1.0], [1.0]]", "C = [[1.0], [0.0]]"), ("count = 2", "count = 2\nmatrix = [[0.0], [0.0]]"))
     said = unused(load_scenario(path))
     assert [text.partition(" has ")[2] for text in said] == [
-        "a row of zeros, so that sensor 0 reads nothing of the plant.",
-        "a row of zeros, so that sensor 1 reads nothing of the plant.",
-        "a column of zeros, so that no sensor reads 'v'.",
-        "a row of zeros, so that the controller does not use sensor 1.",
+        "a row of zeros, so sensor 0 measures nothing of the plant.",
+        "a row of zeros, so sensor 1 measures nothing of the plant.",
+        "a column of zeros, so no sensor measures 'v'.",
+        "a row of zeros, so the controller does not use sensor 1.",
     ]
 
 
@@ -57,7 +57,7 @@ def test_sensors_and_variables_that_nobody_reads_are_said(car):
         ('"faults[0].start" = [0.5, 3.0]', []),
         ('"sensors.std" = [0.5, 1.0]', ["'faults[0]' starts at 6 s"]),
         ('faults = { none = [], one = [{ kind = "Freeze", start = 0.5 }] }', []),
-        ('"simulation.seed" = [1, 2]', ["the factor 'simulation.seed' changes nothing", "'faults[0]' starts at 6 s"]),
+        ('"simulation.seed" = [1, 2]', ["the factor 'simulation.seed' has no effect", "'faults[0]' starts at 6 s"]),
     ],
 )
 def test_factors_that_change_nothing_are_said(car, tmp_path, factors, words):

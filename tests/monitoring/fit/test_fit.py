@@ -303,10 +303,10 @@ def test_a_bias_that_wanders_is_told_from_noise():
         (lambda y: y[:, :1], "two or more sensors"),
         (lambda y: y[:150], "150 samples .* 200"),
         (lambda y: np.ones_like(y), "No sensor changes"),
-        (lambda y: np.column_stack([y[:, 0], y[:, 1], np.full(len(y), 5.0)]), "'s2' stands still"),
-        (lambda y: y[:, [0, 1, 1]], "'s1' and 's2' are the same"),
+        (lambda y: np.column_stack([y[:, 0], y[:, 1], np.full(len(y), 5.0)]), "'s2' does not change"),
+        (lambda y: y[:, [0, 1, 1]], "'s1' and 's2' have the same"),
         (lambda y: np.column_stack([y[:, 0], y[:, 1], np.arange(len(y))]), "'s2' does not follow"),
-        (lambda y: np.where(np.arange(len(y))[:, None] % 2 == [0, 0, 1], y, np.nan), "'s2' has no sample on a step"),
+        (lambda y: np.where(np.arange(len(y))[:, None] % 2 == [0, 0, 1], y, np.nan), "'s2' cannot be compared"),
     ],
 )
 def test_what_cannot_be_fitted_is_named(change, words):
