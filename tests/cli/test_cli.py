@@ -88,7 +88,7 @@ def test_faults_of_an_actuator_are_reported(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR + fault)
     done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", 2, "--out", "out")
     assert done.exit_code == 0, done.output
-    assert "Faults on the way to the plant" in done.output
+    assert "Faults between the controller and the plant" in done.output
     assert "force (N)" in done.output
     numbers = json.loads((tmp_path / "out" / "figures.json").read_text())
     (force,) = numbers["inputs"]
@@ -112,7 +112,7 @@ def test_what_the_controller_says_of_its_actuators_is_reported(bayesftc_, tmp_pa
     (tmp_path / "car.toml").write_text(text)
     done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", 2, "--out", "out")
     assert done.exit_code == 0, done.output
-    for words in ("Actuators' faults as the controller sees them", "kind during alarms, mostly", "InputOffset"):
+    for words in ("Actuator faults that the controller estimates", "kind during alarms, mostly", "InputOffset"):
         assert words in done.output
     (force,) = json.loads((tmp_path / "out" / "figures.json").read_text())["actuators"]
     result = Result.load(tmp_path / "out" / "result.npz")
@@ -190,7 +190,7 @@ def test_check_kalman(bayesftc_):
     said = " ".join(table.split())
     assert "infers state and faults together" in said
     assert (
-        "compared is its per-sensor form, over the same samples and controls. The belief agrees with filterpy" in said
+        "comparison uses its per-sensor form, with the same samples and controls. The belief agrees with filterpy" in said
     )
     assert "Kalman filter over 101 samples" in table
     assert f"{check['mean_absolute']:.2e}" in table
@@ -242,8 +242,8 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
     assert done.exit_code == 0, done.output
     check = json.loads(done.stdout)["kalman"]
     assert check["agrees"] is None
-    assert "cannot be said" in check["verdict"]
-    assert "filterpy's that has grown beyond" in check["verdict"]
+    assert "has no result" in check["verdict"]
+    assert "filterpy's belief has overflowed" in check["verdict"]
 
 
 def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
@@ -253,7 +253,7 @@ def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
     check = json.loads(done.output)["kalman"]
     assert check["agrees"] is False
     assert "does NOT agree" in check["verdict"]
-    assert "the goal leaks" in check["verdict"]
+    assert "depends on the goal" in check["verdict"]
 
 
 def test_state_and_faults_inferred_together_are_told_apart_from_filterpys(bayesftc_, tmp_path):
@@ -293,7 +293,7 @@ def test_a_dropout_is_neither_missed_nor_detected(bayesftc_, tmp_path):
 
 
 def test_what_tracking_compares_is_said(bayesftc_):
-    assert "aims at it with the next state" in " ".join(run_car(bayesftc_, "--duration", "1").output.split())
+    assert "steers the state to it one step later" in " ".join(run_car(bayesftc_, "--duration", "1").output.split())
 
 
 @pytest.mark.parametrize("record", ['["plant.v"]', '"reference.*"'])
@@ -316,7 +316,7 @@ def test_the_ser_baseline_is_compared_with_filterpys_of_itself(bayesftc_, tmp_pa
         assert check["steps"] == 401
     (tmp_path / "car.toml").write_text(text.replace("seed = 1", 'record = ["plant.v"]'))
     done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "1")
-    assert "filterpy's where every signal is recorded" in " ".join(done.output.split())
+    assert "filterpy's, which needs every signal" in " ".join(done.output.split())
 
 
 def test_no_probability_is_explained(bayesftc_, tmp_path):
@@ -347,8 +347,8 @@ def test_what_was_not_recorded_is_a_dash_and_not_a_zero(bayesftc_, tmp_path):
 def test_a_goal_that_was_not_recorded_is_not_taken_for_none(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v", "controller.x_hat"]'))
     numbers = json.loads(bayesftc_("run", "car.toml", "--engine", "interpreted", "--json").output)
-    assert numbers["notes"][0].startswith("The signals of v were not all recorded")
-    assert not any("no element of the goal" in note for note in numbers["notes"])
+    assert numbers["notes"][0].startswith("Some signals of v were not recorded")
+    assert not any("the goal has no element" in note for note in numbers["notes"])
 
 
 def test_decimation_does_not_shorten_the_run(bayesftc_, tmp_path):
@@ -373,8 +373,8 @@ def test_a_folder_that_cannot_be_written_is_known_before_the_run(bayesftc_, tmp_
     monkeypatch.setattr(run_module, "loop_signals", lambda *_: pytest.fail("the run was made"))
     (tmp_path / "taken" / "figure.png").mkdir(parents=True)
     for out, words in {
-        "file": "file is no folder, but a file",
-        "file/deeper": "file is no folder, but a file",
+        "file": "file is a file, not a folder",
+        "file/deeper": "file is a file, not a folder",
         "taken": "figure.png cannot be written: it is a folder",
         "x" * 300: "File name too long",
     }.items():
@@ -432,7 +432,7 @@ def test_debug_shows_the_traceback(bayesftc_):
 @pytest.mark.parametrize(
     ("raised", "code", "words"),
     [
-        (RuntimeError("odd"), 70, ["Traceback", "RuntimeError: odd", "a bug of bayesftc"]),
+        (RuntimeError("odd"), 70, ["Traceback", "RuntimeError: odd", "a bug in bayesftc"]),
         (KeyboardInterrupt(), 130, ["Stopped by Ctrl-C"]),
         (MemoryError(), 71, ["not enough memory", "decimation"]),
     ],
@@ -532,7 +532,7 @@ def test_a_run_keeps_pace_with_the_clock_and_says_where_it_was_late(bayesftc_):
     numbers = json.loads(done.output)
     assert time.monotonic() - begin > 1.2
     assert numbers["pace"]["pace"] == 10.0
-    assert "pace of 10 simulated seconds a second" in numbers["notes"][-1]
+    assert "pace of 10 simulated seconds per second" in numbers["notes"][-1]
     same = json.loads(run_car(bayesftc_, "--duration", "12", "--json").output)
     assert "pace" not in same
     assert numbers["tracking"] == same["tracking"]
@@ -570,7 +570,7 @@ def test_scenarios_are_compared_with_the_same_seeds(bayesftc_, tmp_path):
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"comparison.csv", "figure.png"}
     shown = bayesftc_("run", fixed, ours, "--compare", "--seeds", 2).output
     assert "Tracking error of v (m/s), whole run" in shown
-    assert "against fixed" in shown
+    assert "relative to fixed" in shown
 
 
 def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):
@@ -579,7 +579,7 @@ def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):
         ((fixed, "--compare"), "--compare has only one scenario"),
         ((fixed, ours), "bayesftc run has 2 scenarios"),
         ((fixed, "--seeds", 3), "bayesftc run has --seeds"),
-        ((fixed, ours, "--compare", "--engine", "compiled"), "leave them out"),
+        ((fixed, ours, "--compare", "--engine", "compiled"), "Leave them out"),
         ((fixed, ours, "--compare", "--seeds", 2), "'fixed' lasts 3.0 s and 'gamma' lasts 2.0 s"),
         ((fixed, fixed, "--compare"), "have the same name"),
     ):

@@ -29,7 +29,7 @@ def test_a_controller_leaves_and_is_verified(bayesftc_, scenarios, tmp_path, c_c
     assert lines[0].startswith("controller.fmu: FMI 2.0, ")
     assert lines[1] == "inputs   y (2) in m/s, goal (1) in m/s"
     assert lines[2].startswith("outputs  u (1) in N, x_hat (1), P (1x1), R (2x2)")
-    assert lines[-3] == "step     0.02 s, no other"
+    assert lines[-3] == "step     0.02 s, fixed"
     assert lines[-2].startswith("timing   sampled: ")
     assert lines[-1] == f"Try:  bayesftc verify controller.fmu --against {car}"
 
@@ -86,7 +86,7 @@ def test_several_blocks_become_one(bayesftc_, scenarios, c_compiler):
 def test_the_c_alone(bayesftc_, scenarios, tmp_path):
     done = bayesftc_("export", scenarios[0], "--block", "controller", "--format", "c")
     assert done.exit_code == 0, done.output
-    assert "controller.c and controller.h: controller_init, controller_step; controller.h says how" in done.output
+    assert "controller.c and controller.h: controller_init, controller_step; controller.h explains" in done.output
     assert sorted(p.name for p in tmp_path.iterdir()) == ["controller.c", "controller.h"]
     assert "void controller_init(controller *" in (tmp_path / "controller.h").read_text()
 
@@ -106,7 +106,7 @@ WRONG = {
     "feedthrough": (9, "acts on the output", ("--block", "controller", "--timing", "plant")),
     "C of FMI": (
         9,
-        "--fmi cannot be given with --format c",
+        "--fmi cannot be used with --format c",
         ("--block", "controller", "--format", "c", "--fmi", "2.0"),
     ),
     "no block": (2, "--block", ()),

@@ -140,11 +140,11 @@ def test_a_file_that_cannot_be_written_leaves_none_behind(files, tmp_path, monke
 @pytest.mark.parametrize(
     ("break_it", "code", "words"),
     [
-        (lambda csv, toml: csv.unlink(), 16, "tank.csv cannot be read"),
+        (lambda csv, toml: csv.unlink(), 16, "tank.csv does not exist"),
         (lambda csv, toml: toml.unlink(), 3, "model.toml cannot be read"),
         (lambda csv, toml: csv.write_text("t,a,b\n0,1,2\n", encoding="utf-8"), 16, "no column 'c'"),
         (lambda csv, toml: toml.write_text("dt = 1\n", encoding="utf-8"), 3, "lacks 'model'"),
-        (lambda csv, toml: (csv.parent / "out").write_text("", encoding="utf-8"), 12, "is no folder"),
+        (lambda csv, toml: (csv.parent / "out").write_text("", encoding="utf-8"), 12, "not a folder"),
     ],
 )
 def test_mistakes_end_with_a_sentence_and_no_files(break_it, code, words, files, tmp_path):
@@ -188,7 +188,7 @@ def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):
     before = (tmp_path / "model.toml").read_text(encoding="utf-8")
     done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", files[2]])
     assert done.exit_code == 12
-    assert "is there already" in done.output
+    assert "exists already" in done.output
     assert (tmp_path / "model.toml").read_text(encoding="utf-8") == before
 
 
@@ -223,10 +223,10 @@ def test_several_files_are_fitted_together(drive, tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        ([], 2, "--fit to find the model"),
-        (["--from", "3"], 2, "--fit to find the model"),
-        (["--fit", "--from", "100"], 16, "nothing in the stretch"),
-        (["--fit", "--from", "3", "--to", "2"], 16, "nothing in the stretch"),
+        ([], 2, "with --fit"),
+        (["--from", "3"], 2, "with --fit"),
+        (["--fit", "--from", "100"], 16, "no samples between --from and --to"),
+        (["--fit", "--from", "3", "--to", "2"], 16, "no samples between --from and --to"),
         (["--fit", "--from", "3", "--to", "5"], 16, "samples in the stretch; a fit needs 200"),
         (["--fit", "--sensor", "d"], 16, "no column 'd' with numbers"),
         (["--fit", "--sensor", "a"], 16, "two or more sensors"),
@@ -243,7 +243,7 @@ def test_a_fit_that_cannot_be_is_refused(drive, tmp_path, options, code, words):
 def test_the_stretch_needs_a_fit(files):
     done = RUNNER.invoke(app, ["monitor", *files, "--to", "3"])
     assert done.exit_code == 2
-    assert "need --fit" in " ".join(done.output.replace("│", " ").split())
+    assert "add --fit" in " ".join(done.output.replace("│", " ").split())
 
 
 def test_a_rest_of_all_sensors_is_said_and_no_fault(tmp_path):
@@ -258,7 +258,7 @@ def test_a_rest_of_all_sensors_is_said_and_no_fault(tmp_path):
     arguments = ["monitor", str(tmp_path / "tank.csv"), "--model", str(tmp_path / "model.toml")]
     done = RUNNER.invoke(app, arguments)
     assert done.exit_code == 0, done.output
-    assert "For 9.9 s all sensors repeat themselves at once" in done.output
+    assert "For 9.9 s all sensors repeat their values at once" in done.output
     assert "No fault was found" in done.output
     assert json.loads(RUNNER.invoke(app, [*arguments, "--json"]).output)["rest"] == pytest.approx(9.9)
 

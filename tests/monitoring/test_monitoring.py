@@ -527,7 +527,7 @@ def test_several_files_and_folders(tmp_path):
     file.write_text(text, encoding="utf-8")
     recording = load_monitor(file).read([tmp_path / "data.csv", tmp_path / "slow"])
     np.testing.assert_array_equal(np.isfinite(recording.y[:, 2]), known[2:])
-    with pytest.raises(RecordingError, match="cannot be read"):
+    with pytest.raises(RecordingError, match="does not exist"):
         load_monitor(file).read([tmp_path / "gone" / "data.csv", tmp_path / "slow"])
     with pytest.raises(RecordingError, match="at least one CSV file"):
         load_monitor(file).read([])

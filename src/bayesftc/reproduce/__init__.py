@@ -1,11 +1,10 @@
-"""The paper's experiments, our numbers beside its own: ``bayesftc reproduce``, or from Python.
+"""The paper's experiments and further ones, with the command ``bayesftc reproduce`` or from Python.
 
-``reproduce.arm`` is experiment 1, ``reproduce.tracking`` experiment 2, ``reproduce.detection`` experiment 3;
-``reproduce.bound`` has the best that a detector could do there, ``reproduce.models`` asks what wrong models do, and
-``reproduce.beliefs`` how wrong the settings of fault modes may be; ``reproduce.probabilities`` asks whether fault probabilities
-are true, and ``reproduce.family`` runs all learners over a family of faults. Each returns what its JSON file holds, as plain
-data: ``reproduce.tracking(seed=0, jobs=2)``. Settings and their reasons stand in `bayesftc.reproduce.settings`, the paper's own
-numbers in `bayesftc.reproduce.paper`.
+``reproduce.arm`` is experiment 1, ``reproduce.tracking`` experiment 2, ``reproduce.detection`` experiment 3. Beyond the paper,
+``reproduce.bound`` computes the best possible detector, ``reproduce.models`` tests wrong models, ``reproduce.beliefs`` tests
+wrong settings of fault modes, ``reproduce.probabilities`` tests fault probabilities, and ``reproduce.family`` runs all learners
+over a family of faults. Each returns the content of its JSON file as plain data: ``reproduce.tracking(seed=0, jobs=2)``.
+Settings and their reasons are in `bayesftc.reproduce.settings`, the paper's numbers in `bayesftc.reproduce.paper`.
 """
 
 from typing import TYPE_CHECKING, Any

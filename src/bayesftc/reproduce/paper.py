@@ -1,4 +1,4 @@
-"""What the paper prints: the only results in this package that are not computed."""
+"""The paper's printed results: the only results in this package that are not computed."""
 
 MERIT = {
     "EF-FDI": {"EF-FDI": 0, "No FT": -6, "PL": 8, "SER FT": 8},
@@ -6,7 +6,7 @@ MERIT = {
     "PL": {"EF-FDI": -8, "No FT": -8, "PL": 0, "SER FT": -5},
     "SER FT": {"EF-FDI": -8, "No FT": -8, "PL": 5, "SER FT": 0},
 }
-"""Table 2, row -> column -> count: tests that the column's technique won against the row's, minus those that it lost."""
+"""Table 2, row -> column -> count: won minus lost tests of the column's technique against the row's."""
 
 TOTAL_MERIT = {"EF-FDI": -10, "No FT": -22, "PL": 21, "SER FT": 11}
 """The last row of table 2, the sums of its columns."""
@@ -21,4 +21,5 @@ ARM = {
     "deterministic": {"faulty": 0.5946e-5, "healthy": 0.3579e-5},
 }
 """Table 1, in rad^2: no fault tolerance, precision learning with implicit and explicit fault detection, for joints with and
-without a faulty encoder. The last row, a controller that is told of the fault, is its predecessor's (arXiv 2109.05870)."""
+without a faulty encoder. The last row, a controller that gets the fault as an input, is from the paper's predecessor (arXiv
+2109.05870)."""

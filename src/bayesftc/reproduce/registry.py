@@ -1,16 +1,15 @@
 """The list of the experiments.
 
-To add one you must:
+To add an experiment:
 
-1. put its settings, each with its reason, into ``settings.py``, and what the paper prints into ``paper.py``;
-2. write ``run(ensemble, settings, ...)``, decorated by `experiment` of ``shared/runner.py``, which says what it is called with
-   and what it returns: a dictionary of plain data, in the end what the JSON file holds. The same seed must give the same bits
-   for any number of jobs: `Ensemble` has what that takes;
-3. write ``show(report)``, which yields what is printed (strings, and tables by `listed` and `crossed` of ``shared/tables.py``),
-   and for each figure a function that returns it as a matplotlib figure, or None where the report has nothing to draw; all know
-   the report alone. The figures' names are those of their files: a run removes those that an earlier one has left in its folder,
-   and no other file;
-4. name it in `EXPERIMENTS`, and in the package's ``__init__.py`` twice: in ``__all__``, and for type checkers among the imports
+1. Put its settings, each with its reason, into ``settings.py``, and the paper's numbers into ``paper.py``.
+2. Write ``run(ensemble, settings, ...)``, decorated by `experiment` of ``shared/runner.py``, which describes its arguments. It
+   returns a dictionary of plain data, the content of the JSON file. The same seed must give the same bits for any number of
+   jobs; use `Ensemble` for that.
+3. Write ``show(report)``, which yields the printed output: strings, and tables from `listed` and `crossed` of
+   ``shared/tables.py``. For each figure write a function that returns a matplotlib figure, or None if the report has nothing to
+   draw. All of them use only the report. A figure's name is that of its file: a run removes only old files of these names.
+4. Add it to `EXPERIMENTS`, and twice to the package's ``__init__.py``: to ``__all__``, and for type checkers to the imports
    below ``TYPE_CHECKING``.
 """
 
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment, the paper's or beyond it: what it computes, prints and draws."""
+    """An experiment, from the paper or beyond it, with its computation, printed output and figures."""
 
     name: str
     run: Run
@@ -58,7 +57,7 @@ class Experiment:
     beyond: bool = False
     """Whether it is not in the paper: then ``all --paper-only`` leaves it out."""
     filtered: bool = False
-    """Whether its `run` also takes ``cases`` and ``learners``, names or patterns of those that are to run, and ``unseen``."""
+    """Whether its `run` also takes ``cases`` and ``learners``, which are names or patterns, and ``unseen``."""
 
 
 EXPERIMENTS = {
