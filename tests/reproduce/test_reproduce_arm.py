@@ -140,7 +140,7 @@ def test_an_error_is_that_of_a_run_by_hand(learns):
 
 def test_being_told_is_a_missing_encoder():
     settings = replace(Arm(), duration=2.0, switch=0.5, fault_start=1.0)
-    loop = _arm_loop.closed_loop(settings, _arm_loop.Case(controllers.FixedPrecision(), told=True))
+    loop = _arm_loop.closed_loop(settings, _arm_loop.Case(controllers.FixedPrecision(), drop_faulty=True))
     result = loop.simulate(2.0, seed=1, record=["controller.innovation"])["controller.innovation"]
     assert np.isnan(result[1000:, 0]).all()
     assert np.isfinite(np.delete(result, 0, axis=1)).all()

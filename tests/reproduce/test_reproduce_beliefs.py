@@ -106,7 +106,7 @@ def test_errors_are_those_of_the_runs(report):
     ):
         this, squares = replace(bench, car=car), []
         for learns, told in ((learner, False), (controllers.FixedPrecision(), True)):
-            results = [this.loop(cell, learns, told=told).simulate(1.0, seed=seed) for seed in own]
+            results = [this.loop(cell, learns, drop_faulty=told).simulate(1.0, seed=seed) for seed in own]
             squares.append(np.mean([np.mean((r["plant.v"][1:] - r["reference.y"][:-1]) ** 2) for r in results]))
             steps = results[0]["sensors.y"] / 0.1
             assert np.allclose(steps, np.round(steps)) == bool(car.resolution)

@@ -59,7 +59,7 @@ def test_the_family_is_as_large_as_it_should_be():
 def test_every_case_is_a_loop_in_which_the_oracle_misses_the_samples_that_are_wrong(case):
     """Faults and dropouts are blocks of their own names, present in the windows that the judge takes for faulty."""
     plant = PLANTS[case.plant]
-    loop, oracle = family_loop(case, FIXED), family_loop(case, FIXED, told=True)
+    loop, oracle = family_loop(case, FIXED), family_loop(case, FIXED, drop_faulty=True)
     names = [node.name for node in oracle.nodes]
     assert len(set(names)) == len(names)
     time = np.arange(0.0, plant.duration, 0.05)
@@ -80,7 +80,7 @@ def test_every_case_is_a_loop_in_which_the_oracle_misses_the_samples_that_are_wr
 @pytest.mark.parametrize("name", FEW)
 def test_the_controller_of_the_oracle_gets_no_faulty_sample(name):
     case = BY_NAME[name]
-    loop = family_loop(case, FIXED, told=True)
+    loop = family_loop(case, FIXED, drop_faulty=True)
     result = loop.simulate(9.0, seed=1, engine="interpreted")
     last = [node.name for node in loop.nodes if isinstance(node.block, cosim.Fault)][-1:] or ["sensors"]
     assert np.array_equal(np.isnan(result[f"{last[0]}.y"]), faulty_samples(case, result.time))
@@ -118,7 +118,7 @@ def test_numbers_are_those_of_the_runs(report):
     for name in FEW:
         case, squares, sizes, false, delays = BY_NAME[name], {}, {}, [], []
         for learner, told in (("gamma", False), ("explicit", False), ("oracle", True)):
-            loop = family_loop(case, TWO.get(learner, FIXED), told=told)
+            loop = family_loop(case, TWO.get(learner, FIXED), drop_faulty=told)
             results = [loop.simulate(20.0, seed=seed) for seed in (5, 6)]
             errors = [r["plant.v"][1:] - r["reference.y"][:-1] for r in results]
             squares[learner] = np.mean(np.square(errors))

@@ -1,1 +1,1 @@
-"""What the experiments share: loops, streams, tables, figures."""
+"""Common parts of the experiments: loops, streams, tables, figures."""

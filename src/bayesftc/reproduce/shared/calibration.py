@@ -13,19 +13,19 @@ from bayesftc.cosim.types import Floats
 from bayesftc.reproduce.shared.residuals import Residual
 
 OWN, FITTED = "its learner, on the whole stream", "its classifier, on the test part"
-"""Whose probability it is."""
+"""The sources of a probability."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """How well the probabilities of a stream agree with the truth, in bins of equal counts and of equal widths."""
+    """The reliability of the probabilities of a stream, in bins of equal counts and of equal widths."""
 
     counts: Reliability
     widths: Reliability
 
     @classmethod
     def of(cls, probability: Floats, faulty: Flags, bins: int) -> Calibration:
-        """Return that of fault probabilities."""
+        """Return the calibration of fault probabilities."""
         return cls(
             reliability(probability, faulty, bins=bins), reliability(probability, faulty, bins=bins, equal="widths")
         )

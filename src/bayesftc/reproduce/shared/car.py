@@ -18,7 +18,7 @@ def _controller(car: Car, learner: controllers.PrecisionLearner, start_speed: fl
 
 @cache
 def model(car: Car) -> controllers.LinearModel:
-    """Return what the controller believes about the car, which is the truth while no sensor fails."""
+    """Return the controller's model of the car, which is exact as long as no sensor fails."""
     return controllers.LinearModel(
         [[1.0 - car.drag / car.mass * car.step]],
         [[car.step / car.mass]],

@@ -1,4 +1,4 @@
-"""What the figures of all experiments share: the house's colours, and heat maps with their numbers written in."""
+"""Common parts of all figures: colours, axes, legends, and heat maps with numbers."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 ORACLE_STYLE: dict[str, Any] = {"color": BLACK, "ls": ":", "lw": 1.4}
 FURTHER_STYLE: dict[str, Any] = {"color": "0.6", "ls": "-", "lw": 0.9}
-"""Of what is not in the paper: there is too much of it for colours of its own."""
+"""Style of techniques that are not in the paper: there are too many for separate colours."""
 SWITCHING_STYLES: dict[str, dict[str, Any]] = {
     "SwitchingPrecision": {"color": SENSOR_COLOURS[2], "lw": 2.4, "zorder": 6},
     "SwitchingPrecision, per sensor": {"color": SENSOR_COLOURS[3], "lw": 1.7, "ls": (0, (5, 2)), "zorder": 7},
     "SwitchingPrecision, default": {"color": SENSOR_COLOURS[2], "lw": 1.7, "ls": (0, (1, 1.2)), "zorder": 7},
 }
-"""But of these: they come closest to the best that can be had."""
+"""Styles of these forms, which come closest to the best possible detector."""
 
 
 def figure(width: float, height: float) -> Figure:
@@ -36,7 +36,7 @@ def figure(width: float, height: float) -> Figure:
 
 
 def tidy(axis: Axes) -> None:
-    """Give an axis the house's grid and no frame above and to the right."""
+    """Give an axis the common grid, without a frame at the top and on the right."""
     axis.grid(True, color="0.9", lw=0.6)
     axis.set_axisbelow(True)
     axis.tick_params(labelsize=9)
@@ -45,7 +45,7 @@ def tidy(axis: Axes) -> None:
 
 
 def finish(axis: Axes, title: str = "", **settings: Any) -> None:
-    """Give an axis settings, as of ``Axes.set``, a title on the left, and the house's look."""
+    """Give an axis settings (as for ``Axes.set``), a title on the left, and the common style."""
     axis.set(**settings)
     if title:
         axis.set_title(title, fontsize=10, loc="left")
@@ -66,15 +66,15 @@ def colour_bar(figure: Figure, image: Any, axes: Any, label: str, **options: Any
 
 
 def legend(axis: Axes, lines: Sequence[str], title: str = "", group: Sequence[str] = ()) -> None:
-    """Put the legend beside the axis, where it covers nothing.
+    """Put the legend beside the axis.
 
-    The labels of `lines` are named one by one, in this order. The names of a `group` stand below the title, which stands beside a
-    single line in `FURTHER_STYLE`, for all lines that look like it.
+    The labels of `lines` have one entry each, in this order. The names of a `group` are below the title, which has a single line
+    in `FURTHER_STYLE` for all of them.
     """
     from matplotlib.lines import Line2D
 
-    known = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-    entries = [(known[label], label) for label in lines]
+    handles_of = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    entries = [(handles_of[label], label) for label in lines]
     if group:
         entries += [(Line2D([], [], **FURTHER_STYLE), title), (Line2D([], [], ls="none"), "\n".join(group))]
     handles, labels = zip(*entries, strict=True)
@@ -88,7 +88,7 @@ def legend(axis: Axes, lines: Sequence[str], title: str = "", group: Sequence[st
 
 
 MOST = 999.0
-"""What is above is written as being so: such numbers only say that all was lost."""
+"""Larger numbers are shown as "> 999": they only mean that the plant was lost."""
 
 
 def heat_map(
@@ -113,5 +113,5 @@ def heat_map(
             colour = "white" if dark else "black"
             words = form.format(value) if value < MOST else f"> {MOST:g}"
             text = axis.text(j, i, words, ha="center", va="center", fontsize=8.5, color=colour)
-            text.set_in_layout(False)  # it stays in its cell; asking each for its size takes as long as drawing it
+            text.set_in_layout(False)  # it fits in its cell, and measuring each text takes as long as drawing it
     return image

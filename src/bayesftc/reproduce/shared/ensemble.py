@@ -1,4 +1,4 @@
-"""Many runs on all cores, by the machinery of campaigns: what an experiment does with each loop is a task of an executor."""
+"""Many runs on all cores with the executors of campaigns: each part of an experiment's runs is a task."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ Progress = Callable[[str, int, int], None]
 
 
 def check_jobs(jobs: int) -> int:
-    """Return the number of threads; raise a ModelError if it cannot be one."""
+    """Return the number of threads; raise a ModelError if it is not valid."""
     if jobs is None:
-        raise ModelError("jobs is None; it must be a whole number of threads, at least 1.")
+        raise ModelError("jobs is None. It must be a whole number of threads, at least 1.")
     check_workers(jobs)
     return jobs
 
 
 @dataclass(frozen=True)
 class _Tasks(Generic[R]):
-    """Tasks as the pieces of a job, which an executor has done."""
+    """Tasks as the pieces of a job for an executor."""
 
     tasks: Sequence[Callable[[], R]]
 
     def run(self, piece: Piece, wanted: Wanted = lambda: True) -> tuple[int, R]:
-        """Do a task; return its number and what it returns."""
+        """Do a task; return its number and its result."""
         return piece.index, self.tasks[piece.index]()
 
     def close(self) -> None:
-        """Free nothing: each task does so itself."""
+        """Do nothing: each task frees its resources itself."""
 
 
 class Batch(NamedTuple, Generic[R]):
-    """A loop, the seeds of its runs, and what makes some of them: called as ``function(loop, seeds)``."""
+    """A loop, the seeds of its runs, and the function that makes some of them, called as ``function(loop, seeds)``."""
 
     loop: Diagram
     seeds: Sequence[int]
@@ -57,12 +57,12 @@ class Batch(NamedTuple, Generic[R]):
 
 @dataclass(frozen=True)
 class Ensemble:
-    """What all runs of an experiment have in common.
+    """The common settings of all runs of an experiment.
 
     Raises
     ------
     ModelError
-        If the seed or the number of threads cannot be one.
+        If the seed or the number of threads is not valid.
     """
 
     seed: int  # of all noise
@@ -78,21 +78,21 @@ class Ensemble:
         return hashed_seeds(self.seed, purpose, count)
 
     def tell(self, what: str, done: int, of: int) -> None:
-        """Report the progress, if there is anybody to report to."""
+        """Report the progress, if there is a progress function."""
         if self.progress:
             self.progress(what, done, of)
 
     def prepare(self, loops: Sequence[Diagram]) -> None:
-        """Make one step with each loop, so that all is compiled before threads would wait for each other's compiling."""
+        """Make one step with each loop, so that all is compiled before the threads start."""
         for i, loop in enumerate(loops):
             self.tell("Preparing", i, len(loops))
             loop.simulate(loop.step, record=[])
 
     def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
-        """Run all tasks on the threads and return their results in their order; `what` names the work, for the progress.
+        """Run all tasks on the threads and return their results in order; `what` is the label of the progress.
 
-        No task knows which others run, so the results are the same bits for any number of threads. Ctrl-C and errors wait for
-        the tasks that have begun, of which each should be short, and drop the rest.
+        Tasks are independent, so the results have the same bits for any number of threads. After Ctrl-C or an error, running
+        tasks are completed, so each should be short; the others are dropped.
         """
         results: dict[int, R] = {}
         self.tell(what, 0, len(tasks))
@@ -104,10 +104,9 @@ class Ensemble:
         return [results[i] for i in range(len(tasks))]
 
     def each(self, what: str, batches: Mapping[K, Batch[R]], size: int) -> tuple[dict[K, list[R]], float]:
-        """Run batches after all their loops are prepared, each task `size` runs.
+        """Prepare the loops of all batches, then run them in tasks of `size` runs.
 
-        Return what the functions returned for each batch, in the order of its seeds, and how many seconds that took without the
-        preparation.
+        Return the results of the functions for each batch, in the order of its seeds, and the seconds without the preparation.
         """
         self.prepare([batch.loop for batch in batches.values()])
         groups = {key: chunks(batch.seeds, size) for key, batch in batches.items()}
@@ -115,12 +114,12 @@ class Ensemble:
         began = time.perf_counter()
         done = iter(self.run(tasks, what))
         seconds = time.perf_counter() - began
-        return {key: [next(done) for _ in mine] for key, mine in groups.items()}, seconds
+        return {key: [next(done) for _ in group] for key, group in groups.items()}, seconds
 
     def one(self, what: str, batch: Batch[R], size: int) -> list[R]:
         """Run one batch, see `each`."""
-        found, _ = self.each(what, {what: batch}, size)
-        return found[what]
+        results, _ = self.each(what, {what: batch}, size)
+        return results[what]
 
 
 def chunks(items: Sequence[int], size: int) -> list[Sequence[int]]:

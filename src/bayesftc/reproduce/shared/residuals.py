@@ -24,22 +24,22 @@ LABELS = {
     PER_SENSOR: "SwitchingPrecision, per sensor\n(mean times known)",
     f"{SWITCHING}, default": "SwitchingPrecision (default settings)",
 }
-"""What figures call residuals whose names do not say what their learners know."""
+"""Names in figures for residuals whose learners have additional knowledge."""
 PLAIN = controllers.FixedPrecision()
 """A Kalman filter that trusts all sensors."""
 LEAST = 1e-16
-"""Least probability of which odds are taken: 1 - p cannot be told more closely."""
+"""Least probability in odds: 1 - p has no finer resolution."""
 
 
 @dataclass(frozen=True)
 class Residual:
-    """What a fault probability is computed from."""
+    """A residual, from which a fault probability is computed."""
 
-    text: str  # what it is
-    learners: tuple[controllers.PrecisionLearner, ...]  # of the controllers from whose loops it is taken
+    text: str  # description
+    learners: tuple[controllers.PrecisionLearner, ...]  # one loop is run with each
     # For each learner the function from its run to a feature of each step and sensor.
     columns: tuple[Callable[[cosim.Result], Floats], ...]
-    # From its learner's run to the fault probability of each step and sensor, if the learner gives one.
+    # From the learner's run to the fault probability of each step and sensor, if the learner gives one.
     probability: Callable[[cosim.Result], Floats] | None = None
 
     def features(self, streams: Sequence[Stream]) -> Floats:
@@ -114,20 +114,21 @@ def posteriors(settings: Detection) -> dict[str, Residual]:
 
 
 def switching(settings: Detection, joint: bool) -> controllers.SwitchingPrecision:
-    """Return the learner of fault modes, told how often the experiment's three kinds of faults come and go, but not how large.
+    """Return the learner of fault modes with the mean times of the experiment's three kinds of faults, but not their sizes.
 
-    That includes that nothing else happens, such as a kick. In the joint form a drift may be a slow or a fast one.
+    It also has no process modes, because the experiment has no disturbances such as a kick. In the joint form a drift may be slow
+    or fast.
     """
-    modes = [controllers.Frozen, controllers.Offset, controllers.Drifting]
+    kinds = [controllers.Frozen, controllers.Offset, controllers.Drifting]
     between, lasts = settings.mean_time_to_fault, settings.mean_time_to_recovery
-    told = [kind(3.0 * between, lasts) for kind in modes]
+    modes = [kind(3.0 * between, lasts) for kind in kinds]
     if joint:
-        told[2:] = [kind(6.0 * between, lasts) for kind in (controllers.Drifting, controllers.Ramping)]
-    return controllers.SwitchingPrecision(told, joint=joint, process_modes=(), duration_shape=inf)
+        modes[2:] = [kind(6.0 * between, lasts) for kind in (controllers.Drifting, controllers.Ramping)]
+    return controllers.SwitchingPrecision(modes, joint=joint, process_modes=(), duration_shape=inf)
 
 
 def _has_beta(learner: controllers.PrecisionLearner, car: Car) -> bool:
-    """Return whether a learner has a beta, by one sample."""
+    """Return whether a learner has a beta, which one sample shows."""
     step = controllers.BayesianController(model(car), precision=learner).online(compiled=False)
     return bool(np.isfinite(step(y=[1.0] * car.sensors, goal=[0.0]).beta).all())
 

@@ -1,4 +1,4 @@
-"""What all experiments take, check and report; each one says its settings and computes its cells."""
+"""The common arguments, checks and report of all experiments. Each has its own settings and computes its cells."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ COMMON = """\
 Parameters
 ----------
 seed : int
-    Seed of all that is random.
+    Seed of all random numbers.
 jobs : int
-    Number of threads; the results are the same to the last bit for any.
+    Number of threads; the results have the same bits for any number.
 runs : int, optional
-    Repetitions, instead of the settings'.
+    Repetitions; by default the settings'.
 beyond : bool
-    Whether what is not in the paper is run as well; without effect where nothing is in the paper.
+    Whether to run also what is not in the paper; without effect for an experiment beyond the paper.
 settings{others}
-    Other settings than those of `bayesftc.reproduce.settings`: {classes}.
+    Settings in place of those of `bayesftc.reproduce.settings`: {classes}.
 progress : callable, optional
     Called as ``progress(what, done, of)``.{own}
 
 Returns
 -------
 dict
-    What the experiment's JSON file holds.
+    The content of the experiment's JSON file.
 
 Raises
 ------
 ModelError
-    If a seed, a number of jobs or a number of repetitions cannot be one, or a setting is wrong."""
+    If the seed, a number or a setting is not valid."""
 
 
 class Run(Protocol):
@@ -52,24 +52,24 @@ class Run(Protocol):
         progress: Progress | None = None,
         **options: Any,
     ) -> Report:
-        """Run the experiment and return what its JSON file holds."""
+        """Run the experiment and return the content of its JSON file."""
 
 
 def experiment(
     own: type[Repeated], *, options: str = "", **others: type[Settings]
 ) -> Callable[[Callable[..., Report]], Run]:
-    """Return a decorator that makes an experiment of a function which computes its cells.
+    """Return a decorator that makes an experiment of a function that computes its cells.
 
-    The function is called with an `Ensemble` and its settings, then the `others` in their order, and by keyword with those of
-    ``beyond`` and of its own options that it names. It returns the report without the seed and the settings. What it has under
-    ``settings`` is added to them, and what it has under ``chosen`` stands before them.
+    The function gets an `Ensemble`, its settings, the `others` in their order, and by keyword ``beyond`` and its own options, if
+    it has such arguments. It returns the report without the seed and the settings. Its entries under ``settings`` are added to
+    the settings, those under ``chosen`` are put before them.
 
     Parameters
     ----------
     own : type of Repeated
         Class of its settings.
     options : str
-        Description of its own options, as a part of a docstring.
+        Description of its own options, in the form of a docstring.
     **others : type of Settings
         Classes of further settings, by the name of the argument.
     """

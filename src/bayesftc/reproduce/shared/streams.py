@@ -1,4 +1,4 @@
-"""The streams of the detection experiment: a car whose sensors fail at random and recover, time and again."""
+"""The streams of the detection experiment: a car whose sensors repeatedly fail at random and recover."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NEVER = 1e12
 
 @dataclass(frozen=True)
 class Faults:
-    """How large the faults are, in m/s and m/s per second, and on which reference."""
+    """The sizes of the faults, in m/s and m/s per second, and the reference."""
 
     injection: float
     drift: float
@@ -45,12 +45,11 @@ class Stream(NamedTuple):
 class Streams:
     """Makes streams: closed loops with random faults, and their runs."""
 
-    # Of the experiment.
     settings: Detection
     car: Car
 
     def loop(self, faults: Faults | None, learner: controllers.PrecisionLearner) -> cosim.Diagram:
-        """Return the loop with a learner; faults may be None, for none at all on the headline's reference."""
+        """Return the loop with a learner; with None there are no faults, on the headline's reference."""
         s = self.settings
         sizes = faults or Faults(s.injection, s.drift)
         kinds = (cosim.Freeze(), cosim.Injection(magnitude=sizes.injection), cosim.Drift(slope=sizes.drift))

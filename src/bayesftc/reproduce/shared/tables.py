@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 Form = str | Callable[[Any], str]
-"""How a cell is written: a format of the entries of a mapping, as ``"{auc:.3f}"``, or a function of what stands there."""
+"""The form of a cell: a format of the entries of a mapping, as ``"{auc:.3f}"``, or a function of the value."""
 
 LONGEST = 12
-"""Letters of a class name that a column's head takes on one line."""
+"""Longest class name, in letters, that a column's head has on one line."""
 
 
 def table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]], *, corner: str = "") -> RenderableType:
-    """Return a table below its title, names of the rows in the first column, and cells to the right."""
+    """Return a title and a table, with the names of the rows in the first column."""
     from rich import box
     from rich.console import Group
     from rich.table import Table
@@ -36,7 +36,7 @@ def table(title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]],
 def listed(
     title: str, rows: Mapping[Any, Any], columns: Sequence[tuple[str, Form]], *, corner: str = ""
 ) -> RenderableType:
-    """Return a table with a row for each thing: the columns by their heads, and what each says of a thing."""
+    """Return a table with a row for each item; the columns have their heads and forms."""
     cells = {str(name): [written(of, form) for _, form in columns] for name, of in rows.items()}
     return table(title, [head for head, _ in columns], cells, corner=corner)
 
@@ -51,22 +51,22 @@ def crossed(
     corner: str = "",
     most: int = 1_000,
 ) -> Iterator[RenderableType]:
-    """Yield the table of what stands at rows and columns, in parts of at most `most` columns.
+    """Yield the table of cells at rows and columns, in parts of at most `most` columns.
 
     Parameters
     ----------
     title, corner : str
-        Of each part.
+        Title and corner of each part.
     cells : mapping
-        By row and column.
+        The cells, by row and column.
     form : str or function
-        How each is written.
+        Form of the cells.
     names : sequence, optional
         The columns, by default all.
     head : str or function
-        How a column's name is written.
+        Form of a column's name.
     most : int
-        Columns beside each other: class names are long.
+        Largest number of columns of a part: class names are long.
     """
     names = list(next(iter(cells.values()))) if names is None else names
     for first in range(0, len(names), most):
@@ -76,26 +76,26 @@ def crossed(
 
 
 def written(of: Any, form: Form) -> str:
-    """Return a thing as a form has it."""
+    """Return the text of an item in a form."""
     if callable(form):
         return form(of)
     return form.format(**of) if isinstance(of, Mapping) else form.format(of)
 
 
 def broken(name: str) -> str:
-    """Return a long class name on several lines, a word on each, and what follows it: columns are narrow."""
+    """Return a long class name on several lines, one word on each: columns are narrow."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=,) ", "\n", name) if len(name) > LONGEST else name
 
 
 def sentence_list(names: Sequence[str]) -> str:
-    """Return names as they stand in a sentence: a, b and c."""
+    """Return names as in a sentence: a, b and c."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def interval_widths(cells: Sequence[tuple[str, str, Mapping[str, Any]]]) -> str:
-    """Return in words how wide the confidence intervals of ratios are, beside the ratios.
+    """Return a sentence on the widths of the confidence intervals, relative to the ratios.
 
-    The cells are row and column of a table, and what the report has of the cell: ``ratio`` and ``ratio_ci``.
+    Each cell has its row and column in a table, and the report's entry with ``ratio`` and ``ratio_ci``.
     """
     halves = {(n, c): (cell["ratio_ci"][1] - cell["ratio_ci"][0]) / 2 / cell["ratio"] for n, c, cell in cells}
     widest = max(halves, key=halves.__getitem__)

@@ -17,34 +17,34 @@ FAULTY, HEALTHY = 0, 1
 
 @dataclass(frozen=True)
 class Case:
-    """A controller, and whether the encoder freezes and whether it is told so (``deterministic``)."""
+    """A controller, whether the encoder freezes, and whether its samples are then missing (``deterministic``)."""
 
     precision: controllers.PrecisionLearner
     fault: bool = True
-    told: bool = False
+    drop_faulty: bool = False
 
 
 def learning(settings: Arm) -> controllers.PointMassPrecision:
-    """Return the precision learner of both rows with precision learning."""
+    """Return the precision learner of the two rows with precision learning."""
     return controllers.PointMassPrecision(rate=settings.learning_rate, lower_bound=settings.lower_bound)
 
 
 def explicit(settings: Arm, thresholds: tuple[controllers.FittedThreshold, ...]) -> controllers.ExplicitDetection:
-    """Return the same learner, triggered by thresholds."""
+    """Return the same learner, which starts only above thresholds."""
     return controllers.ExplicitDetection(
         learning(settings), threshold=thresholds, groups=settings.detection_groups, hold=settings.hold
     )
 
 
 def switching(modes: Sequence[str]) -> controllers.SwitchingPrecision:
-    """Return the learner of fault modes with these; under active inference it judges sensors one by one."""
-    known = {mode.__name__: mode for mode in controllers.FAULT_MODES}
-    return controllers.SwitchingPrecision([known[name]() for name in modes], joint=False)
+    """Return the learner with these fault modes; with active inference it is the per-sensor form."""
+    by_name = {mode.__name__: mode for mode in controllers.FAULT_MODES}
+    return controllers.SwitchingPrecision([by_name[name]() for name in modes], joint=False)
 
 
 def controller(settings: Arm, precision: controllers.PrecisionLearner) -> controllers.UnbiasedActiveInference:
     """Return the unbiased active inference controller with a precision learner."""
-    # Three modalities with independent noise are one whose precision is diagonal; the same function measures and predicts.
+    # Three modalities with independent noise equal one with a diagonal precision. The same function measures and predicts.
     sensors = controllers.Modality(
         "encoders, velocity encoders and camera",
         6,
@@ -72,7 +72,7 @@ def controller(settings: Arm, precision: controllers.PrecisionLearner) -> contro
 def closed_loop(settings: Arm, case: Case) -> cosim.Diagram:
     """Return the arm's FMU under a controller, moving from the start to one goal and then the other."""
     faults: list[cosim.Fault] = [cosim.Freeze(sensor=FAULTY, start=settings.fault_start)] if case.fault else []
-    if case.told:  # a missing sample has the precision zero
+    if case.drop_faulty:  # a missing sample has the precision zero
         faults.append(cosim.Dropout(sensor=FAULTY, start=settings.fault_start))
     start = dict(zip(("q1_0", "q2_0"), settings.start, strict=True))
     return cosim.closed_loop(
@@ -91,7 +91,7 @@ def closed_loop(settings: Arm, case: Case) -> cosim.Diagram:
 
 @cache
 def _seen(distortion: tuple[float, float, float]) -> Kernel:
-    """Return the step function from the arm's state to what its sensors read; the FMU has the lengths of the links."""
+    """Return the step function from the arm's state to its sensors; the lengths of the links come from the FMU."""
     arm: Any = cosim.FMU(fmus.path("TwoLinkArm"))
     return cosim.arm_with_camera([arm.start_value("L1"), arm.start_value("L2")], distortion)
 

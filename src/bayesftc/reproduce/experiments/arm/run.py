@@ -22,26 +22,26 @@ from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.runner import Report, experiment
 
 CHUNK = 5
-"""Runs that one task makes: about a fifth of a second."""
+"""Runs of one task: about a fifth of a second."""
 BELIEF = ("plant.q1", "plant.q2", "controller.x_hat")
 NAMES = ("none", "implicit", "explicit", "deterministic")
 SWITCHING = "switching"
 SIGNALS = {"explicit": "detected", SWITCHING: "fault_probability"}
-"""What a technique that detects says of each sensor: a probability, or 0 or 1."""
+"""The signal of each detecting technique: a probability for each sensor, or 0 or 1."""
 
 
 @experiment(Arm)
 def run(ensemble: Ensemble, settings: Arm, *, beyond: bool) -> Report:
-    """Run active inference on the arm, with thresholds that are learned on seeds of their own.
+    """Run active inference on the arm, with thresholds that are learned with separate seeds.
 
-    Beyond the paper are `SwitchingPrecision`, and other values of the unpublished settings (``grid``).
+    `SwitchingPrecision` and other values of the unpublished settings (``grid``) are beyond the paper.
     """
     thresholds = learn_thresholds(settings, ensemble)
     cases = {
         "none": Case(controllers.FixedPrecision()),
         "implicit": Case(learning(settings)),
         "explicit": Case(explicit(settings, thresholds)),
-        "deterministic": Case(controllers.FixedPrecision(), told=True),
+        "deterministic": Case(controllers.FixedPrecision(), drop_faulty=True),
     }
     if beyond:
         cases[SWITCHING] = Case(switching(settings.fault_modes))
@@ -62,10 +62,10 @@ def run(ensemble: Ensemble, settings: Arm, *, beyond: bool) -> Report:
 
 
 def learn_thresholds(settings: Arm, ensemble: Ensemble) -> tuple[controllers.FittedThreshold, ...]:
-    """Return a Chebyshev threshold for each modality, learned from the innovations of healthy runs of other seeds."""
+    """Return a Chebyshev threshold for each modality, learned from the innovations of healthy runs with other seeds."""
     loop = closed_loop(settings, Case(controllers.FixedPrecision(), fault=False))
-    own = ensemble.seeds("arm thresholds", settings.threshold_runs)
-    innovations = np.concatenate(ensemble.one("Healthy runs", Batch(loop, own, partial(_innovations, settings)), 1))
+    seeds = ensemble.seeds("arm thresholds", settings.threshold_runs)
+    innovations = np.concatenate(ensemble.one("Healthy runs", Batch(loop, seeds, partial(_innovations, settings)), 1))
     rule = controllers.ChebyshevThreshold(settings.alpha)
     return tuple(rule.fit(innovations[:, list(group)]) for group in settings.detection_groups)
 
@@ -84,7 +84,7 @@ def squared_errors(
 
 
 def detections(settings: Arm, case: Case, signal: str, of: Sequence[int], ensemble: Ensemble) -> dict[str, float]:
-    """Return how soon a technique finds the fault by one of its signals, and how often it sees one where there is none."""
+    """Return a technique's detection delay by one of its signals, its missed faults, and its false alarms."""
     loops = {fault: closed_loop(settings, replace(case, fault=fault)) for fault in (True, False)}
     judge = partial(_detected, settings, signal)
     every, _ = ensemble.each("Detection", {fault: Batch(loops[fault], of, judge) for fault in loops}, CHUNK)
@@ -144,7 +144,7 @@ def _trajectory(settings: Arm, loop: cosim.Diagram, seed: int) -> dict[str, Any]
 
 
 def _grid(settings: Arm, ensemble: Ensemble) -> dict[str, list[dict[str, Any]]]:
-    """Return the errors for other values of the settings that the paper does not publish, and for other fault modes."""
+    """Return the errors for other values of unpublished settings, and for other fault modes."""
     learned = ("learning_rate", "lower_bound")
     make: dict[str, Callable[[Arm], controllers.PrecisionLearner]] = {
         "none": lambda _: controllers.FixedPrecision(),
@@ -165,8 +165,8 @@ def _grid(settings: Arm, ensemble: Ensemble) -> dict[str, list[dict[str, Any]]]:
         for i, changes in enumerate(values):
             varied = replace(settings, **changes)
             loops[kind, i] = closed_loop(varied, Case(make[kind](varied)))
-    own = ensemble.seeds("arm grid", settings.grid_runs)
-    errors = squared_errors(settings, loops, own, ensemble, "Unpublished settings")
+    seeds = ensemble.seeds("arm grid", settings.grid_runs)
+    errors = squared_errors(settings, loops, seeds, ensemble, "Unpublished settings")
     return {
         kind: [
             {**changes, "faulty": float(e[FAULTY]), "healthy": float(e[HEALTHY])}

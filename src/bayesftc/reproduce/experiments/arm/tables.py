@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce arm`` prints."""
+"""The printed output of ``bayesftc reproduce arm``."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ LABELS = {
     "none": "no fault tolerance",
     "implicit": "PL, always on",
     "explicit": "PL, on detection",
-    "deterministic": "told of the fault",
+    "deterministic": "fault known",
     "switching": "SwitchingPrecision",
 }
 JOINTS = {"faulty": "joint with frozen encoder", "healthy": "joint with healthy encoder"}
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield the errors beside the paper's, how the explicit detection did, and what unpublished settings are worth."""
+    """Yield the errors beside the paper's, the results of the detection, and the effect of unpublished settings."""
     yield _errors(report)
     settings = report["settings"]
     names = {
         "explicit": f"The explicit detection (Chebyshev, alpha {settings['alpha']:g}, on encoders and camera)",
         "switching": f"SwitchingPrecision ({', '.join(settings['fault_modes'])}; a fault probability of one half)",
     }
-    for name, found in report["detection"].items():
-        missed = "in no run" if not found["missed"] else f"in {found['missed']} of {found['n']} runs"
+    for name, result in report["detection"].items():
+        missed = "in no run" if not result["missed"] else f"in {result['missed']} of {result['n']} runs"
         yield (
-            f"{names[name]} finds the frozen encoder after {found['delay_mean'] * 1e3:.0f} ms on average and misses it {missed}; "
-            f"without a fault it sees one in {100 * found['healthy_share']:.2g} % of the time."
+            f"{names[name]} detects the frozen encoder after {result['delay_mean'] * 1e3:.0f} ms on average and misses it "
+            f"{missed}. Without a fault it gives false alarms in {100 * result['healthy_share']:.2g} % of the time."
         )
     if report["grid"] is not None:
         yield from _grid(report)
@@ -46,7 +46,7 @@ def _errors(report: dict[str, Any]) -> RenderableType:
 
     title = (
         f"Mean squared error of the belief about a joint (rad^2), mean over {report['settings']['runs']} runs ± 95 %, in "
-        "brackets the paper's (of being told its predecessor's); PL is precision learning"
+        "brackets the paper's (with the fault known, its predecessor's); PL is precision learning"
     )
     rows = {label: [cell(name, joint) for joint in JOINTS] for name, label in LABELS.items() if name in report["mse"]}
     return table(title, list(JOINTS.values()), rows)
@@ -72,8 +72,8 @@ def _grid(report: dict[str, Any]) -> Iterator[RenderableType]:
         yield from crossed(what, table_of, _millionths, head=forms[across], corner=down.replace("_", " "))
     if further := report["grid"]["switching"]:
         yield listed(
-            "SwitchingPrecision with further modes, which are told by the error of the belief: joint with the frozen encoder / "
-            "the other, rad^2",
+            "SwitchingPrecision with further modes, which show in the error of the belief: joint with the frozen encoder / the "
+            "other, rad^2",
             {", ".join(cell["fault_modes"]): cell for cell in further},
             [("error", "{faulty:.2g} / {healthy:.2g}")],
             corner="modes",

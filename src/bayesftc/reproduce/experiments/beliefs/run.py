@@ -1,9 +1,9 @@
-"""Beyond the paper: how wrong the settings of `SwitchingPrecision` may be.
+"""Beyond the paper: the effect of wrong settings of `SwitchingPrecision`.
 
-Nobody knows how often sensors will fail, for how long and by how much. So each row multiplies or divides some of the settings by
-a factor, and is compared with the row in which they are as they were: by the tracking error with faults of all kinds and sizes,
-and by the fault probabilities on the detection experiment's streams. A further part has coarse sensors, whose resolution is
-known rightly or wrongly; another has settings that are learned from streams in which nobody has marked the faults.
+In practice the frequency, length and size of faults are not known. Each row multiplies or divides some of the settings by a
+factor. It is compared with the row of unchanged settings: by the tracking error with faults of all kinds and sizes, and by the
+fault probabilities on the detection experiment's streams. A further part has coarse sensors with a right or wrong resolution in
+the settings. Another part has settings that are learned from streams without labels of faults.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ from bayesftc.reproduce.shared.runner import Report, experiment
 from bayesftc.reproduce.shared.streams import Streams
 
 FORMS = {SWITCHING: True, PER_SENSOR: False}
-"""By name whether it is the joint form."""
+"""Whether each form is the joint form."""
 UNCHANGED = "unchanged"
-"""The row whose settings are as they were."""
+"""The row with unchanged settings."""
 SETTINGS = {
     "to fault": ("time_to_fault",),
     "recovery": ("time_to_recovery",),
     "times": ("time_to_fault", "time_to_recovery"),
     "sizes": ("jump", "slope"),
 }
-"""What is wrong in a row, and the settings of the modes that this means."""
+"""The wrong settings of a row, by its name."""
 COARSE_SETTINGS = {"resolution": ("resolution",)}
-"""The same where sensors are coarse."""
+"""The same for coarse sensors."""
 
 Table = dict[str, dict[str, Any]]
-"""By row and cell."""
+"""Entries by row and cell."""
 
 
 @experiment(Beliefs, tracking=Tracking, detection=Detection, car=Car)
 def run(ensemble: Ensemble, settings: Beliefs, tracking: Tracking, detection: Detection, car: Car) -> Report:
-    """Run rows of wrong settings, with runs as of `tracking` and streams as of `detection`."""
+    """Run rows of wrong settings, with the runs of `tracking` and the streams of `detection`."""
     tracking = tracking.of_size(settings.runs)
     fine = Bench(tracking, car, ensemble)
     coarse = replace(fine, car=replace(car, resolution=settings.resolution))
@@ -76,9 +76,9 @@ def run(ensemble: Ensemble, settings: Beliefs, tracking: Tracking, detection: De
 def wrong(
     learner: controllers.SwitchingPrecision, factor: float, of: Mapping[str, Sequence[str]] = SETTINGS
 ) -> dict[str, controllers.SwitchingPrecision]:
-    """Return a learner as it is, and for each row with settings of all its modes multiplied and divided by a factor.
+    """Return a learner unchanged, and for each row the learner with settings multiplied and divided by a factor.
 
-    All its modes are those of sensors, of actuators and of the process; those without the settings of a row stay as they are.
+    The settings are those of all modes of sensors, actuators and the process. Modes without a row's settings stay unchanged.
     """
 
     def times(names: Sequence[str], by: float) -> controllers.SwitchingPrecision:
@@ -109,19 +109,21 @@ def learners(settings: Beliefs, form: str) -> Learners:
 
 
 def coarse_learners(settings: Beliefs, form: str) -> Learners:
-    """Return the rows of a form that knows the resolution of coarse sensors, rightly or wrongly."""
+    """Return the rows of a form with a right or wrong resolution of coarse sensors."""
     start = default(FORMS[form])
-    told = [replace(m, resolution=settings.resolution) if isinstance(m, controllers.Frozen) else m for m in start.modes]
-    return wrong(replace(start, modes=told), settings.factor, COARSE_SETTINGS)
+    modes = [
+        replace(m, resolution=settings.resolution) if isinstance(m, controllers.Frozen) else m for m in start.modes
+    ]
+    return wrong(replace(start, modes=modes), settings.factor, COARSE_SETTINGS)
 
 
 def _tracked(
     bench: Bench, reference: str, faults: Iterable[tuple[str, float]], forms: Mapping[str, Learners]
 ) -> tuple[dict[str, Table], dict[str, float]]:
-    """Return for each form the errors of all rows over the oracle's and over the unchanged row's, and the oracle's in m/s."""
+    """Return for each form the errors of all rows relative to the oracle and the unchanged row, and the oracle's in m/s."""
     scenarios = {_title(fault, size): Scenario(fault, reference, size or None) for fault, size in faults}
     cells = list(scenarios.values())
-    oracles = bench.measure("The oracle", cells, {ORACLE: controllers.FixedPrecision()}, told=True).errors()
+    oracles = bench.measure("The oracle", cells, {ORACLE: controllers.FixedPrecision()}, drop_faulty=True).errors()
     found = {form: bench.measure(form, cells, rows).errors() for form, rows in forms.items()}
     table: dict[str, Table] = {
         form: {
@@ -143,7 +145,7 @@ def _title(fault: str, size: float) -> str:
 
 
 def _worst(tables: Iterable[Table]) -> dict[str, Any]:
-    """Return the entry that is largest over that of its unchanged row, with the names of its row and cell."""
+    """Return the entry with the largest ratio to its unchanged row, with the names of its row and cell."""
     entries = [
         {"row": row, "cell": cell, **entry}
         for table in tables
@@ -156,9 +158,9 @@ def _worst(tables: Iterable[Table]) -> dict[str, Any]:
 def _detected(
     source: Streams, ensemble: Ensemble, settings: Beliefs
 ) -> tuple[dict[str, Scores], dict[str, dict[str, Any]]]:
-    """Return for each form the scores of all rows on streams, and what it learns from other streams, with the scores of that.
+    """Return for each form the scores of all rows on streams, and the modes learned from other streams with their scores.
 
-    The unchanged row knows the true times, so it is what both parts are compared with.
+    Both parts are compared with the unchanged row, which has the true mean times.
     """
     learned = learn(source, ensemble, settings, {form: default(joint) for form, joint in FORMS.items()})
     forms: dict[str, dict[str, Learners]] = {}
@@ -166,8 +168,8 @@ def _detected(
         alike = wrong(switching(source.settings, joint), settings.factor) | {DEFAULTS: default(joint)}
         forms[form] = {row: dict.fromkeys(learned[form], learner) for row, learner in alike.items()}
         forms[form][LEARNED] = {size: modes.precision for size, modes in learned[form].items()}
-    scores, found = score(source, ensemble, settings, forms), {}
+    scores, results = score(source, ensemble, settings, forms), {}
     for form, rows in scores.items():
-        own = {row: rows.pop(row) for row in (DEFAULTS, LEARNED)} | {TOLD: rows[UNCHANGED]}
-        found[form] = {"scores": own, "fits": {size: account(modes) for size, modes in learned[form].items()}}
-    return scores, found
+        compared = {row: rows.pop(row) for row in (DEFAULTS, LEARNED)} | {TOLD: rows[UNCHANGED]}
+        results[form] = {"scores": compared, "fits": {size: account(modes) for size, modes in learned[form].items()}}
+    return scores, results

@@ -21,14 +21,14 @@ from bayesftc.reproduce.shared.streams import Faults, Streams
 
 PROBABILITY = "controller.fault_probability"
 MEASURES = ("auc", "ece", "brier")
-"""What a stream is judged by: AUC, expected calibration error, Brier score."""
+"""The measures of a stream: AUC, expected calibration error, Brier score."""
 DEFAULTS, LEARNED, TOLD = "defaults", "learned", "told the times"
-"""Rows: the settings from which learning begins, those that it finds, and those that know the streams' mean times."""
+"""Rows: the initial settings of learning, the learned settings, and settings with the streams' mean times."""
 
 Learners = Mapping[str, controllers.SwitchingPrecision]
-"""By name."""
+"""Learners by name."""
 Scores = dict[str, dict[str, Any]]
-"""By row and size of the faults."""
+"""Scores by row and size of the faults."""
 
 
 def sizes_of(settings: Beliefs) -> dict[str, Faults]:
@@ -39,14 +39,14 @@ def sizes_of(settings: Beliefs) -> dict[str, Faults]:
 def score(
     source: Streams, ensemble: Ensemble, settings: Beliefs, forms: Mapping[str, Mapping[str, Learners]]
 ) -> dict[str, Scores]:
-    """Return for each form and row mean and interval of each measure on the streams of each size of the faults.
+    """Return mean and interval of each measure by form, row and size of the faults.
 
-    `forms` has the learner by form, row and size.
+    `forms` has the learners by form, row and size.
     """
     sizes = sizes_of(settings)
-    own = {size: ensemble.seeds(f"beliefs/{size}", settings.streams) for size in sizes}
+    seeds = {size: ensemble.seeds(f"beliefs/{size}", settings.streams) for size in sizes}
     batches = {
-        (form, row, size): Batch(source.loop(sizes[size], learners[size]), own[size], partial(_judged, source))
+        (form, row, size): Batch(source.loop(sizes[size], learners[size]), seeds[size], partial(_judged, source))
         for form, rows in forms.items()
         for (row, learners), size in product(rows.items(), sizes)
     }
@@ -74,19 +74,19 @@ def _judged(source: Streams, loop: cosim.Diagram, seeds: Sequence[int]) -> list[
 def learn(
     source: Streams, ensemble: Ensemble, settings: Beliefs, starts: Learners
 ) -> dict[str, dict[str, controllers.LearnedModes]]:
-    """Return what each form learns for each size of the faults, from streams on seeds that none is judged on.
+    """Return the modes that each form learns for each size of the faults, from streams with separate seeds.
 
-    Learning begins from the settings of `starts`, which also run while the streams are recorded.
+    The settings of `starts` are the initial settings of learning and the learner's settings in the recorded streams.
     """
     sizes = sizes_of(settings)
-    own = {size: ensemble.seeds(f"beliefs/training/{size}", settings.training_streams) for size in sizes}
+    seeds = {size: ensemble.seeds(f"beliefs/training/{size}", settings.training_streams) for size in sizes}
     batches = {
-        (form, size): Batch(source.loop(sizes[size], starts[form]), own[size], partial(_recorded, source))
+        (form, size): Batch(source.loop(sizes[size], starts[form]), seeds[size], partial(_recorded, source))
         for form, size in product(starts, sizes)
     }
     every, _ = ensemble.each("Recording", batches, 1)
     learned: dict[str, dict[str, controllers.LearnedModes]] = {form: {} for form in starts}
-    # One after the other: learning steps through the samples in Python, which threads make no faster.
+    # Without threads, which do not make it faster: learning steps through the samples in Python.
     for done, ((form, size), runs) in enumerate(every.items()):
         ensemble.tell("Learning", done, len(every))
         recordings = [run for few in runs for run in few]
@@ -105,7 +105,7 @@ def _recorded(source: Streams, loop: cosim.Diagram, seeds: Sequence[int]) -> lis
 
 
 def account(learned: controllers.LearnedModes) -> dict[str, Any]:
-    """Return what the report says of one learning: its steps, and the settings of the modes that it found."""
+    """Return the report of one learning: its iterations, and the settings of the learned modes."""
     modes = [
         {"mode": type(mode).__name__, **asdict(mode), "onsets": onsets}  # type: ignore[call-overload]
         for mode, onsets in zip(learned.precision.modes, learned.onsets, strict=True)

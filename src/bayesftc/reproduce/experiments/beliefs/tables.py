@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce beliefs`` prints."""
+"""The printed output of ``bayesftc reproduce beliefs``."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 SHORT = {"injection": "inj.", "healthy": "no fault"}
-"""What heads columns that are narrow."""
+"""Short words for the heads of narrow columns."""
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield for each form the errors over the oracle's, fine and coarse, the worst of them, the detection, what is learned."""
+    """Yield for each form the errors relative to the oracle (fine and coarse), the worst, the detection, the learned modes."""
     settings = report["settings"]
     factor = settings["factor"]
     meant = "; ".join(f"{name}: {', '.join(of)}" for name, of in SETTINGS.items())
     yield (
-        f"Each row has settings of all modes that are {factor:g} times as large (x {factor:g}) or as small (/ {factor:g}) as in "
-        f"the first ({meant})."
+        f"In each row some settings of all modes are multiplied (x {factor:g}) or divided (/ {factor:g}) by {factor:g}, compared "
+        f"with the first row ({meant})."
     )
     title = f"error over that of the oracle, which ignores the faulty sensor ({settings['runs']} runs a cell)"
     for form, rows in report["errors"].items():
@@ -35,7 +35,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         yield _worst(form, report["worst"][form])
     judged = f"mean over {settings['streams']} streams"
     for form, rows in report["detection"].items():
-        known = "whose mean times the first row knows: AUC and expected calibration error (ECE)"
+        known = "with their mean times in the first row: AUC and expected calibration error (ECE)"
         title = f"{form}, streams of the detection experiment, {known}, {judged}"
         yield from _streams(title, {"AUC": "auc", "ECE": "ece"}, rows)
     for form, learned in report["learned"].items():
@@ -52,13 +52,13 @@ def _errors(title: str, rows: Mapping[str, Any]) -> Iterator[RenderableType]:
 def _worst(form: str, worst: Mapping[str, Any]) -> str:
     low, high = worst["over_unchanged_ci"]
     return (
-        f"{form}: in no cell has a row more than {worst['over_unchanged']:.3f} times the error of the first (95 %: {low:.3f} to "
-        f"{high:.3f}); the largest is that of {worst['row']}, {worst['cell']}, {worst['ratio']:.3f} times the oracle's."
+        f"{form}: the largest error, relative to the first row, is {worst['over_unchanged']:.3f} (95 %: {low:.3f} to "
+        f"{high:.3f}), for {worst['row']}, {worst['cell']}; this is {worst['ratio']:.3f} times the oracle's."
     )
 
 
 def _streams(title: str, measures: Mapping[str, str], rows: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Yield the means of measures, by what heads their columns, for each row and size of the faults, and their intervals."""
+    """Yield the means of measures for each row and size of the faults, and their intervals."""
     heads = product(next(iter(rows.values())), measures)
     yield table(
         title,
@@ -79,7 +79,7 @@ def _streams(title: str, measures: Mapping[str, str], rows: Mapping[str, Any]) -
 
 
 def _fits(form: str, fits: Mapping[str, Any]) -> RenderableType:
-    """Return a table of how each learning went; what it found is in the JSON file."""
+    """Return a table of the progress of each learning; the learned modes are in the JSON file."""
     rows = {}
     for size, fit in fits.items():
         found = fit["log_likelihood"]

@@ -1,1 +1,1 @@
-"""Beyond the paper: how good a detector could be at best."""
+"""Beyond the paper: the best possible detector."""

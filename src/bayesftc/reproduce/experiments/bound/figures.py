@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 MARKS = "ovsD^Pph"
 ASIDE = 0.09
-"""Between two marks of one cell, which would hide each other."""
+"""Distance of two marks of one cell, which would otherwise overlap."""
 COLOURS = {"SER": SENSOR_COLOURS[0], "beta": BLUE, **{name: style["color"] for name, style in SWITCHING_STYLES.items()}}
 """As in the figures of tracking and detection."""
 

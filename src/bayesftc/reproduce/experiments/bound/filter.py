@@ -1,4 +1,4 @@
-"""The best that any detector can do on a stream whose faults are known but for their time: the exact posterior, by particles."""
+"""The best possible detector if only the times of the faults are unknown: the exact posterior, by particles."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ MOST_SENSORS = 3
 class PosteriorFilter:
     """A Rao-Blackwellised particle filter over the modes of all sensors, with their onsets.
 
-    It knows what `SwitchingPrecision` is told (how often faults come and go) and, in addition, how large they are. Modes are
-    discrete, so nothing is drawn from a proposal: each hypothesis branches into all that can follow from it, the odds are summed
-    over these, and only then their number is reduced (Fearnhead and Clifford 2003). The plant's state is integrated by a Kalman
-    filter for each hypothesis, which is exact: all else is linear and normally distributed. The sensors are judged together, for
-    each hypothesis is about all of them. Without reduction and merging this is the exact posterior.
+    Like `SwitchingPrecision` in this experiment it has the mean times to faults and recovery; in addition it has the faults'
+    sizes. Modes are discrete, so no proposal is needed: each hypothesis branches into all its successors, the odds are summed
+    over these, and then their number is reduced (Fearnhead and Clifford 2003). Each hypothesis has a Kalman filter of the plant's
+    state, which is exact: all else is linear and normally distributed. A hypothesis is about all sensors, so they are judged
+    together. Without reduction and merging this is the exact posterior.
 
-    By Neyman and Pearson's lemma nothing computed from the same samples ranks faulty above healthy ones more often. The control
-    does not matter, as long as it is known: the loop's response to it is subtracted, and a frozen sensor is known by its
-    repeating itself.
+    By the lemma of Neyman and Pearson no function of the same samples ranks faulty samples above healthy ones more often. The
+    control has no effect as long as it is known: the loop's response to it is subtracted. A frozen sensor shows by repetition.
 
     Raises
     ------
@@ -39,31 +38,30 @@ class PosteriorFilter:
         If there are more than three sensors, or they have a resolution.
     """
 
-    # Of the experiment that the streams are from.
     settings: Detection
     car: Car
-    faults: Faults  # their true sizes
+    faults: Faults  # the true sizes
     particles: int  # number of hypotheses that are kept
-    # How far apart hypotheses with the same modes and ages are that are merged, in standard deviations of the state. They
-    # differ in what is long past, and say the same of what is to come; without merging most particles repeat each other, and
-    # those that matter are lost.
+    # Distance within which hypotheses with the same modes and ages are merged, in standard deviations of the state. They differ
+    # only in the distant past and predict the same. Without merging most particles are nearly equal, and important ones are lost.
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
         if self.car.sensors > MOST_SENSORS:
             raise ModelError(
-                f"There are {self.car.sensors} sensors; hypotheses about more than {MOST_SENSORS} together are too many to keep."
+                f"There are {self.car.sensors} sensors. The bound supports at most {MOST_SENSORS}, because of the number of "
+                "hypotheses."
             )
         if self.car.resolution:
             raise ModelError(
-                "The sensors have a resolution; the bound is for those that repeat themselves only when frozen."
+                "The sensors have a resolution. The bound needs sensors that repeat a sample only when frozen: set it to 0."
             )
 
     def log_odds(self, y: Floats, u: Floats, seed: int = 0) -> Floats:
-        """Return the log odds of a fault of each sensor at each step, infinite where it is certain; of the shape of `y`.
+        """Return the log odds of a fault of each sensor at each step, infinite if it is certain, in the shape of `y`.
 
-        `y` (steps x sensors) has the samples as they reach the controller, `u` (steps) the control from each step on; `seed` is
-        that of the resampling.
+        `y` (steps x sensors) has the samples at the controller, `u` (steps) the control from each step on. `seed` is the seed of
+        the resampling.
         """
         steps, sensors = y.shape
         capacity = self.particles * 3**sensors

@@ -1,9 +1,9 @@
-"""The particle filter of the bound, compiled: hypotheses branch, are weighed by the samples, and are resampled.
+"""The particle filter of the bound, compiled: hypotheses branch, are weighted by the samples, and are resampled.
 
 A hypothesis is a history of the modes of all sensors. Given one, the plant's state is normally distributed: a Kalman filter
-keeps its mean and variance. Of a sensor's history only a code matters from now on: `HEALTHY`, `FROZEN`, `INJECTED`, or
-`DRIFTING` plus the age of the drift in steps. Hypotheses stand in one of two ``floats`` (3 x capacity: the logarithm of the
-weight, mean, variance) and ``codes`` (sensors x capacity), from which they branch into the other.
+keeps its mean and variance. For the future of a sensor only a code matters: `HEALTHY`, `FROZEN`, `INJECTED`, or `DRIFTING` plus
+the age of the drift in steps. Hypotheses are in one of two buffers ``floats`` (3 x capacity: logarithm of the weight, mean,
+variance) and ``codes`` (sensors x capacity), and branch into the other.
 """
 
 import numpy as np
@@ -14,11 +14,11 @@ from bayesftc.cosim.stepping.numba_called import callee
 HEALTHY, FROZEN, INJECTED, DRIFTING = range(4)
 LOG_WEIGHT, MEAN, VARIANCE = range(3)
 STAYS, BEGINS, ENDS, LASTS, SENSOR_VARIANCE, INJECTION, SLOPE, KEPT, CONTROL, PROCESS_VARIANCE = range(10)
-"""Places in the model: the logarithms of the probabilities that a healthy sensor stays so, fails in a certain way, recovers, does
-not; variance of a sample; injection; drift a step; and the plant, x' = KEPT x + CONTROL u + noise."""
+"""Indices in the model: the logarithms of the probabilities that a healthy sensor stays healthy or fails in a certain way, and
+that a faulty one recovers or not; variance of a sample; injection; drift per step; the plant, x' = KEPT x + CONTROL u + noise."""
 
 MOST_ROWS, MOST_COLUMNS, MOST_CODES = 100, 500_000, 1_024
-"""How far the grid reaches on which hypotheses are merged, and how many codes it tells apart: beyond, the last stands for all."""
+"""Limits of the grid on which hypotheses are merged, and number of its codes; beyond a limit the last cell is used."""
 
 SIGNATURE = (
     "void(float64[:, ::1], float64[::1], float64[::1], float64[::1], int64, float64, float64[:, :, ::1], int64[:, :, ::1], "
@@ -28,10 +28,10 @@ SIGNATURE = (
 
 @callee
 def branch(i, y, repeats, first, model, floats, codes, now, count):
-    """Let sensor `i` fail or recover in every way, weigh what comes of it by its sample, and return how many there are.
+    """Branch for all modes of sensor `i`, weight the hypotheses by its sample, and return their number.
 
-    A sample that `repeats` the one before says that the sensor is frozen and nothing else, for noise never repeats. In the
-    `first` step a frozen sensor shows its own sample.
+    A sample that `repeats` the one before proves that the sensor is frozen, because noise never repeats. In the `first` step a
+    frozen sensor has a sample of its own.
     """
     then, made = 1 - now, 0
     for p in range(count):
@@ -85,10 +85,10 @@ def copy(floats, codes, now, p, made, weight):
 
 @callee
 def merge(weights, tolerance, floats, codes, table, keys, now, count):
-    """Merge hypotheses that say the same of all that is to come, drop those without weight, and return how many there are.
+    """Merge hypotheses with the same predictions, drop those without weight, and return the number of the others.
 
     They have the same codes, and means and standard deviations in the same cell of a grid whose width is `tolerance` standard
-    deviations. What they become has the mean and variance of their mixture.
+    deviations. The merged hypothesis has the mean and variance of their mixture.
     """
     made = 0
     for i in range(table.shape[0]):
@@ -126,10 +126,10 @@ def merge(weights, tolerance, floats, codes, table, keys, now, count):
 
 @callee
 def resample(weights, uniform, limit, floats, codes, now, count):
-    """Reduce the hypotheses to `limit`, as Fearnhead and Clifford (2003) do, and return how many there are.
+    """Reduce the hypotheses to `limit` as in Fearnhead and Clifford (2003), and return their number.
 
-    What has more weight than some c keeps it; the others are drawn with probability weight / c, by stratified sampling, and have
-    the weight c then. No other unbiased way changes the weights less. Weights of zero are dropped in any case.
+    Hypotheses with a weight above some c keep it. The others are drawn with probability weight / c, by stratified sampling, and
+    get the weight c. No other unbiased method changes the weights less. Hypotheses with weight zero are always dropped.
     """
     total, positive = 0.0, 0
     for p in range(count):
@@ -138,7 +138,7 @@ def resample(weights, uniform, limit, floats, codes, now, count):
     cut, large, small = 0.0, -1, total
     if positive > limit:
         more = 0
-        while more != large:  # raise the number of those that are kept until c is consistent with it
+        while more != large:  # increase the number of kept hypotheses until c is consistent with it
             large = more
             cut = small / (limit - large)
             more, small = 0, 0.0
@@ -163,7 +163,7 @@ def resample(weights, uniform, limit, floats, codes, now, count):
 
 @callee
 def step(y, k, uniform, model, limit, tolerance, space, log_odds, now, count):
-    """Take the samples of step `k`, write the log odds of each sensor's fault, and return how many hypotheses are left."""
+    """Process the samples of step `k`, write the log odds of each sensor's fault, and return the number of hypotheses."""
     floats, codes, weights, table, keys = space
     sensors, first = y.shape[1], k == 0
     for i in range(sensors):
@@ -183,8 +183,8 @@ def step(y, k, uniform, model, limit, tolerance, space, log_odds, now, count):
             else:
                 faulty += weights[p]
         log_odds[k, i] = log(faulty) - log(healthy)
-    # A sensor that repeats itself in the next step was healthy or frozen in this one. Hypotheses that say otherwise have no
-    # future: they count for this step's odds, and then make room.
+    # A sensor that repeats a sample in the next step is healthy or frozen in this one. Other hypotheses will have no weight: they
+    # count for this step's odds and are then dropped.
     if k + 1 < y.shape[0]:
         for i in range(sensors):
             if y[k + 1, i] == y[k, i]:
@@ -211,17 +211,17 @@ def track(y, u, uniform, model, limit, tolerance, floats, codes, weights, table,
     u, uniform : array, steps
         Control from each step on, and a number between 0 and 1 for each resampling.
     model : array
-        See `STAYS` and what follows.
+        Parameters; their indices are `STAYS` to `PROCESS_VARIANCE`.
     limit : int
         Number of hypotheses that are kept.
     floats, codes : array, 2 x 3 x capacity and 2 x sensors x capacity
-        The capacity is ``limit`` times 3 to the power of the number of sensors, at least. The first hypothesis stands at place 0.
+        The capacity is at least ``limit`` times 3 to the power of the number of sensors. The first hypothesis is at index 0.
     tolerance : float
-        How far apart hypotheses are that are merged, in standard deviations; 0 for none.
+        Distance within which hypotheses are merged, in standard deviations; 0 to merge none.
     weights, table, keys : array
-        Scratch space: of the capacity, more than that, and the capacity.
+        Work arrays: of the capacity, larger than the capacity, of the capacity.
     log_odds : array, steps x sensors
-        What is written; infinite where a fault is certain.
+        Output; infinite if a fault is certain.
     """
     now, count, space = 0, 1, (floats, codes, weights, table, keys)
     for k in range(y.shape[0]):

@@ -1,4 +1,4 @@
-"""How close to the best is a detector? The residuals of the detection experiment beside the exact posterior's."""
+"""Comparison of the residuals of the detection experiment with the exact posterior, the best possible detector."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from bayesftc.reproduce.shared.streams import Faults
 
 BOUND = "bound"
 CERTAIN = 700.0
-"""Log odds beyond which a fault counts as certain: their exponential is still a number."""
+"""Log odds at which a fault counts as certain: their exponential is still finite."""
 
 
 class Record(NamedTuple):
-    """What the filter sees of a stream, and the truth."""
+    """The filter's inputs from a stream, and the truth."""
 
     y: Floats
     u: Floats
@@ -41,8 +41,8 @@ class Record(NamedTuple):
 def run(ensemble: Ensemble, settings: Bound, detection: Detection, car: Car, *, beyond: bool) -> Report:
     """Compare residuals with the exact posterior, on streams with the settings of `detection`.
 
-    Beyond the paper are its learners of fault modes. There are at most three sensors, and the AUC must not move any more with the
-    largest number of particles.
+    The learners of fault modes are beyond the paper. There are at most three sensors. It is an error if the AUC still changes at
+    the largest number of particles.
     """
     bench = Bench(detection, car, ensemble)
     cells = [Faults(injection, drift, settings.reference) for injection, drift in settings.cells]
@@ -50,9 +50,9 @@ def run(ensemble: Ensemble, settings: Bound, detection: Detection, car: Car, *, 
     for i, faults in enumerate(cells):
         beta, _ = bench.choose(faults, bench.ensemble.seeds(f"bound/choice/{i}", settings.choice_streams))
         residuals = {**_residuals.papers(detection, beta), **(_residuals.posteriors(detection) if beyond else {})}
-        own = bench.ensemble.seeds(f"bound/streams/{i}", settings.streams)
-        records.append(_records(bench, faults, own))
-        areas.append(_areas(bench, faults, own, residuals))
+        seeds = bench.ensemble.seeds(f"bound/streams/{i}", settings.streams)
+        records.append(_records(bench, faults, seeds))
+        areas.append(_areas(bench, faults, seeds, residuals))
         betas.append({name: getattr(beta, name) for name in ("forgetting", "prior_shape")})
     found = _converged(bench, settings, cells, records)
     return {
@@ -71,8 +71,8 @@ def run(ensemble: Ensemble, settings: Bound, detection: Detection, car: Car, *, 
     }
 
 
-def _records(bench: Bench, faults: Faults, own: Sequence[int]) -> list[Record]:
-    """Return what reaches the filter, from the loop of the plain Kalman controller; the posterior is the same in any loop."""
+def _records(bench: Bench, faults: Faults, seeds: Sequence[int]) -> list[Record]:
+    """Return the filter's inputs from the loop of the plain Kalman controller; the posterior is the same in any loop."""
     loop = bench.loop(faults, _residuals.PLAIN)
     samples = f"fault_{bench.car.sensors - 1}.y"
 
@@ -80,18 +80,18 @@ def _records(bench: Bench, faults: Faults, own: Sequence[int]) -> list[Record]:
         streams = bench.source.run(loop, few, [samples, "controller.u"])
         return [Record(s.result[samples], s.result["controller.u"].ravel(), s.faulty) for s in streams]
 
-    return [record for group in bench.ensemble.one("Streams", Batch(loop, own, each), GROUP) for record in group]
+    return [record for group in bench.ensemble.one("Streams", Batch(loop, seeds, each), GROUP) for record in group]
 
 
-def _areas(bench: Bench, faults: Faults, own: Sequence[int], residuals: Mapping[str, Residual]) -> dict[str, Floats]:
+def _areas(bench: Bench, faults: Faults, seeds: Sequence[int], residuals: Mapping[str, Residual]) -> dict[str, Floats]:
     """Return the AUC of each residual on each whole stream."""
-    return dict(zip(residuals, bench.areas("Residuals", [(faults, r) for r in residuals.values()], own), strict=True))
+    return dict(zip(residuals, bench.areas("Residuals", [(faults, r) for r in residuals.values()], seeds), strict=True))
 
 
 class Posterior(NamedTuple):
-    """What the filter has found with a number of particles."""
+    """The filter's results with a number of particles."""
 
-    particles: int  # their number
+    particles: int
     odds: list[list[Floats]]  # log odds of each stream of each cell
     areas: Floats  # the AUC, of shape (cells, streams)
 
@@ -99,13 +99,13 @@ class Posterior(NamedTuple):
 def _converged(
     bench: Bench, settings: Bound, cells: Sequence[Faults], records: Sequence[Sequence[Record]]
 ) -> list[Posterior]:
-    """Double the particles until no stream's AUC moves; return what was found with each number of them."""
+    """Double the particles until no stream's AUC changes; return the results with each number."""
     found = [_posterior(bench, settings, cells, records, settings.particles)]
     while len(found) < 2 or _moved(*found[-2:]) >= settings.moves:
         particles = 2 * found[-1].particles
         if particles > settings.most_particles:
             raise cosim.ModelError(
-                f"The AUC of a stream may still move by {settings.moves:g} with more than {found[-1].particles} particles; raise "
+                f"With {found[-1].particles} particles the AUC of a stream still changes by {settings.moves:g} or more. Raise "
                 "most_particles."
             )
         found.append(_posterior(bench, settings, cells, records, particles))
@@ -130,7 +130,7 @@ def _posterior(
 
 
 def _moved(before: Posterior, after: Posterior) -> float:
-    """Return how far the AUC of a stream has moved at most."""
+    """Return the largest change of a stream's AUC."""
     return float(np.abs(after.areas - before.areas).max())
 
 
@@ -145,7 +145,7 @@ def _compared(residuals: Mapping[str, Floats], bound: Floats) -> dict[str, Any]:
 
 
 def _calibration(bench: Bench, records: Sequence[Record], odds: Sequence[Floats]) -> dict[str, Any]:
-    """Return how well the filter's probabilities agree with the truth: the exact posterior's do."""
+    """Return the calibration of the filter's probabilities; those of the exact posterior are calibrated."""
     skipped = bench.settings.skipped
     found = [
         reliability(

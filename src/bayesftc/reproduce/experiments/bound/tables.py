@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce bound`` prints."""
+"""The printed output of ``bayesftc reproduce bound``."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     """Yield the AUC of each residual beside the bound's for each size of the faults, and how the bound converged."""
     streams = report["settings"]["streams"]
     yield (
-        "The bound is the posterior of a filter that knows how often faults come and go and how large they are: no detector "
-        f"ranks better. It keeps {report['particles']} hypotheses; half as many change the AUC of no stream by more than "
-        f"{report['moved']:.4f} ("
+        "The bound is the posterior of a filter with the true mean times to faults and recovery and the faults' sizes: no "
+        f"detector ranks samples better. It has {report['particles']} hypotheses; with half as many the AUC of a stream changes "
+        f"by at most {report['moved']:.4f} ("
         + sentence_list([f"{d['particles']}: {min(d['auc']):.4f} to {max(d['auc']):.4f}" for d in report["doublings"]])
         + ")."
     )

@@ -1,1 +1,1 @@
-"""Experiment 3: which residual tells that a sensor is faulty."""
+"""Experiment 3: which residual detects a faulty sensor."""

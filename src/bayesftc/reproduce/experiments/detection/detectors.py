@@ -1,4 +1,4 @@
-"""The residuals of the detection experiment as detectors: a threshold for each, and what it finds, misses and gets wrong."""
+"""The residuals of the detection experiment as detectors with thresholds: delays, missed faults and false alarms."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from bayesftc.reproduce.shared.streams import KINDS, Faults, Stream, Streams
 
 R = TypeVar("R")
 GROUP = 4
-"""Streams that one task simulates."""
+"""Streams of one task."""
 EVEN = "probability .5"
-"""The threshold at which a fault is as probable as none, of a residual that is a fault probability's log odds."""
+"""The threshold at fault probability .5, for residuals that are log odds of a fault probability."""
 
 
 @dataclass(frozen=True)
 class Detectors:
-    """Judges residuals of one feature by their alarms."""
+    """Evaluation of residuals with one feature by their alarms."""
 
-    streams: Streams  # where they are judged
+    streams: Streams
     ensemble: Ensemble  # seed, threads and progress
     residuals: Mapping[str, Residual]  # by name; one with several features has no threshold and is left out
 
     def report(self, headline: Faults) -> dict[str, Any]:
         """Return thresholds, their false alarms on other fault-free streams, and delays and misses by kind and size of fault.
 
-        The sizes are those of the settings, and before them the headline's.
+        The sizes are the headline's and then those of the settings.
         """
         s = self.streams.settings
         thresholds = self.thresholds()
@@ -60,7 +60,7 @@ class Detectors:
         }
 
     def thresholds(self) -> dict[str, dict[str, float]]:
-        """Return for each residual its thresholds by the rule that gives them, found on fault-free streams of their own."""
+        """Return for each residual its thresholds by rule, determined on separate fault-free streams."""
         s = self.streams.settings
         scores = self._scores("Thresholds", None, "detection/thresholds", s.healthy_streams, lambda _, score, __: score)
         step = self.streams.car.step
@@ -76,7 +76,7 @@ class Detectors:
     def _alarms(
         self, what: str, faults: Faults | None, purpose: str, count: int, thresholds: Mapping[str, Mapping[str, float]]
     ) -> dict[str, dict[str, dict[str, Alarms]]]:
-        """Return the alarms of each residual by rule and by kind of fault, ``all`` among them."""
+        """Return the alarms of each residual by rule and by kind of fault, including ``all``."""
 
         def judge(name: str, score: Floats, stream: Stream) -> dict[str, dict[str, Alarms]]:
             kind, step = stream.kind[self.streams.settings.skipped :], self.streams.car.step
@@ -100,8 +100,8 @@ class Detectors:
     def _scores(
         self, what: str, faults: Faults | None, purpose: str, count: int, function: Callable[[str, Floats, Stream], R]
     ) -> list[tuple[str, list[R]]]:
-        """Return for each residual what a function of its name, its scores and the stream returns, one for each stream."""
-        own = self.ensemble.seeds(purpose, count)
+        """Return for each residual the results of a function of its name, its scores and the stream, one per stream."""
+        seeds = self.ensemble.seeds(purpose, count)
         learners = dict.fromkeys(r.learners for r in self.residuals.values() if len(r.columns) == 1)
         found: dict[str, list[R]] = {}
         for learner in learners:
@@ -113,7 +113,7 @@ class Detectors:
                     for stream in self.streams.run(loop, few, SIGNALS)
                 ]
 
-            groups = self.ensemble.one(what, Batch(self.streams.loop(faults, learner[0]), own, each), GROUP)
+            groups = self.ensemble.one(what, Batch(self.streams.loop(faults, learner[0]), seeds, each), GROUP)
             streams = [stream for group in groups for stream in group]
             found |= {name: [of[i] for of in streams] for i, name in enumerate(names)}
         return [(name, found[name]) for name in self.residuals if name in found]
@@ -128,8 +128,8 @@ def rule_of(rate: float) -> str:
 
 
 def _rates(alarms: Alarms) -> dict[str, Any]:
-    """Return the figures that a record without faults has."""
-    known = alarms.to_dict()
-    return {n: known[n] for n in known if not n.startswith(("fault", "missed", "delay"))} | {
+    """Return the figures that exist without faults."""
+    all_figures = alarms.to_dict()
+    return {n: all_figures[n] for n in all_figures if not n.startswith(("fault", "missed", "delay"))} | {
         "fault_free_hours": alarms.hours
     }

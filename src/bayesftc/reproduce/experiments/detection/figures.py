@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RANKS_LIKE_BETA = "precision"
-"""The learned precision ranks as beta does, for no sample is missing and so all shapes are the same: its curve is beta's."""
+"""The learned precision ranks samples as beta does, because no sample is missing and all shapes are equal."""
 
 
 def roc(report: dict[str, Any]) -> Figure:
-    """Return the receiver operating characteristics on the test parts, the paper's residuals and fault modes in front."""
+    """Return the receiver operating characteristics on the test parts, with the paper's residuals and fault modes in front."""
     made = figure(8.4, 4.8)
     axis = made.subplots()
     false, auc = report["roc"]["false_positive_rate"], report["auc"]
@@ -56,7 +56,7 @@ def _label(report: dict[str, Any], name: str) -> str:
 
 
 def grid(report: dict[str, Any]) -> Figure | None:
-    """Return heat maps over faults and references, if they were run: the AUC of SER, that of beta, and their difference."""
+    """Return heat maps over faults and references, if they were run: the AUC of SER, of beta, and their difference."""
     if report["grid"] is None:
         return None
     cells = report["grid"]
@@ -91,7 +91,7 @@ def grid(report: dict[str, Any]) -> Figure | None:
 
 
 def calibration(report: dict[str, Any]) -> Figure:
-    """Return the reliability diagram of the learners' fault probabilities (else of the classifiers'), in bins of equal widths."""
+    """Return the reliability diagram of the learners' (otherwise the classifiers') fault probabilities, in equal bins."""
     own = [name for name, of in report["calibration"].items() if of["of"] == OWN]
     names = own or list(report["paper"])
     made = figure(6.6, 5.4)

@@ -1,4 +1,4 @@
-"""The SER baseline by filterpy's Kalman filter beside ours: in the loop of tracking, over the samples of detection."""
+"""The SER baseline with filterpy's Kalman filter, compared with ours: in the loop of tracking, on the samples of detection."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ SER_FT = "SER FT"
 
 
 def track(bench: TrackingBench, ours: Mapping[Scenario, Errors]) -> dict[str, Any]:
-    """Return the tracking errors of the first runs of each scenario with filterpy's filter in the loop, beside ours.
+    """Return the tracking errors of the first runs of each scenario with filterpy's filter in the loop, and ours.
 
-    There are ``runs``, and for each scenario ``ours`` and ``filterpy`` (means over these runs in m/s) and
+    The entries are ``runs``, and for each scenario ``ours`` and ``filterpy`` (means over these runs in m/s) and
     ``largest_difference`` (of a run, relative).
     """
     s = bench.settings
@@ -38,19 +38,19 @@ def track(bench: TrackingBench, ours: Mapping[Scenario, Errors]) -> dict[str, An
     theirs = fewer.measure("SER by filterpy", list(ours), {SER_FT: learner}).errors()
     cells = {}
     for scenario, errors in theirs.items():
-        mine, reference = ours[scenario][SER_FT][:runs], errors[SER_FT]
+        first, reference = ours[scenario][SER_FT][:runs], errors[SER_FT]
         cells[scenario.kind] = {
-            "ours": float(mine.mean()),
+            "ours": float(first.mean()),
             "filterpy": float(reference.mean()),
-            "largest_difference": float(np.max(np.abs(mine / reference - 1.0))),
+            "largest_difference": float(np.max(np.abs(first / reference - 1.0))),
         }
     return {"runs": runs, "scenarios": cells}
 
 
 def detect(bench: DetectionBench, faults: Faults, seeds: Sequence[int]) -> list[dict[str, Any]]:
-    """Return the AUC of the innovation by filterpy's filter over the samples of the SER baseline's loop, beside ours.
+    """Return the AUC of the innovation of filterpy's filter on the samples of the SER baseline's loop, and ours.
 
-    For each stream there are ``seed``, ``ours`` and ``filterpy`` (AUC on the test part), and ``largest_difference`` of an
+    The entries for each stream are ``seed``, ``ours`` and ``filterpy`` (AUC on the test part), and ``largest_difference`` of an
     innovation, in standard deviations of a sensor.
     """
     s, car = bench.settings, bench.car
@@ -84,9 +84,9 @@ def detect(bench: DetectionBench, faults: Faults, seeds: Sequence[int]) -> list[
 
 
 def show_tracking(report: Mapping[str, Any]) -> RenderableType:
-    """Return the table of the tracking errors by filterpy beside ours."""
+    """Return the table of the tracking errors with filterpy and ours."""
     return listed(
-        f"SER FT by filterpy's Kalman filter in the loop, on the same noise: root-mean-square tracking error (m/s), mean over "
+        f"SER FT with filterpy's Kalman filter in the loop, on the same noise: root-mean-square tracking error (m/s), mean over "
         f"the first {report['runs']} runs, and the largest relative difference of a run",
         report["scenarios"],
         [(SER_FT, "{ours:.3f}"), ("filterpy", "{filterpy:.3f}"), ("difference", "{largest_difference:.0e}")],
@@ -95,9 +95,9 @@ def show_tracking(report: Mapping[str, Any]) -> RenderableType:
 
 
 def show_detection(streams: Sequence[Mapping[str, Any]]) -> RenderableType:
-    """Return the table of the AUC by filterpy beside ours."""
+    """Return the table of the AUC with filterpy and ours."""
     return listed(
-        "SER by filterpy's Kalman filter over the same samples: AUC on the test part, and the largest difference of an "
+        "SER with filterpy's Kalman filter on the same samples: AUC on the test part, and the largest difference of an "
         "innovation in standard deviations of a sensor",
         dict(enumerate(streams)),
         [("SER", "{ours:.4f}"), ("filterpy", "{filterpy:.4f}"), ("difference", "{largest_difference:.0e}")],

@@ -1,4 +1,4 @@
-"""Experiment 3: is a sensor faulty? The beta residual beside the state estimation residual (paper, section 5.3)."""
+"""Experiment 3: fault detection with the beta residual and the state estimation residual (paper, section 5.3)."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ from bayesftc.reproduce.shared.streams import Faults, Stream, Streams
 Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
 GROUP = 5
-"""Streams that one task simulates: a tenth of a second or two, after which it can be stopped."""
+"""Streams of one task: a tenth of a second or two, after which it can be stopped."""
 
 
 @experiment(Detection, car=Car)
 def run(ensemble: Ensemble, settings: Detection, car: Car, *, beyond: bool) -> Report:
-    """Judge residuals on streams of random faults, whose size is such that the baseline has the paper's AUC.
+    """Evaluate residuals on streams of random faults, whose sizes give the baseline the paper's AUC.
 
-    Beyond the paper are further residuals, faults of other sizes, and other references.
+    Further residuals, faults of other sizes, and other references are beyond the paper.
     """
     bench = Bench(settings, car, ensemble)
     factor, baseline = bench.factor()
     faults = Faults(settings.injection * factor, settings.drift * factor)
-    own = bench.ensemble.seeds("detection/streams", settings.streams)
-    beta, tried = bench.choose(faults, own)
+    seeds = bench.ensemble.seeds("detection/streams", settings.streams)
+    beta, tried = bench.choose(faults, seeds)
     residuals = _residuals.known(settings, beta, car) if beyond else _residuals.papers(settings, beta)
-    judged = bench.judge(faults, own, residuals)
+    judged = bench.judge(faults, seeds, residuals)
     auc = {name: np.array([stream[name][0] for stream in judged]) for name in residuals}
     detectors = Detectors(bench.source, bench.ensemble, residuals)
     difference = auc["beta"] - auc["SER"]
@@ -60,9 +60,13 @@ def run(ensemble: Ensemble, settings: Detection, car: Car, *, beyond: bool) -> R
         "auc": {name: float(values.mean()) for name, values in auc.items()},
         "auc_ci": {name: interval(values) for name, values in auc.items()},
         "difference": {"mean": float(difference.mean()), "ci": interval(difference)},
-        "filterpy": _filterpy.detect(bench, faults, own[: settings.filterpy_streams]),
+        "filterpy": _filterpy.detect(bench, faults, seeds[: settings.filterpy_streams]),
         "streams": [
-            {"seed": own[i], "faults": judged[i]["faults"][0], "auc": {name: float(auc[name][i]) for name in residuals}}
+            {
+                "seed": seeds[i],
+                "faults": judged[i]["faults"][0],
+                "auc": {name: float(auc[name][i]) for name in residuals},
+            }
             for i in range(settings.streams)
         ],
         "roc": {
@@ -81,25 +85,25 @@ def run(ensemble: Ensemble, settings: Detection, car: Car, *, beyond: bool) -> R
 
 @dataclass(frozen=True)
 class Bench:
-    """Runs streams of random faults through closed loops."""
+    """Streams of random faults in closed loops, and their evaluation."""
 
     settings: Detection
     car: Car
     ensemble: Ensemble
 
     def factor(self) -> tuple[float, float]:
-        """Return the factor on the faults' sizes with which the baseline has the paper's AUC, and the AUC, by bisection."""
+        """Return the factor of the faults' sizes that gives the baseline the paper's AUC, and this AUC, by bisection."""
         s = self.settings
-        own = hashed_seeds(s.factor_seed, "detection/factor", s.factor_streams)
+        seeds = hashed_seeds(s.factor_seed, "detection/factor", s.factor_streams)
 
         def baseline(factor: float) -> float:
             faults = Faults(s.injection * factor, s.drift * factor)
-            return float(self.areas("Scaling the faults", [(faults, _residuals.ser(s))], own).mean())
+            return float(self.areas("Scaling the faults", [(faults, _residuals.ser(s))], seeds).mean())
 
         low, high = s.factor_range
         if not baseline(low) < s.baseline_auc < baseline(high):
             raise cosim.ModelError(
-                f"No factor in {s.factor_range} gives the state estimation residual an AUC of {s.baseline_auc:g}; widen "
+                f"No factor in {s.factor_range} gives the state estimation residual an AUC of {s.baseline_auc:g}. Widen "
                 "factor_range."
             )
         while high / low > 1 + s.factor_tolerance:
@@ -108,15 +112,15 @@ class Bench:
         middle = exp(0.5 * (log(low) + log(high)))
         return middle, baseline(middle)
 
-    def choose(self, faults: Faults, own: Sequence[int]) -> tuple[controllers.GammaPrecision, list[dict[str, Any]]]:
-        """Return the learner whose beta has the highest mean AUC on the training parts, and the AUC of all that were tried."""
+    def choose(self, faults: Faults, seeds: Sequence[int]) -> tuple[controllers.GammaPrecision, list[dict[str, Any]]]:
+        """Return the learner whose beta has the highest mean AUC on the training parts, and the AUC of all candidates."""
         s = self.settings
         learners = [
             controllers.GammaPrecision(forgetting=rho, prior_shape=shape)
             for rho, shape in product(s.forgettings, s.prior_shapes)
         ]
         cases = [(faults, _residuals.beta(learner)) for learner in learners]
-        means = self._areas("Choosing beta's memory", cases, own, self.parts()[0]).mean(axis=1)
+        means = self._areas("Choosing beta's memory", cases, seeds, self.parts()[0]).mean(axis=1)
         tried = [
             {"forgetting": learner.forgetting, "prior_shape": learner.prior_shape, "training_auc": float(mean)}
             for learner, mean in zip(learners, means, strict=True)
@@ -124,39 +128,39 @@ class Bench:
         return learners[int(np.argmax(means))], tried
 
     def judge(
-        self, faults: Faults, own: Sequence[int], residuals: Mapping[str, Residual]
+        self, faults: Faults, seeds: Sequence[int], residuals: Mapping[str, Residual]
     ) -> list[dict[str, tuple[Any, ...]]]:
-        """Return for each stream the test AUC of each residual with its curve and calibration, and the number of faults."""
+        """Return for each stream the number of faults, and each residual's test AUC, curve and calibration."""
         loops = {learner: self.loop(faults, learner) for r in residuals.values() for learner in r.learners}
         self.ensemble.prepare(list(loops.values()))
-        tasks = [partial(self._judge_stream, loops, residuals, seed) for seed in own]
+        tasks = [partial(self._judge_stream, loops, residuals, seed) for seed in seeds]
         return self.ensemble.run(tasks, "Judging residuals")
 
     def grid(self, residuals: Mapping[str, Residual]) -> list[dict[str, Any]]:
         """Return the AUC of the two residuals of the paper over sizes of the faults and references, on whole streams."""
         s = self.settings
-        own = self.ensemble.seeds("detection/grid", s.grid_streams)
+        seeds = self.ensemble.seeds("detection/grid", s.grid_streams)
         cells = [Faults(i, d, r) for r, i, d in product(("fast", "slow", "constant"), s.grid_injections, s.grid_drifts)]
         names = _residuals.GRID
         cases = [(cell, residuals[name]) for cell in cells for name in names]
-        means = self.areas("Other faults and references", cases, own).mean(axis=1)
+        means = self.areas("Other faults and references", cases, seeds).mean(axis=1)
         return [
             {**asdict(cell), "auc": dict(zip(names, row, strict=True))}
             for cell, row in zip(cells, means.reshape(len(cells), -1).tolist(), strict=True)
         ]
 
-    def areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int]) -> Floats:
+    def areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], seeds: Sequence[int]) -> Floats:
         """Return the AUC over each whole stream, for residuals of one feature: cases x streams."""
-        return self._areas(what, cases, own, self._whole)
+        return self._areas(what, cases, seeds, self._whole)
 
-    def _areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], own: Sequence[int], rows: slice) -> Floats:
+    def _areas(self, what: str, cases: Sequence[tuple[Faults, Residual]], seeds: Sequence[int], rows: slice) -> Floats:
         """Return the AUC over some rows of each stream."""
 
         def areas(residual: Residual, loop: cosim.Diagram, few: Sequence[int]) -> list[float]:
             return [area(s.faulty[rows], residual.features([s])[rows, :, 0]) for s in self._streams(loop, few)]
 
         batches = {
-            i: Batch(self.loop(faults, residual.learners[0]), own, partial(areas, residual))
+            i: Batch(self.loop(faults, residual.learners[0]), seeds, partial(areas, residual))
             for i, (faults, residual) in enumerate(cases)
         }
         every, _ = self.ensemble.each(what, batches, GROUP)
@@ -174,14 +178,14 @@ class Bench:
         found: dict[str, tuple[Any, ...]] = {"faults": (int((np.diff(faulty.astype(int), axis=0) > 0).sum()),)}
         for name, residual in residuals.items():
             truth, probability = self._classified(residual, [streams[learner] for learner in residual.learners])
-            own = residual.probability
-            p, known = probability, truth
-            if own is not None:
-                p, known = own(streams[residual.learners[0]].result)[whole], faulty[whole]
+            of_learner = residual.probability
+            p, labels = probability, truth
+            if of_learner is not None:
+                p, labels = of_learner(streams[residual.learners[0]].result)[whole], faulty[whole]
             found[name] = (
                 area(truth, probability),
                 roc_curve(truth, probability),
-                Calibration.of(p, known, self.settings.bins),
+                Calibration.of(p, labels, self.settings.bins),
             )
         return found
 
@@ -190,7 +194,7 @@ class Bench:
         return area(*self._classified(residual, streams))
 
     def _classified(self, residual: Residual, streams: Sequence[Stream]) -> tuple[Bools, Floats]:
-        """Return for the test part whether there is a fault, and its probability by a classifier of the training part."""
+        """Return for the test part the faults, and their probabilities from a classifier fitted to the training part."""
         training, test = self.parts()
         few = slice(training.start, training.stop, self.settings.training_stride)
         x, faulty = residual.features(streams), streams[0].faulty
@@ -207,8 +211,8 @@ class Bench:
         cut = int(s.training_share * s.steps)
         return slice(s.skipped, cut - s.gap), slice(cut, None)
 
-    def _streams(self, loop: cosim.Diagram, own: Sequence[int]) -> Iterator[Stream]:
-        return self.source.run(loop, own, _residuals.SIGNALS)
+    def _streams(self, loop: cosim.Diagram, seeds: Sequence[int]) -> Iterator[Stream]:
+        return self.source.run(loop, seeds, _residuals.SIGNALS)
 
     def loop(self, faults: Faults, learner: controllers.PrecisionLearner) -> cosim.Diagram:
         """Return the loop with random faults and a learner."""
@@ -216,10 +220,10 @@ class Bench:
 
     @property
     def source(self) -> Streams:
-        """Where streams come from."""
+        """The source of streams."""
         return Streams(self.settings, self.car)
 
 
 def _rows(x: Floats) -> Floats:
-    """Return features with a row for each sample of each sensor."""
+    """Return features with one row per sample of each sensor."""
     return x.reshape(-1, x.shape[-1])

@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce detection`` prints."""
+"""The printed output of ``bayesftc reproduce detection``."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 KNOWS = (
-    "SwitchingPrecision, also per sensor, knows the mean times to a fault and to recovery, but not how large faults are; with "
-    "default settings it knows neither."
+    "SwitchingPrecision, also per sensor, has the true mean times to a fault and to recovery as settings, but not the sizes of "
+    "the faults. With default settings it has neither."
 )
 EDGE = 0.002
-"""A difference in AUC that is worth a word."""
+"""Least difference in AUC that counts."""
 SAME_AS_BETA = "precision"
-"""It ranks as beta does."""
+"""The residual that ranks samples as beta does."""
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield the AUC of all residuals beside the paper's, the paper's two stream by stream, calibration, alarms, and the grid."""
+    """Yield the AUC of all residuals and the paper's, its two residuals by stream, calibration, alarms, and the grid."""
     settings, auc, papers = report["settings"], report["auc"], report["paper"]
     faults, beta = settings["faults"], settings["beta"]
     yield (
@@ -45,7 +45,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     if "SwitchingPrecision" in auc:
         yield KNOWS
     if "precision" in auc:
-        yield "The precision ranks the samples as beta does, for all shapes are the same: it is the same residual."
+        yield "The precision ranks the samples as beta does, because all shapes are equal: it is the same residual."
     low, high = report["difference"]["ci"]
     yield (
         f"Beta minus SER, stream by stream: {report['difference']['mean']:.4f}, 95 % interval {low:.4f} to {high:.4f}; "
@@ -87,12 +87,12 @@ def _grid(cells: list[dict[str, Any]]) -> Iterator[RenderableType]:
 
 
 def _pair(auc: dict[str, float]) -> str:
-    """Return both areas with three digits and without their leading zeros: five pairs stand beside each other."""
+    """Return both areas with three digits and without leading zeros: a row has five pairs."""
     return "/".join(f"{auc[name]:.3f}".removeprefix("0") for name in ("beta", "SER"))
 
 
 def show_alarms(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield false alarms, delays and misses at the first of the rates at which thresholds were set."""
+    """Yield false alarms, delays and misses for the first of the rates that set thresholds."""
     alarms, step = report["alarms"], report["settings"]["car"]["step"]
     rate = report["settings"]["false_alarm_rates"][0]
     rule, headline = rule_of(rate), alarms["cells"][0]
@@ -109,8 +109,8 @@ def show_alarms(report: dict[str, Any]) -> Iterator[RenderableType]:
         corner="residual",
     )
     yield (
-        "Per hour, its interval and the mean time between false alarms are of other fault-free runs. In alarm is the share of "
-        "the fault-free time of the headline's streams that has one: there alarms also outlast their faults."
+        "The rate per hour, its interval and the mean time between false alarms are from other fault-free runs. In alarm: share "
+        "of the fault-free time of the headline's streams with an alarm; there alarms also outlast their faults."
     )
     sizes = sorted(alarms["cells"], key=lambda cell: cell["injection"])
     for kind, unit in (("injection", "m/s"), ("drift", "m/s per second")):
@@ -127,7 +127,7 @@ def show_alarms(report: dict[str, Any]) -> Iterator[RenderableType]:
         ],
         corner="residual",
     )
-    yield "Delays count a missed fault as infinite: '-' says that more than half were missed, most of them over before an alarm."
+    yield "A missed fault has an infinite delay: '-' means that more than half were missed, most of which ended before an alarm."
 
 
 def _seen(of: Mapping[str, Any]) -> str:
@@ -139,7 +139,7 @@ def _whole(number: float | None) -> str:
 
 
 def show_calibration(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield how well the fault probabilities agree with the truth."""
+    """Yield the calibration of the fault probabilities."""
     yield listed(
         "Calibration of the fault probability: expected calibration error (ECE) and Brier score",
         {name: of for name, of in report["calibration"].items() if name != SAME_AS_BETA},
@@ -153,7 +153,7 @@ def show_calibration(report: dict[str, Any]) -> Iterator[RenderableType]:
     )
     constant = next(iter(report["calibration"].values()))["brier_of_constant"]["mean"]
     yield (
-        "In bins of equal counts, and beside it in bins of equal widths. A constant probability has a Brier score of "
-        f"{constant:.3f}. The probability is the learner's own where it gives one, else that of the classifier that was fitted "
-        "on the training part."
+        "ECE is in bins of equal counts, and in the column 'widths' in bins of equal widths. A constant probability has a Brier "
+        f"score of {constant:.3f}. The probability is from the learner if it gives one, otherwise from the classifier fitted to "
+        "the training part."
     )

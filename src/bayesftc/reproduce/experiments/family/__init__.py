@@ -1,1 +1,1 @@
-"""Beyond the paper: every learner in faults that none expects."""
+"""Beyond the paper: every learner with faults that none models."""

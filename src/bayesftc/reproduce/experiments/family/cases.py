@@ -1,6 +1,6 @@
-"""The cases of the family: plants as they are shipped, and what goes wrong with their sensors, as data.
+"""The cases of the family as data: the shipped plants, and the faults of their sensors.
 
-To add a case, name it in `CASES`; to add a plant, in `PLANTS`. A case that is no fault of a sensor has no faults: then the oracle
+To add a case, add it to `CASES`; to add a plant, add it to `PLANTS`. A case without a sensor fault has no faults: then the oracle
 is fixed precision with all sensors.
 """
 
@@ -18,22 +18,22 @@ CAR = "car"
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant, what is measured and driven of it, where it goes, and when its sensors fail."""
+    """A plant, its inputs and outputs, its references, and the time of its sensor faults."""
 
     fmu: str  # name of the shipped FMU
-    goals: tuple[str, ...]  # the outputs that have a goal, of which the errors count
+    goals: tuple[str, ...]  # the outputs with a goal, whose errors are evaluated
     references: tuple[cosim.Source, ...]  # their goals over time
     measured: tuple[str, ...]  # the outputs that sensors read, in turn
     actuated: tuple[str, ...]  # the inputs that the controller drives
     std: tuple[float, ...]  # standard deviation of a sensor of each measured output
     noise: Mapping[str, float]  # standard deviation of each disturbed input, by its name
     duration: float  # seconds of a run
-    window: tuple[float, float]  # seconds between which sensors fail
-    # Acceptable error and control, for `bayesftc.controllers.design`; empty for the car, which `design` has not made.
+    window: tuple[float, float]  # start and end of the faults in seconds
+    # Acceptable error and control, for `bayesftc.controllers.design`; empty for the car, which has no designed controller.
     accept: tuple[float, ...] = ()
     limits: tuple[float, float] = (-inf, inf)  # of the control
     means: Mapping[str, float] = field(default_factory=dict)  # means of disturbed inputs that are not zero
-    settled: float = 0.0  # seconds from which errors count: after a step that no controller follows at once
+    settled: float = 0.0  # seconds from which errors are evaluated: after a step that no controller follows at once
     dt: float | None = None  # sample time in seconds, by default the FMU's
 
 
@@ -66,7 +66,7 @@ PLANTS: Mapping[str, Plant] = {
         (0.01, 500.0), dt=0.01,
     ),
 }  # fmt: skip
-"""The plants by the name that heads their cases; all but car and arm as in ``examples/design_from_fmu``."""
+"""The plants by name, which is the prefix of their cases; all but car and arm as in ``examples/design_from_fmu``."""
 
 
 HEALTHY, MOVING, SEVERAL = "healthy sensors", "dithers, gains, oscillations", "two sensors at once, or swapped"
@@ -82,33 +82,33 @@ GROUPS: Mapping[str, tuple[type[cosim.Fault], ...]] = {
     NOISE_BELIEVED: (),
     PLANT_BELIEVED: (),
 }
-"""Groups of cases, by the kinds of their faults; what is not as believed, and how many sensors fail, comes first."""
+"""Groups of cases by the kinds of their faults. Differences from the model and the number of failed sensors have priority."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What goes wrong.
+    """A case: a plant, its sensors, and the faults or differences from the controller's model.
 
     Attributes
     ----------
     name : str
-        In plain words; that of the plant comes first where it is not the car.
+        Description, with the plant first unless it is the car.
     faults : tuple of Fault
-        Of sensors, each in its window.
+        Faults of sensors, each in its window.
     plant : str
         Name of the plant.
     sensors : int
-        How many sensors read each measured output.
+        Number of sensors of each measured output.
     std : tuple of float
-        True standard deviation of each sensor in that of the plant's, by default 1 each; one number is for all.
+        True standard deviation of each sensor relative to the plant's, by default 1; one number is for all.
     believed : tuple of float
-        The believed ones, by default the true ones.
+        The controller's values for `std`, by default the true ones.
     resolution : float
-        Of all sensors, in standard deviations; the controller is not told.
+        Resolution of all sensors, in standard deviations; the controller's model has none.
     parameters : mapping
-        Of the plant that are not as the controller believes.
+        True parameters of the plant that differ from the controller's model.
     reads : mapping of int to tuple of float
-        Sensors that read something else from the first step on: how much of each measured output.
+        Sensors that read another quantity from the first step on, with the factors of the measured outputs.
     """
 
     name: str
@@ -139,7 +139,7 @@ class Case:
 
     @property
     def missing(self) -> tuple[cosim.Dropout, ...]:
-        """The faults as the oracle sees them: no samples."""
+        """The faults for the oracle: the faulty samples are missing."""
         windows = dict.fromkeys((f.sensor, f.start, f.stop) for f in self.faults)
         windows |= dict.fromkeys((sensor, 0.0, inf) for sensor in self.reads)
         return tuple(
@@ -233,12 +233,12 @@ def _car() -> Iterator[Case]:
 
 
 def added_noise(times: float) -> float:
-    """Return the standard deviation of what makes noise of 1 `times` as large."""
+    """Return the standard deviation of added noise that makes a noise of 1 `times` as large."""
     return float((times**2 - 1.0) ** 0.5)
 
 
 def _of_plant(name: str, sensor: int, lag: float) -> Iterator[Case]:
-    """Yield the cases of a plant: in which a sensor fails, and with which time constant it lags, in seconds."""
+    """Yield the cases of a plant in which one sensor fails; `lag` is its time constant as a low-pass, in seconds."""
     plant = PLANTS[name]
     sd = plant.std[sensor % len(plant.std)]
     when: dict[str, Any] = dict(zip(("sensor", "start", "stop"), (sensor, *plant.window), strict=True))
@@ -277,4 +277,4 @@ def _others() -> Iterator[Case]:
 
 
 CASES: tuple[Case, ...] = (*_car(), *_others())
-"""All cases; the names of two are never the same."""
+"""All cases, with unique names."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LIMIT = 10.0
-"""The ratio that has the strongest colour, as its inverse has."""
+"""The ratio with the strongest colour; its inverse has the opposite one."""
 ROWS = 84
 """Cases in one column of the figure."""
 

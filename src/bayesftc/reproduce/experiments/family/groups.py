@@ -1,4 +1,4 @@
-"""The family's results by group of cases: what its long table comes to."""
+"""The family's results by group of cases, a summary of its long table."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 
 class Figures(NamedTuple):
-    """What a learner comes to in a group of cases."""
+    """The results of a learner in a group of cases."""
 
-    # Geometric mean and largest of the errors over the oracle's; infinite if a run has lost its plant.
+    # Geometric mean and largest of the ratios to the oracle's error; infinite if a run has lost its plant.
     mean: float
     worst: float
     lost: int  # number of such runs
-    # Share of healthy sensors' time with an alarm, mean over the cases; None of a learner that tells of no faults.
+    # Share of healthy sensors' time with an alarm, mean over the cases; None for a learner that detects no faults.
     false_share: float | None
 
 

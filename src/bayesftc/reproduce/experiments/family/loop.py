@@ -16,8 +16,8 @@ from bayesftc.reproduce.settings import Car
 from bayesftc.reproduce.shared.car import model as model_of_car
 
 
-def family_loop(case: Case, learner: controllers.PrecisionLearner, *, told: bool = False) -> cosim.Diagram:
-    """Return the loop of a case under a learner; if `told`, the faulty sensors' samples are missing."""
+def family_loop(case: Case, learner: controllers.PrecisionLearner, *, drop_faulty: bool = False) -> cosim.Diagram:
+    """Return the loop of a case with a learner; with `drop_faulty`, the faulty sensors' samples are missing."""
     plant = PLANTS[case.plant]
     count = case.sensors * len(plant.measured)
     return cosim.closed_loop(
@@ -37,15 +37,15 @@ def family_loop(case: Case, learner: controllers.PrecisionLearner, *, told: bool
             resolution=tuple(case.resolution * std for std in _nominal(plant, count)),
             matrix=_matrix(plant, count, case.reads),
         ),
-        faults=[*case.faults, *(case.missing if told else ())],
+        faults=[*case.faults, *(case.missing if drop_faulty else ())],
         reference=plant.references if len(plant.references) > 1 else plant.references[0],
     )
 
 
 def goal_error(case: Case, result: cosim.Result) -> Floats:
-    """Return the goal outputs minus their references over the time that counts.
+    """Return the goal outputs minus their references over the evaluated time.
 
-    The car's controller aims at the goal of t_k with the state of t_k+1; those of `controllers.design` look further ahead.
+    The car's controller steers the state at t_k+1 to the goal at t_k; those of `controllers.design` have a longer horizon.
     """
     values = [result[name] for name in signals_of_goals(case)]
     half = len(values) // 2
@@ -62,7 +62,7 @@ def signals_of_goals(case: Case) -> tuple[str, ...]:
 
 
 def faulty_samples(case: Case, time: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Return an array of shape (steps, sensors): with which samples a fault was present."""
+    """Return whether a fault was present at each sample, of shape (steps, sensors)."""
     truth = np.zeros((len(time), case.sensors * len(PLANTS[case.plant].measured)), bool)
     for gone in case.missing:
         truth[(gone.start <= time) & (time < gone.stop), gone.sensor] = True
@@ -70,7 +70,7 @@ def faulty_samples(case: Case, time: Floats) -> np.ndarray[Any, np.dtype[np.bool
 
 
 def _start(plant: Plant) -> dict[str, float]:
-    """Return the parameters by which the car starts on its reference; the others start at rest."""
+    """Return the parameters with which the car starts on its reference; the others start at rest."""
     return {} if plant.accept else {"v0": 20.0}
 
 
@@ -86,7 +86,7 @@ def _each(case: Case, relative: Sequence[float]) -> tuple[float, ...]:
 
 
 def _matrix(plant: Plant, count: int, reads: Mapping[int, tuple[float, ...]]) -> list[list[float]] | None:
-    """Return what each sensor reads of the measured outputs; None if these are read in turn."""
+    """Return the matrix from the measured outputs to the sensors; None if they are read in turn."""
     if not reads:
         return None
     matrix = np.eye(len(plant.measured))[[i % len(plant.measured) for i in range(count)]]
@@ -104,7 +104,7 @@ def _controller(
 
 @cache
 def _designed(name: str, sensors: int, std: tuple[float, ...]) -> controllers.BayesianController:
-    """Return the controller of a plant with fixed precision, from what it believes of its sensors."""
+    """Return the controller of a plant with fixed precision, for the given standard deviations of its sensors."""
     plant = PLANTS[name]
     if not plant.accept:
         right = model_of_car(Car(sensors=sensors))

@@ -17,11 +17,11 @@ from bayesftc.reproduce.shared.tables import sentence_list
 
 BEGIN, END = "<!-- family -->", "<!-- end of family -->"
 BAR = 1.10
-"""Above this ratio the default is said to lose."""
+"""The ratio above which the page lists a case of the default learner."""
 
 
 def results(report: Mapping[str, Any]) -> str:
-    """Return what a page says of a report: a row for each learner and a column for each group, and where the first one loses."""
+    """Return the text for a page: a row for each learner, a column for each group, and the losses of the first learner."""
     groups, table, settings = by_group(report), report["table"], report["settings"]
     sizes = {group: sum(of == group for of in report["groups"].values()) for group in groups}
     heads = [f"all ({len(table)})", *(f"{group} ({sizes[group]})" for group in groups), "false alarms"]
@@ -31,8 +31,8 @@ def results(report: Mapping[str, Any]) -> str:
         share = "" if whole.false_share is None else f"{100 * whole.false_share:.2f} %"
         cells = [_cell(whole), *(_cell(of[name]) for of in groups.values()), share]
         rows.append(f"| `{name}` | {' | '.join(cells)} |")
-    said = f"{settings['runs']} runs of each of {len(table)} cases, seed {settings['seed']}."
-    return "\n".join([said, "", *rows, "", _losses(table, next(iter(report["summary"])))])
+    heading = f"{settings['runs']} runs of each of {len(table)} cases, seed {settings['seed']}."
+    return "\n".join([heading, "", *rows, "", _losses(table, next(iter(report["summary"])))])
 
 
 def _cell(of: Figures) -> str:
@@ -40,7 +40,7 @@ def _cell(of: Figures) -> str:
 
 
 def _losses(table: Mapping[str, Mapping[str, Any]], name: str) -> str:
-    """Return in a sentence in which cases a learner is above the bar, and which one is best there."""
+    """Return a sentence with the cases in which a learner is above the bar, and the best learner of each."""
     bad = sorted(
         (case for case, of in table.items() if ratio_of(of[name]) > BAR), key=lambda case: -ratio_of(table[case][name])
     )
@@ -60,14 +60,14 @@ def rewritten(page: str, report: Mapping[str, Any]) -> str:
     before, _, rest = page.partition(BEGIN)
     _, mark, after = rest.partition(END)
     if not mark:
-        raise SystemExit(f"The page lacks the lines {BEGIN!r} and {END!r}, between which the results belong; add them.")
+        raise SystemExit(f"The page lacks the lines {BEGIN!r} and {END!r}, between which the results belong. Add them.")
     return f"{before}{BEGIN}\n{results(report)}\n{END}{after}"
 
 
 def main(arguments: Sequence[str]) -> None:
     """Rewrite a page."""
     if len(arguments) != 2:
-        raise SystemExit("Give the file family.json that bayesftc reproduce family --out wrote, and the page.")
+        raise SystemExit("Give the file family.json from bayesftc reproduce family --out, and the page.")
     report, page = Path(arguments[0]), Path(arguments[1])
     text = rewritten(page.read_text(encoding="utf-8"), json.loads(report.read_text(encoding="utf-8")))
     page.write_text(text, encoding="utf-8")

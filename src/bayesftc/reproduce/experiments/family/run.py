@@ -1,7 +1,7 @@
-"""Beyond the paper: every learner in a family of faults, of which most are in no learner's list.
+"""Beyond the paper: every learner with a family of faults, most of which no learner models.
 
-A user's faults are not those that a learner expects. So every learner runs every case of `family_cases`, all on the same noise,
-and its error is compared with that of an oracle: fixed precision that is told which samples are faulty and leaves them out.
+Real faults differ from those that a learner models. So every learner runs every case of `CASES`, all on the same noise, and its
+error is compared with that of an oracle: fixed precision without the faulty samples.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
 from bayesftc.reproduce.shared.runner import Report, experiment
 
 LOST = 1e9
-"""Times the oracle's error: a run with more has lost its plant, as one that could not go on."""
+"""Multiple of the oracle's error at which a run has lost its plant, like a run that stopped."""
 RESAMPLES = 2_000
-"""Of the bootstrap: an interval's ends are then known to a few percent of its width."""
+"""Number of bootstrap samples: the ends of an interval are then known to a few percent of its width."""
 Learners = Mapping[str, controllers.PrecisionLearner]
 
 
 class Runs(NamedTuple):
     """The runs of one learner in one case."""
 
-    # Of shape (runs,): root-mean-square error of the goal output in each whole run; infinite if the run could not go on.
+    # Of shape (runs,): root-mean-square error of the goal output in each run; infinite if the run stopped.
     rmse: Floats
-    # All alarms of all sensors; None of a learner that says neither a probability nor a detection.
+    # All alarms of all sensors; None for a learner without a probability or a detection.
     alarms: Alarms | None
 
 
@@ -53,11 +53,11 @@ class Runs(NamedTuple):
     Family,
     options="""
     cases : iterable of str or Case, optional
-        Which cases: names or patterns as ``"freeze*"``, or cases of your own; by default all.
+        Names or patterns such as ``"freeze*"``, or your own cases; by default all.
     learners : mapping of str to PrecisionLearner, or iterable of str, optional
-        Learners by name, or names or patterns of those of the package; by default all.
+        Learners by name, or names or patterns of the package's learners; by default all.
     unseen : int, optional
-        So many cases that are drawn at random instead, on which nothing has been tuned; see `unseen_cases`.""",
+        Number of random cases to use instead, which were not used for tuning; see `unseen_cases`.""",
 )
 def run(
     ensemble: Ensemble,
@@ -67,19 +67,19 @@ def run(
     learners: Learners | Iterable[str] | str | None = None,
     unseen: int | None = None,
 ) -> Report:
-    """Run learners in cases, the first run with the seed and each further one with the next.
+    """Run learners in cases, the first run with the seed and each further run with the next seed.
 
-    The settings say on which seeds learners are tuned and judged. It is an error if there are both unseen and other cases, the
-    oracle itself loses the plant in a case, or a pattern fits no case or no learner (`UnknownNameError`).
+    The settings have the seeds for tuning and for evaluating learners. It is an error if both unseen and other cases are given,
+    if the oracle itself loses the plant in a case, or if a pattern matches no case or learner (`UnknownNameError`).
     """
-    known = chosen_learners(learners)
+    named_learners = chosen_learners(learners)
     chosen = chosen_cases(cases) if unseen is None else []
     if unseen is not None:
-        check_size("unseen", unseen, 1, "of cases that are drawn")
+        check_size("unseen", unseen, 1, "the number of random cases")
         if cases is not None:
-            raise ModelError("family got both unseen and cases; give one of them.")
-    elif not chosen or not known:
-        raise ModelError("family has no case or no learner to run; name one at least, or leave cases and learners out.")
+            raise ModelError("family has both unseen and cases. Give only one of them.")
+    elif not chosen or not named_learners:
+        raise ModelError("family has no case or no learner to run. Name at least one, or leave out cases and learners.")
     bench = _Bench(settings, ensemble, list(range(ensemble.seed, ensemble.seed + settings.runs)))
     if unseen is not None:
         chosen = bench.draw(unseen)
@@ -87,24 +87,24 @@ def run(
     for case in chosen:
         if not np.isfinite(oracle[case.name].rmse).all():
             raise ModelError(
-                f"The oracle loses the plant in the case {case.name!r}, so there is nothing to compare with; leave more sensors "
+                f"The oracle loses the plant in the case {case.name!r}, so there is nothing to compare with. Leave more sensors "
                 "healthy, or make the faults shorter."
             )
-    found = {name: bench.measure(name, chosen, learner) for name, learner in known.items()}
+    found = {name: bench.measure(name, chosen, learner) for name, learner in named_learners.items()}
     table = {
-        case.name: {name: _entry(found[name][case.name], oracle[case.name], settings.bar) for name in known}
+        case.name: {name: _entry(found[name][case.name], oracle[case.name], settings.bar) for name in named_learners}
         for case in chosen
     }
     report: dict[str, Any] = without_nan(
         {
             "settings": {
-                "learners": {name: repr(learner) for name, learner in known.items()},
+                "learners": {name: repr(learner) for name, learner in named_learners.items()},
                 "cases": {case.name: repr(case) for case in chosen},
             },
             "groups": {case.name: case.group for case in chosen},
             "oracle": {case.name: _rms(oracle[case.name].rmse) for case in chosen},
             "table": table,
-            "summary": {name: _summary(name, table, settings) for name in known},
+            "summary": {name: _summary(name, table, settings) for name in named_learners},
         }
     )
     return report
@@ -120,35 +120,35 @@ def chosen_learners(given: Learners | Iterable[str] | str | None) -> dict[str, c
     """Return learners by name, see `run`."""
     if isinstance(given, Mapping):
         if not given or not all(isinstance(learner, controllers.PrecisionLearner) for learner in given.values()):
-            raise ModelError(f"learners is {given!r}; it must have at least one precision learner, by its name.")
+            raise ModelError(f"learners is {given!r}. It must have at least one precision learner, by its name.")
         return dict(given)
-    known = all_learners()
-    return {name: known[name] for name in _fitting("learner", given, list(known))}
+    named_learners = all_learners()
+    return {name: named_learners[name] for name in _fitting("learner", given, list(named_learners))}
 
 
 def chosen_cases(given: Iterable[str | Case] | str | None) -> list[Case]:
     """Return cases, see `run`."""
-    own = [] if given is None or isinstance(given, str) else [case for case in given if isinstance(case, Case)]
+    own_cases = [] if given is None or isinstance(given, str) else [case for case in given if isinstance(case, Case)]
     names = given if given is None or isinstance(given, str) else [case for case in given if isinstance(case, str)]
-    known = {case.name: case for case in CASES}
-    fitting = [] if own and not names else _fitting("case", names, list(known))
-    return [known[name] for name in fitting] + own
+    cases_by_name = {case.name: case for case in CASES}
+    fitting = [] if own_cases and not names else _fitting("case", names, list(cases_by_name))
+    return [cases_by_name[name] for name in fitting] + own_cases
 
 
-def _fitting(what: str, patterns: Iterable[str] | str | None, known: Sequence[str]) -> list[str]:
-    """Return the names that one of the patterns fits, whatever the case of their letters, in the order of the names."""
+def _fitting(what: str, patterns: Iterable[str] | str | None, names: Sequence[str]) -> list[str]:
+    """Return the names that match one of the patterns, ignoring case, in the order of the names."""
     if patterns is None:
-        return list(known)
+        return list(names)
     given = [patterns] if isinstance(patterns, str) else list(patterns)
     for pattern in given:
-        if not any(fnmatchcase(name.lower(), pattern.lower()) for name in known):
-            raise UnknownNameError(f"There is no {what} {pattern!r}; {did_you_mean(pattern, known)}")
-    return [name for name in known if any(fnmatchcase(name.lower(), pattern.lower()) for pattern in given)]
+        if not any(fnmatchcase(name.lower(), pattern.lower()) for name in names):
+            raise UnknownNameError(f"There is no {what} {pattern!r}; {did_you_mean(pattern, names)}")
+    return [name for name in names if any(fnmatchcase(name.lower(), pattern.lower()) for pattern in given)]
 
 
 @dataclass(frozen=True)
 class _Bench:
-    """Runs learners in cases."""
+    """Runs of learners in cases."""
 
     settings: Family
     ensemble: Ensemble
@@ -156,10 +156,10 @@ class _Bench:
 
     def oracle(self, cases: Sequence[Case]) -> dict[str, Runs]:
         """Return all runs of the oracle by case."""
-        return self.measure(ORACLE, cases, controllers.FixedPrecision(), told=True)
+        return self.measure(ORACLE, cases, controllers.FixedPrecision(), drop_faulty=True)
 
     def draw(self, count: int) -> list[Case]:
-        """Return cases that are drawn at random, in each of which the oracle keeps the plant; others are drawn again."""
+        """Return random cases; those in which the oracle loses the plant are replaced."""
         drawn, kept = unseen_cases(self.settings.unseen_seed), list[Case]()
         while len(kept) < count:
             few = list(islice(drawn, count - len(kept)))
@@ -169,18 +169,18 @@ class _Bench:
         return kept
 
     def measure(
-        self, name: str, cases: Sequence[Case], learner: controllers.PrecisionLearner, *, told: bool = False
+        self, name: str, cases: Sequence[Case], learner: controllers.PrecisionLearner, *, drop_faulty: bool = False
     ) -> dict[str, Runs]:
-        """Return all runs of a learner by case; if `told`, the samples of faulty sensors are missing."""
-        loops = {case.name: family_loop(case, learner, told=told) for case in cases}
-        signal = None if told else alarm_signal(next(iter(loops.values())), learner)
+        """Return all runs of a learner by case; with `drop_faulty`, the samples of faulty sensors are missing."""
+        loops = {case.name: family_loop(case, learner, drop_faulty=drop_faulty) for case in cases}
+        signal = None if drop_faulty else alarm_signal(next(iter(loops.values())), learner)
         batches = {case.name: Batch(loops[case.name], self.seeds, partial(_run, case, signal)) for case in cases}
         every, _ = self.ensemble.each(name, batches, CHUNK)
         return {case: _pooled(parts) for case, parts in every.items()}
 
 
 def alarm_signal(loop: cosim.Diagram, learner: controllers.PrecisionLearner) -> str | None:
-    """Return the signal that tells of faults: a probability or a detection; None if a learner says neither."""
+    """Return the signal that indicates faults, a probability or a detection; None if a learner has neither."""
     if learner.why_no_probability is None:
         return "controller.fault_probability"
     detected = any(port.name == "detected" for port in learner.learner(_model(loop)).ports)
@@ -192,7 +192,7 @@ def _model(loop: cosim.Diagram) -> controllers.LinearModel:
 
 
 def _run(case: Case, signal: str | None, loop: cosim.Diagram, seeds: Sequence[int]) -> Runs:
-    """Make runs of one cell; one that cannot go on has lost its plant, and the others are made without it."""
+    """Make runs of one cell; a run that stops has lost its plant, and the others are repeated without it."""
     try:
         return _judged(case, loop, seeds, signal)
     except SimulationError:
@@ -221,7 +221,7 @@ def _rms(errors: Floats) -> float:
 
 
 def _entry(runs: Runs, oracle: Runs, bar: float) -> dict[str, Any]:
-    """Return what the report has of a cell; of runs that have lost their plant there is no ratio."""
+    """Return the report's entry of a cell, without a ratio if a run has lost its plant."""
     lost = int((~(runs.rmse < LOST * oracle.rmse)).sum())
     nothing = {"ratio": NAN, "ratio_ci": [NAN, NAN], "n": len(runs.rmse)}
     entry = nothing if lost else rms_ratio(runs.rmse, oracle.rmse, resamples=RESAMPLES)
@@ -237,7 +237,7 @@ def _entry(runs: Runs, oracle: Runs, bar: float) -> dict[str, Any]:
 
 
 def _summary(name: str, table: Mapping[str, Mapping[str, Any]], settings: Family) -> dict[str, Any]:
-    """Return in which cases a learner is at its worst, above the bar, and further behind the best one than allowed."""
+    """Return a learner's worst case, the cases above the bar, and those where it is too far behind the best learner."""
     ratios = {case: ratio_of(cells[name]) for case, cells in table.items()}
     best = {case: min(ratio_of(cell) for cell in cells.values()) for case, cells in table.items()}
     worst = max(ratios, key=ratios.__getitem__)

@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce family`` prints."""
+"""The printed output of ``bayesftc reproduce family``."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 MARK = "*"
-"""Stands behind a ratio above the bar."""
+"""The mark of a ratio above the bar."""
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield the errors over the oracle's, the false alarms and delays of those who tell, and the worst case of each learner."""
+    """Yield the errors relative to the oracle, false alarms and delays of detecting learners, and each learner's worst case."""
     settings, cells = report["settings"], report["table"]
     learners = list(settings["learners"])
     title = f"root-mean-square error over that of the oracle, {settings['runs']} runs a case ({MARK}: above {settings['bar']:g})"
@@ -64,7 +64,7 @@ def _worst(figures: Figures) -> str:
 
 
 def shown_ratio(ratio: float) -> str:
-    """Return a ratio with as many digits as are worth reading."""
+    """Return a ratio with two decimals, or none if it is large."""
     return f"{ratio:{'.2f' if ratio < 100.0 else '.0f'}}"
 
 

@@ -1,7 +1,7 @@
-"""Cases of the family that nobody has chosen: plant, sensors, faults, sizes and times are drawn at random, by a seed.
+"""Random cases of the family: plant, sensors, faults, sizes and times depend on a seed.
 
-Learners are judged on them; no setting of a learner is tuned on them. To let another kind of fault be drawn, say in `KINDS` how
-its settings are.
+They serve for evaluation; no setting of a learner is tuned on them. To add a kind of fault, add the distributions of its settings
+to `KINDS`.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from bayesftc.cosim.random import check_seed
 from bayesftc.reproduce.experiments.family.cases import CAR, PLANTS, Case, added_noise
 
 SENSORS = (2, 3)
-"""Of each measured output."""
+"""Possible numbers of sensors of each measured output."""
 TWO = 0.2
 """Share of the cases with faults of two sensors."""
 LATEST = 0.8
 """Share of a run after which no fault begins."""
 LENGTHS = (0.05, 0.8)
-"""Of a fault, in runs."""
+"""Shortest and longest fault, as shares of a run."""
 DIGITS = 3
-"""Of every number that is drawn, so that a case can be read."""
+"""Significant digits of every random number, so that cases are readable."""
 
 RANGES: Mapping[str, tuple[tuple[float, float], ...]] = {
     CAR: ((15.0, 25.0),),
@@ -36,33 +36,33 @@ RANGES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "turbine": ((0.6, 0.7),),
     "arm": ((-1.87, -1.27), (-0.003, 0.003)),
 }
-"""Between which values each measured output of a plant goes while its sensors are healthy, about."""
+"""Approximate range of each measured output of a plant with healthy sensors."""
 
 
 @dataclass(frozen=True)
 class Draw:
     """Random numbers for a fault of one sensor."""
 
-    random: np.random.Generator = field(repr=False)  # where they come from
+    random: np.random.Generator = field(repr=False)
     sd: float  # standard deviation of the sensor
-    # Between which values it goes.
+    # Range of its output.
     low: float
     high: float
 
     def uniform(self, low: float, high: float) -> float:
-        """Return a number between two."""
+        """Return a uniform number of a range."""
         return rounded(self.random.uniform(low, high))
 
     def size(self, low: float, high: float) -> float:
-        """Return a positive number between two, of any order of magnitude alike."""
+        """Return a positive number of a range, with a uniform logarithm."""
         return rounded(float(np.exp(self.random.uniform(np.log(low), np.log(high)))))
 
     def sds(self, low: float, high: float) -> float:
-        """Return such a number of standard deviations of the sensor, in its unit."""
+        """Return such a number in standard deviations of the sensor, in the sensor's unit."""
         return rounded(self.size(low, high) * self.sd)
 
     def either(self, *of: Any) -> Any:
-        """Return one of several things."""
+        """Return one of several values."""
         return of[int(self.random.integers(len(of)))]
 
 
@@ -102,12 +102,12 @@ KINDS: Mapping[type[cosim.Fault], Callable[[Draw], dict[str, Any]]] = {
     cosim.Lag: lambda draw: {"time_constant": draw.size(0.03, 3)},
     cosim.Delay: lambda draw: {"delay": draw.size(0.03, 3)},
 }
-"""How the settings of each kind of fault are drawn; a bias is there from the first step on. Sizes are from half a standard
-deviation, below which little can be lost, to thirty; times from a sample or two to a good part of a run."""
+"""The random settings of each kind of fault; a bias is present from the first step on. Sizes are from half a standard deviation,
+below which a fault has little effect, to thirty; times are from a sample or two to a large part of a run."""
 
 
 def unseen_cases(seed: int) -> Iterator[Case]:
-    """Give cases without end, the same for the same seed; the noise of the runs has seeds of its own."""
+    """Give an endless sequence of cases, the same for the same seed; the noise of the runs has separate seeds."""
     check_seed(seed)
     for number in count(1):
         random = np.random.default_rng([seed, number])

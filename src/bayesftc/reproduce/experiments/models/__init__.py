@@ -1,1 +1,1 @@
-"""Beyond the paper: learners where the model is wrong."""
+"""Beyond the paper: learners with a wrong model."""

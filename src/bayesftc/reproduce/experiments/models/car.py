@@ -1,4 +1,4 @@
-"""The car, the road and the sensors as they are, which need not be as the controller believes."""
+"""The true car, road and sensors, which can differ from the controller's model."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ def _look(speed, v):
     v[0] = speed[0]
 
 
-def _move(force, disturbance, speed, engine, sent, h, mass, drag, quadratic, pull, limit, follows):
+def _move(force, disturbance, speed, engine, sent, h, mass, drag, quadratic, slope_force, limit, follows):
     last = sent.shape[0] - 1
     sent[last] = force[0]
-    v, told = speed[0], maximum(minimum(sent[0], limit[0]), -limit[0])
+    v, limited = speed[0], maximum(minimum(sent[0], limit[0]), -limit[0])
     for k in range(last):
         sent[k] = sent[k + 1]
-    engine[0] = select(follows[0] >= 1.0, told, engine[0] + follows[0] * (told - engine[0]))
-    pushed = engine[0] - quadratic[0] * v * absolute(v) - pull[0]
-    speed[0] = (1.0 - drag[0] / mass[0] * h[0]) * v + h[0] / mass[0] * pushed + disturbance[0]
+    engine[0] = select(follows[0] >= 1.0, limited, engine[0] + follows[0] * (limited - engine[0]))
+    net_force = engine[0] - quadratic[0] * v * absolute(v) - slope_force[0]
+    speed[0] = (1.0 - drag[0] / mass[0] * h[0]) * v + h[0] / mass[0] * net_force + disturbance[0]
 
 
 @dataclass(frozen=True)
 class TrueCar(Block):
-    """``v <- (1 - b/m h) v + h/m (force - c v |v| - m g sin(slope)) + disturbance``; the force is limited, late and lags behind.
+    """``v <- (1 - b/m h) v + h/m (force - c v |v| - m g sin(slope)) + disturbance``, with limit, delay and lag of the force.
 
-    With the defaults for all that stands below `drag` it is the FMU ``CruiseControl``, bit for bit.
+    With the defaults of the arguments after `drag` it equals the FMU ``CruiseControl``, bit for bit.
     """
 
     start_speed: float  # m/s
@@ -49,15 +49,15 @@ class TrueCar(Block):
     drag: float  # b, in N s/m
     quadratic_drag: float = 0.0  # c, in N s^2/m^2
     slope: float = 0.0  # of the road, rise over run
-    force_limit: float = inf  # N, to both sides
-    lag: float = 0.0  # time constant in s with which the force follows what is asked for
-    delay: int = 0  # samples by which it comes late
+    force_limit: float = inf  # N, in both directions
+    lag: float = 0.0  # time constant of the force in s
+    delay: int = 0  # delay of the force in samples
 
     checks_finite = True
 
     @property
     def inputs(self) -> tuple[Port, ...]:
-        """Inputs ``force`` (N) and ``disturbance`` (m/s a step)."""
+        """Inputs ``force`` (N) and ``disturbance`` (m/s per step)."""
         return (
             Port("force", unit="N", feedthrough=False),
             Port("disturbance", unit="m/s", feedthrough=False, default=0.0),
@@ -75,7 +75,7 @@ class TrueCar(Block):
             "mass": self.mass,
             "drag": self.drag,
             "quadratic": self.quadratic_drag,
-            "pull": self.mass * GRAVITY * sin(atan(self.slope)),
+            "slope_force": self.mass * GRAVITY * sin(atan(self.slope)),
             "limit": self.force_limit,
             "follows": 1.0 - exp(-float(step) / self.lag) if self.lag else 1.0,
         }
@@ -85,23 +85,23 @@ class TrueCar(Block):
 
 @dataclass(frozen=True)
 class Condition:
-    """What is not as the controller believes."""
+    """A difference from the controller's model."""
 
-    text: str  # in words
-    label: str  # in few words, as they stand in figures
+    text: str  # description
+    label: str  # short description for figures
     car: Mapping[str, float] = field(default_factory=dict)  # parameters of `TrueCar` that differ
-    noise: float = 1.0  # true standard deviation of the sensors over the believed one
+    noise: float = 1.0  # true standard deviation of the sensors relative to the model's
     ageing: float = 1.0  # the same at the end of the run, up to which the noise grows
-    known_limit: bool = False  # whether the controller knows the limit of the force
+    known_limit: bool = False  # whether the controller has the limit of the force
 
 
 RIGHT = "right"
-"""The condition in which all is as the controller believes."""
+"""The condition without a difference."""
 
 
 def conditions(settings: Models, car: Car) -> dict[str, Condition]:
-    """Return the conditions by name: of words of at most five letters, which head the columns of the tables."""
-    s, times = settings, "times the believed one"
+    """Return the conditions by name: words of at most five letters, which are the heads of columns."""
+    s, times = settings, "times the model's"
     limit = {"force_limit": s.force_limit}
 
     def mass(factor: float) -> Condition:
@@ -110,14 +110,14 @@ def conditions(settings: Models, car: Car) -> dict[str, Condition]:
     def noise(factor: float) -> Condition:
         return Condition(f"the sensors' sd is {factor:g} {times}", f"sensor noise x {factor:g}", noise=factor)
 
-    drag = f"a drag of {s.quadratic_drag:g} N s^2/m^2 times the squared speed on top"
+    drag = f"an additional drag of {s.quadratic_drag:g} N s^2/m^2 times the squared speed"
     worn = f"the sensors' sd grows to {s.ageing:g} {times}"
-    lag = f"the force follows what is asked for with a time constant of {s.lag:g} s"
-    late, samples = f"the force comes {s.delay:g} s late", round(s.delay / car.step)
-    limited = f"the actuator gives no more than {s.force_limit:g} N to either side"
-    known = "the same, and the controller knows the limit"
+    lag = f"the force has a lag with a time constant of {s.lag:g} s"
+    late, samples = f"the force has a delay of {s.delay:g} s", round(s.delay / car.step)
+    limited = f"the actuator is limited to {s.force_limit:g} N in both directions"
+    with_limit = "the same, and the controller has the limit"
     return {
-        RIGHT: Condition("all is as the controller believes", "all as believed"),
+        RIGHT: Condition("all is as in the controller's model", "model right"),
         "mass up": mass(s.heavier),
         "mass down": mass(s.lighter),
         "drag": Condition(drag, "further drag", {"quadratic_drag": s.quadratic_drag}),
@@ -127,22 +127,22 @@ def conditions(settings: Models, car: Car) -> dict[str, Condition]:
         "worn": Condition(worn, f"noise grows to x {s.ageing:g}", ageing=s.ageing),
         "lag": Condition(lag, f"lag of {s.lag:g} s", {"lag": s.lag}),
         "late": Condition(late, f"delay of {s.delay:g} s", {"delay": samples}),
-        UNKNOWN_LIMIT: Condition(limited, "force limit, untold", limit),
-        "sat. told": Condition(known, "force limit, told", limit, known_limit=True),
+        UNKNOWN_LIMIT: Condition(limited, "force limit, unknown", limit),
+        "sat. told": Condition(with_limit, "force limit, known", limit, known_limit=True),
     }
 
 
 UNKNOWN_LIMIT = "sat."
-"""The condition that no estimate of a disturbance mends: see the page on reproduction."""
+"""The condition for which no estimate of a disturbance helps: see the page on reproduction."""
 
 
 def believed(settings: Models, car: Car) -> dict[str, controllers.LinearModel]:
-    """Return the controller's models: as it is, and with a force that it does not know of estimated besides."""
+    """Return the controller's models: unchanged, and with an unknown force that is also estimated."""
     return {"as it is": model(car), "with disturbance": disturbed(settings, car, settings.unmodelled_time)}
 
 
 def disturbed(settings: Models, car: Car, time: float) -> controllers.LinearModel:
-    """Return the model with an unknown force whose random walk goes as far as it may be large within `time` seconds."""
+    """Return the model with an unknown force, whose random walk reaches its standard deviation within `time` seconds."""
     return model(car).with_disturbance(settings.unmodelled_force**2 * car.step / time)
 
 
@@ -172,15 +172,15 @@ def loop(
     learner: controllers.PrecisionLearner,
     faults: Sequence[cosim.Fault] = (),
 ) -> cosim.Diagram:
-    """Return the car of a condition under a controller that believes in a model; car and belief start on the reference."""
+    """Return the car of a condition with a controller's model; car and belief start on the reference."""
     s, std = settings, car.sensor_variance**0.5
     limit = s.force_limit if condition.known_limit else inf
-    own: dict[str, Any] = {"mass": car.mass, "drag": car.drag, **condition.car}
-    # Noise of growing variance: at the end its own and what is added make up the sd that is asked for.
+    parameters: dict[str, Any] = {"mass": car.mass, "drag": car.drag, **condition.car}
+    # At the end of the run the noise and the added growing noise have the requested standard deviation together.
     growth = std * (condition.ageing**2 - 1.0) ** 0.5 / s.duration
     ageing = [cosim.NoiseGrowth(slope=growth, sensor=i) for i in range(car.sensors)] if growth else []
     return cosim.closed_loop(
-        TrueCar(s.mean_speed, **own),
+        TrueCar(s.mean_speed, **parameters),
         _controller(believed, learner, s.mean_speed, (car.initial_variance, s.unmodelled_force**2), limit),
         control="force",
         measured="v",

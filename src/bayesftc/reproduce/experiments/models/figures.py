@@ -17,17 +17,17 @@ MODELS = {
     "as it is": "the controller estimates the speed",
     "with disturbance": "the controller estimates the speed and an unknown force",
 }
-"""What the controller's models are, in words."""
+"""Descriptions of the controller's models."""
 
 
 def healthy(report: dict[str, Any]) -> Figure:
-    """Return the heat maps of the errors over fixed precision's with healthy sensors."""
+    """Return the heat maps of the errors relative to fixed precision with healthy sensors."""
     title = "Healthy sensors: tracking error over that of fixed precision (No FT); red is worse, blue is better"
     return _maps(report, [HEALTHY], title, "{:.2f}", 4.0, columns=1)
 
 
 def failed(report: dict[str, Any]) -> Figure:
-    """Return the heat maps of the errors over the oracle's with one sensor failed."""
+    """Return the heat maps of the errors relative to the oracle with one sensor failed."""
     cases = list(next(iter(next(iter(report["oracle"].values())).values())))
     start, stop = (report["settings"][f"fault_{what}"] for what in ("start", "stop"))
     when = f"from {start:g} to {stop:g} s of {report['settings']['duration']:g} s"

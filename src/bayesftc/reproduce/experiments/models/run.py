@@ -1,8 +1,8 @@
-"""Beyond the paper: whether learners blame healthy sensors where the model is wrong.
+"""Beyond the paper: whether learners detect faults of healthy sensors if the model is wrong.
 
-The paper's 'ageing and other non-fault phenomena': each technique tracks with a car, a road or sensors that are not as the
-controller believes, with healthy sensors and with one that fails, with the controller's model as it is and with a force that it
-does not know of estimated besides.
+These are the paper's 'ageing and other non-fault phenomena'. Each technique tracks with a car, a road or sensors that differ from
+the controller's model, with healthy sensors and with one that fails. The controller's model is unchanged, or also has an unknown
+force that is estimated.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from bayesftc.reproduce.shared.residuals import SWITCHING
 from bayesftc.reproduce.shared.runner import Report, experiment
 
 FIXED = "No FT"
-"""Fixed precision, with which all techniques are compared where the sensors are healthy."""
+"""Fixed precision, with which all techniques are compared if the sensors are healthy."""
 
 
 class Detector(NamedTuple):
-    """When a learner says that a sensor is faulty."""
+    """The signal and the threshold of a learner's alarms."""
 
-    # What of the controller tells: ``fault_probability``, ``detected``, or ``precision`` (the less, the more it looks faulty).
+    # A signal of the controller: ``fault_probability``, ``detected``, or ``precision`` (a low one indicates a fault).
     signal: str
     threshold: float = ALARM  # the least score of an alarm: of the signal, or of the negative precision
 
@@ -54,16 +54,16 @@ class Detector(NamedTuple):
         return f"controller.{self.signal}"
 
     def score(self, result: cosim.Result) -> Floats:
-        """Return what is the higher the more a sample looks faulty."""
+        """Return the score, which is higher for more suspicious samples."""
         return -result[self.record] if self.signal == "precision" else result[self.record]
 
 
 ACTUATOR = Detector("actuator_fault_probability")
-"""When a learner with modes of actuators blames one of those."""
+"""The detector of actuator faults, for learners with actuator modes."""
 
 
 Detectors = tuple[Detector | None, Detector | None]
-"""Of faults of sensors, and of those of the actuator."""
+"""The detectors of sensor faults and of actuator faults."""
 NOTHING: Detectors = (None, None)
 
 
@@ -78,7 +78,7 @@ class Runs(NamedTuple):
 
 @dataclass(frozen=True)
 class Cell:
-    """A loop that is run: with which model, in which condition, with which fault, under which technique."""
+    """A loop: its model, condition, fault and technique."""
 
     model: str
     condition: str
@@ -86,28 +86,30 @@ class Cell:
     technique: str
 
     def over(self, technique: str) -> Cell:
-        """Return the same under another technique."""
+        """Return the same cell with another technique."""
         return replace(self, technique=technique)
 
 
 @experiment(Models, car=Car)
 def run(ensemble: Ensemble, settings: Models, car: Car, *, beyond: bool) -> Report:
-    """Run every technique in every condition; beyond the paper are further techniques, and other disturbances (``grid``)."""
-    known = learners(beyond)
+    """Run every technique in every condition; further techniques and disturbances (``grid``) are beyond the paper."""
+    named_learners = learners(beyond)
     bench = _Bench(settings, car, ensemble, conditions(settings, car), believed(settings, car))
-    detectors = bench.detectors(known)
-    found = bench.measure("Wrong models", bench.cells(bench.models, (HEALTHY, *bench.faults), known), known, detectors)
+    detectors = bench.detectors(named_learners)
+    found = bench.measure(
+        "Wrong models", bench.cells(bench.models, (HEALTHY, *bench.faults), named_learners), named_learners, detectors
+    )
     table: dict[str, Any] = {m: {c: {} for c in bench.conditions} for m in bench.models}
-    for cell, its in found.items():
+    for cell, runs in found.items():
         if cell.technique != ORACLE:
-            entry = _errors(its, found[cell.over(FIXED if cell.case == HEALTHY else ORACLE)])
+            entry = _errors(runs, found[cell.over(FIXED if cell.case == HEALTHY else ORACLE)])
             if cell.case == HEALTHY:
                 for kind in ("alarms", "actuator_alarms"):
-                    entry[kind] = None if (alarms := getattr(its, kind)) is None else alarms.to_dict()
+                    entry[kind] = None if (alarms := getattr(runs, kind)) is None else alarms.to_dict()
             table[cell.model][cell.condition].setdefault(cell.technique, {})[cell.case] = entry
     return {
         "settings": {
-            "techniques": {name: repr(learner) for name, learner in known.items()},
+            "techniques": {name: repr(learner) for name, learner in named_learners.items()},
             "conditions": {name: condition.text for name, condition in bench.conditions.items()},
             "labels": {name: condition.label for name, condition in bench.conditions.items()},
         },
@@ -119,20 +121,20 @@ def run(ensemble: Ensemble, settings: Models, car: Car, *, beyond: bool) -> Repo
             }
             for m in bench.models
         },
-        "detectors": {m: {n: d._asdict() for n in known if (d := detectors[m, n])} for m in bench.models},
+        "detectors": {m: {n: d._asdict() for n in named_learners if (d := detectors[m, n])} for m in bench.models},
         "above_the_bar": _above(table, settings.bar),
-        "grid": _grid(bench, known) if beyond else None,
+        "grid": _grid(bench, named_learners) if beyond else None,
     }
 
 
 def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
-    """Return the tracking experiment's techniques, and those that may blame sensors only, or actuators as well."""
-    known = techniques(Tracking())
+    """Return the tracking experiment's techniques, and learners with modes only of sensors, or also of actuators."""
+    named_learners = techniques(Tracking())
     if not beyond:
-        return {name: known[name] for name in PAPERS}
+        return {name: named_learners[name] for name in PAPERS}
     modes = [controllers.InputOffset(), controllers.LostEffect(), controllers.StuckActuator()]
     given = {"input offset": modes[:1], "actuator modes": modes}
-    return known | {
+    return named_learners | {
         f"{SWITCHING}, sensors only": controllers.SwitchingPrecision(process_modes=()),
         **{f"{SWITCHING}, {name}": controllers.SwitchingPrecision(actuator_modes=of) for name, of in given.items()},
     }
@@ -140,7 +142,7 @@ def learners(beyond: bool) -> dict[str, controllers.PrecisionLearner]:
 
 @dataclass(frozen=True)
 class _Bench:
-    """Runs techniques in all conditions."""
+    """Runs of techniques in all conditions."""
 
     settings: Models
     car: Car
@@ -165,47 +167,51 @@ class _Bench:
         learner: controllers.PrecisionLearner,
         case: str = HEALTHY,
         *,
-        told: bool = False,
+        drop_faulty: bool = False,
     ) -> cosim.Diagram:
-        """Return a loop; if `told`, the faulty sensor's samples are missing."""
+        """Return a loop; with `drop_faulty`, the faulty sensor's samples are missing."""
         faults = [] if case == HEALTHY else [self.faults[case]]
-        if told:
+        if drop_faulty:
             faults += [cosim.Dropout(sensor=f.sensor, start=f.start, stop=f.stop) for f in faults]
         return loop(self.settings, self.car, self.conditions[condition], self.models[model], learner, faults)
 
-    def detectors(self, known: Mapping[str, controllers.PrecisionLearner]) -> dict[tuple[str, str], Detector | None]:
-        """Return by model and technique what counts as an alarm; None if nothing does.
+    def detectors(
+        self, named_learners: Mapping[str, controllers.PrecisionLearner]
+    ) -> dict[tuple[str, str], Detector | None]:
+        """Return the detector by model and technique; None if there is none.
 
-        That is what a learner says itself, by a probability or a detection. One that says nothing is taken at its precision,
-        at a threshold that is set with the right model and healthy sensors.
+        It uses the learner's probability or detection. For a learner without these it uses the precision, with a threshold that
+        is set with the right model and healthy sensors.
         """
         s = self.settings
-        found = {(m, n): _own_detector(known[n], self.models[m]) for m, n in product(self.models, known)}
+        found = {
+            (m, n): _own_detector(named_learners[n], self.models[m]) for m, n in product(self.models, named_learners)
+        }
         own = self.ensemble.seeds("models/thresholds", s.threshold_runs)
         for (m, n), detector in found.items():
             if detector is not None and detector.signal == "precision":
-                loop = self.loop(m, RIGHT, known[n])
+                loop = self.loop(m, RIGHT, named_learners[n])
                 batch = Batch(loop, own, partial(_scores, s.duration, detector))
                 scores = [score for part in self.ensemble.one("Thresholds", batch, CHUNK) for score in part]
                 level = alarm_threshold(scores, step=self.car.step, per_hour=s.alarms_per_hour)
                 found[m, n] = detector._replace(threshold=level)
         return found
 
-    def cells(self, models: Iterable[str], cases: Iterable[str], known: Iterable[str]) -> list[Cell]:
-        """Return the cells of every technique in every condition, and of the oracle where there is a fault."""
-        cells = [Cell(*of) for of in product(models, self.conditions, cases, [*known, ORACLE])]
+    def cells(self, models: Iterable[str], cases: Iterable[str], named_learners: Iterable[str]) -> list[Cell]:
+        """Return the cells of every technique in every condition, and of the oracle if there is a fault."""
+        cells = [Cell(*of) for of in product(models, self.conditions, cases, [*named_learners, ORACLE])]
         return [cell for cell in cells if cell.technique != ORACLE or cell.case != HEALTHY]
 
     def measure(
         self,
         what: str,
         cells: Sequence[Cell],
-        known: Mapping[str, controllers.PrecisionLearner],
+        named_learners: Mapping[str, controllers.PrecisionLearner],
         detectors: Mapping[tuple[str, str], Detector | None],
     ) -> dict[Cell, Runs]:
-        """Return all runs of cells; each case has its noise, whatever model, condition and technique."""
+        """Return all runs of cells; all models, conditions and techniques of a case have the same noise."""
         s = self.settings
-        learners = {**known, ORACLE: controllers.FixedPrecision()}
+        learners = {**named_learners, ORACLE: controllers.FixedPrecision()}
         runs = {case: s.runs * (s.healthy_factor if case == HEALTHY else 1) for case in (HEALTHY, *self.faults)}
         seeds = {case: self.ensemble.seeds(f"models/{case}", runs[case]) for case in runs}
         batches = {}
@@ -214,21 +220,21 @@ class _Bench:
             if c.case == HEALTHY:
                 blames = ACTUATOR.signal in {port.name for port in learner.learner(self.models[c.model]).ports}
                 watched = (detectors.get((c.model, c.technique)), ACTUATOR if blames else None)
-            loop = self.loop(c.model, c.condition, learner, c.case, told=c.technique == ORACLE)
+            loop = self.loop(c.model, c.condition, learner, c.case, drop_faulty=c.technique == ORACLE)
             batches[c] = Batch(loop, seeds[c.case], partial(_run, s.duration, watched))
         every, _ = self.ensemble.each(what, batches, CHUNK)
         return {cell: _pooled(parts) for cell, parts in every.items()}
 
 
-def _grid(bench: _Bench, known: Mapping[str, controllers.PrecisionLearner]) -> dict[str, Any]:
-    """Return the errors with healthy sensors where the estimated disturbance changes faster or slower."""
+def _grid(bench: _Bench, named_learners: Mapping[str, controllers.PrecisionLearner]) -> dict[str, Any]:
+    """Return the errors with healthy sensors if the estimated disturbance changes faster or slower."""
     s = bench.settings
     models = {f"{time:g}": disturbed(s, bench.car, time) for time in s.unmodelled_times}
     fewer = replace(bench, settings=replace(s, healthy_factor=1), models=models)
-    found = fewer.measure("Other disturbances", fewer.cells(models, [HEALTHY], known), known, {})
+    found = fewer.measure("Other disturbances", fewer.cells(models, [HEALTHY], named_learners), named_learners, {})
     return {
         time: {
-            c: {n: _errors(found[cell := Cell(time, c, HEALTHY, n)], found[cell.over(FIXED)]) for n in known}
+            c: {n: _errors(found[cell := Cell(time, c, HEALTHY, n)], found[cell.over(FIXED)]) for n in named_learners}
             for c in fewer.conditions
         }
         for time in models
@@ -236,7 +242,7 @@ def _grid(bench: _Bench, known: Mapping[str, controllers.PrecisionLearner]) -> d
 
 
 def _own_detector(learner: controllers.PrecisionLearner, model: controllers.LinearModel) -> Detector | None:
-    """Return what a learner says by itself, or its precision with a threshold that is still to be found."""
+    """Return a learner's own detector, or its precision with a threshold that is not yet set."""
     if learner.why_no_probability is None:
         return Detector("fault_probability")
     if "detected" in {port.name for port in learner.learner(model).ports}:
@@ -268,9 +274,9 @@ def _pooled(parts: Sequence[Runs]) -> Runs:
     return Runs(np.concatenate(rmse), all_alarms(alarms), all_alarms(actuator))
 
 
-def _errors(its: Runs, over: Runs) -> dict[str, Any]:
-    value, bounds = ratio(its.rmse, over.rmse)
-    return {"rmse_mean": float(its.rmse.mean()), "n": len(its.rmse), "ratio": value, "ratio_ci": bounds}
+def _errors(runs: Runs, over: Runs) -> dict[str, Any]:
+    value, bounds = ratio(runs.rmse, over.rmse)
+    return {"rmse_mean": float(runs.rmse.mean()), "n": len(runs.rmse), "ratio": value, "ratio_ci": bounds}
 
 
 def _above(table: Mapping[str, Any], bar: float) -> dict[str, dict[str, list[str]]]:

@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce models`` prints."""
+"""The printed output of ``bayesftc reproduce models``."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 COLUMNS = 4
-"""Techniques beside each other: class names are long."""
+"""Techniques in one table: class names are long."""
 
 ALARMS = (
     ("false alarms per hour of one sensor (in {:.2g} h)", "alarms", "{healthy[alarms][false_alarms_per_hour]:.0f}"),
     ("share of time in false alarm", "alarms", "{healthy[alarms][false_share]:.1%}"),
-    ("share of time in which the actuator is blamed", "actuator_alarms", "{healthy[actuator_alarms][false_share]:.1%}"),
+    ("share of time with an actuator alarm", "actuator_alarms", "{healthy[actuator_alarms][false_share]:.1%}"),
 )
-"""What is said of alarms with healthy sensors: a title, what has it, and a number of that."""
+"""The tables of alarms with healthy sensors: title, key of the report, and form."""
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield for each of the controller's models the errors and false alarms, and what is above the bar."""
+    """Yield for each of the controller's models the errors, the false alarms, and the cells above the bar."""
     settings, errors = report["settings"], report["errors"]
     yield "Conditions: " + "; ".join(f"{name}: {text}" for name, text in settings["conditions"].items()) + "."
     yield _absolute(report)
@@ -64,7 +64,7 @@ def _of_the_grid(report: dict[str, Any]) -> Iterator[RenderableType]:
     }
     force, step = settings["unmodelled_force"], settings["car"]["step"]
     title = (
-        "Healthy sensors, the random walk of the disturbance in N a step: largest error over fixed precision's in all "
+        "Healthy sensors, the random walk of the disturbance in N per step: largest error over fixed precision's in all "
         f"conditions but {UNKNOWN_LIMIT}"
     )
     names = [name for name in report["errors"]["with disturbance"][RIGHT] if name != FIXED]

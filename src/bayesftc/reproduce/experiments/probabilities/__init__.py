@@ -1,1 +1,1 @@
-"""Beyond the paper: whether fault probabilities are true."""
+"""Beyond the paper: whether fault probabilities are correct."""

@@ -1,11 +1,10 @@
-"""The exact probability that each sensor is faulty, for short sequences: what `SwitchingPrecision` approximates.
+"""The exact fault probability of each sensor for short sequences, which `SwitchingPrecision` approximates.
 
-One kind of fault is possible. Then the sensors of a scalar state have 2^m patterns of failed and healthy ones at each sample, and
-every sequence of patterns is a model of its own, in which the samples have a density that needs no approximation: by Kalman's
-filter over the state and what the failed sensors add to it. All sequences are kept, none is merged with another. Where each fault
-has a noise of its own, which is not known, the state and the noise are summed over grids instead (`on_a_grid`).
+There is one kind of fault. At each sample the m sensors of a scalar state have 2^m patterns of failed and healthy sensors. Given
+a sequence of patterns, a Kalman filter of the state and the offsets of failed sensors gives the exact density of the samples. All
+sequences are kept; none are merged. If each fault has an unknown noise, state and noise are summed over grids (`on_a_grid`).
 
-None of it calls what it judges, neither the step functions nor their layout.
+This module does not use the code that it checks, neither the step functions nor their layout.
 """
 
 from __future__ import annotations
@@ -25,30 +24,30 @@ Bools = np.ndarray[Any, np.dtype[np.bool_]]
 LOG_2_PI = float(np.log(2 * np.pi))
 
 STRENGTH = 10.0
-"""How many samples it counts as what share of samples a healthy sensor is expected to repeat (the documentation of `Frozen`)."""
+"""Weight, in samples, of the expected share of samples that a healthy sensor repeats (see `Frozen`)."""
 
 
 @dataclass(frozen=True)
 class World:
-    """A scalar state that wanders, sensors that read it, and how often they fail and recover."""
+    """A random scalar state, its sensors, and their probabilities of failure and recovery."""
 
-    # By which the state is multiplied at each sample, and the variance of what is added then.
+    # Factor of the state from one sample to the next, and variance of the added noise.
     decay: float
     process_variance: float
-    # What is known of it at the first sample.
+    # Distribution of the state at the first sample.
     mean: float
     variance: float
     noise: Floats  # variance of each sensor, of shape (sensors,)
     # Probability per sample that a healthy sensor fails, and that a failed one is healthy again.
     begins: float
     ends: float
-    loss: float  # share of the samples that a healthy sensor does not send
+    loss: float  # share of missing samples of a healthy sensor
 
     @classmethod
     def of(
         cls, model: controllers.LinearModel, precision: controllers.SwitchingPrecision, mean: float, variance: float
     ) -> World:
-        """Return the world in which a learner with one mode believes."""
+        """Return the assumptions of a learner with one mode."""
         (mode,), step = precision.modes, float(model.step)
         noise = np.diag(model.matrix("sensor_covariance"))
         decay, added = (float(model.matrix(name)[0, 0]) for name in ("A", "process_covariance"))
@@ -57,11 +56,11 @@ class World:
 
     @property
     def patterns(self) -> Bools:
-        """Which sensors have failed, in all ways: an array of shape (2^m, m)."""
+        """All patterns of failed sensors, of shape (2^m, m)."""
         return np.array(list(product((False, True), repeat=len(self.noise))))
 
     def log_transitions(self, before: Bools, now: Bools) -> Floats:
-        """Return the logarithm of the probability of patterns after others, summed over their last axis."""
+        """Return the logarithm of the transition probabilities between patterns, summed over the last axis."""
         into_fault = np.where(before, 1 - self.ends, self.begins)
         chances: Floats = np.log(np.where(now, into_fault, 1 - into_fault)).sum(axis=-1)
         return chances
@@ -69,25 +68,25 @@ class World:
 
 @dataclass
 class Courses:
-    """All courses of events up to a sample: which sensors have failed when, and what is believed in each."""
+    """All histories of faults up to a sample, with the belief in each."""
 
-    log: Floats  # of shape (N,): logarithm of the probability of a course together with the samples so far
+    log: Floats  # of shape (N,): logarithm of the joint probability of a history and the samples so far
     # Of shape (N, m): which sensors have failed now, and which of them at this sample.
     failed: Bools
     fresh: Bools
     # Of shape (N, n) and (N, n, n): of [state, offset of the first sensor, its change per sample, offset of the second, ...].
     mean: Floats
     covariance: Floats
-    own: dict[str, Floats]  # what a kind of fault keeps besides, for each course
+    own: dict[str, Floats]  # further arrays of the kind of fault, for each history
 
     def part(self) -> Floats:
-        """Return for each sensor the probability that it has failed."""
+        """Return the probability that each sensor has failed."""
         weights = np.exp(self.log - self.log.max())
         share: Floats = weights @ self.failed / weights.sum()
         return share
 
     def followed(self, world: World) -> Courses:
-        """Return all courses that each of these can take."""
+        """Return all successors of these histories."""
         patterns = world.patterns
         count, each = len(self.log), len(patterns)
         came, now = np.repeat(np.arange(count), each), np.tile(patterns, (count, 1))
@@ -97,7 +96,7 @@ class Courses:
         return Courses(log, now, now & ~before, self.mean[came], self.covariance[came], own)
 
     def moved(self, world: World) -> None:
-        """Let the state and the offsets of failed sensors go on by a sample."""
+        """Predict the state and the offsets of failed sensors for the next sample."""
         F = np.zeros_like(self.covariance)
         F[:, 0, 0] = world.decay
         for i, c in enumerate(range(1, self.mean.shape[1], 2)):
@@ -107,50 +106,50 @@ class Courses:
         self.covariance[:, 0, 0] += world.process_variance
 
     def read(self, y: float, direction: Floats, noise: float) -> Floats:
-        """Condition the courses on a sample of ``direction`` times the state; return the logarithm of its density in each."""
+        """Condition the histories on a sample of ``direction`` times the state; return the log density of each."""
         reach = np.einsum("nab,nb->na", self.covariance, direction)
         total = np.einsum("na,na->n", direction, reach) + noise
         error = y - np.einsum("na,na->n", direction, self.mean)
         gain = reach / total[:, None]
         self.mean = self.mean + gain * error[:, None]
         self.covariance = self.covariance - gain[:, :, None] * reach[:, None, :]
-        told: Floats = -0.5 * (error**2 / total + np.log(total) + LOG_2_PI)
-        return told
+        log_density: Floats = -0.5 * (error**2 / total + np.log(total) + LOG_2_PI)
+        return log_density
 
 
 class Kind:
-    """What a kind of fault does to samples."""
+    """The effect of a kind of fault on samples."""
 
     offsets: ClassVar[bool] = False
     """Whether a failed sensor has an offset, which is estimated with the state."""
 
     def start(self, sensors: int) -> dict[str, Floats]:
-        """Return what is kept before the first sample, beside state and offsets."""
+        """Return the further arrays before the first sample."""
         return {}
 
     def begin(self, courses: Courses, world: World) -> None:
-        """Let time pass for what failed sensors add, once the state has moved."""
+        """Predict the contributions of failed sensors, after the state."""
 
     def weigh(self, row: Floats, change: Floats, courses: Courses, world: World) -> None:
-        """Condition all courses on the samples of all sensors; ``change`` is how far they are from the last ones."""
+        """Condition all histories on the samples of all sensors; ``change`` is their difference from the last ones."""
         for i, y in enumerate(row):
             courses.log = courses.log + self.log_arrives(i, not np.isnan(y), courses, world)
             if not np.isnan(y):
                 courses.log = courses.log + self.log_density(i, float(y), float(change[i]), courses, world)
 
     def log_arrives(self, i: int, present: bool, courses: Courses, world: World) -> Floats:
-        """Return the logarithm of the probability that a sensor sends a sample, or none."""
+        """Return the logarithm of the probability that a sensor's sample is present, or missing."""
         return np.full(len(courses.log), np.log(1 - world.loss if present else world.loss))
 
     def log_density(self, i: int, y: float, change: float, courses: Courses, world: World) -> Floats:
-        """Condition all courses on a sample of sensor ``i``; return the logarithm of its density."""
+        """Condition all histories on a sample of sensor ``i``; return the logarithm of its density."""
         return normal(courses, i, y, world)
 
 
 def probabilities(world: World, kind: Kind, samples: Floats) -> Floats:
-    """Return the probability that each sensor has failed at each sample, given the samples up to there.
+    """Return the probability that each sensor has failed at each sample, given the samples so far.
 
-    `samples` (steps x sensors) is NaN where a sensor sends nothing. With k steps there are 2^(k m) courses.
+    `samples` (steps x sensors) is NaN where a sample is missing. With k steps there are 2^(k m) histories.
     """
     m = samples.shape[1]
     n = 1 + 2 * m * kind.offsets
@@ -170,7 +169,7 @@ def probabilities(world: World, kind: Kind, samples: Floats) -> Floats:
 
 
 def normal(courses: Courses, i: int, y: float, world: World, where: Bools | bool = True) -> Floats:
-    """Condition the courses in which a sensor reads the state on its sample; return the logarithm of its density there."""
+    """Condition the histories in which a sensor reads the state on its sample; return the log density of each."""
     direction = np.zeros_like(courses.mean)
     direction[:, 0] = where
     if direction.shape[1] > 1:
@@ -182,8 +181,8 @@ def normal(courses: Courses, i: int, y: float, world: World, where: Bools | bool
 class Shifted(Kind):
     """An offset, of an `Offset` or a subclass of it."""
 
-    mode: controllers.Offset  # whose settings hold
-    # Whether at its onset it is expected to be at least as large as its first innovation.
+    mode: controllers.Offset  # with the settings
+    # Whether the variance at its onset is at least the square of its first innovation.
     as_large_as_seen: bool = False
 
     offsets: ClassVar[bool] = True
@@ -215,8 +214,8 @@ class Shifted(Kind):
 class Stuck(Kind):
     """A sensor that repeats its last sample, of `Frozen`.
 
-    A healthy one repeats samples as well, a share of them that is not known: it is beta distributed and learned in each course.
-    Where the mode says that none are repeated, a repetition is as probable as any other value within the resolution.
+    A healthy sensor also repeats an unknown share of its samples, which is beta distributed and learned in each history. If the
+    mode has no repeated samples of healthy sensors, a repetition is as probable as any other value within the resolution.
     """
 
     mode: controllers.Frozen
@@ -241,31 +240,31 @@ class Stuck(Kind):
             share = (own["repeats"][:, i] + expected * STRENGTH) / (own["samples"][:, i] + STRENGTH)
             own["samples"][:, i] += ~failed
             own["repeats"][:, i] += ~failed & equal
-            reads = ~stuck & (not equal)  # a repetition tells nothing of the state
+            reads = ~stuck & (not equal)  # a repetition has no information about the state
             sound = np.where(equal, np.log(share / width), np.log(1 - share) + normal(courses, i, y, world, reads))
-        told: Floats = np.where(stuck, repeated, sound)
-        return told
+        log_density: Floats = np.where(stuck, repeated, sound)
+        return log_density
 
 
 @dataclass(frozen=True)
 class Silent(Kind):
-    """A sensor that sends nothing, of `DroppedOut`."""
+    """A sensor without samples, of `DroppedOut`."""
 
     mode: controllers.DroppedOut
 
     def log_arrives(self, i: int, present: bool, courses: Courses, world: World) -> Floats:
         """See `Kind`."""
         sends = np.where(courses.failed[:, i], self.mode.arrives, 1 - world.loss)
-        told: Floats = np.log(sends if present else 1 - sends)
-        return told
+        log_probability: Floats = np.log(sends if present else 1 - sends)
+        return log_probability
 
 
 @dataclass(frozen=True)
 class Regressed(Kind):
-    """A sensor whose innovations follow a regression that is learned, of `Unmodelled`; the state is inferred without it.
+    """A sensor whose innovations follow a learned regression, of `Unmodelled`; the state is inferred without this sensor.
 
-    Coefficients and precision of the noise have a normal-gamma distribution, whose natural parameters decay towards the prior's;
-    so does the beta distribution of the share of samples that are exact repetitions. There must be none in the sequence.
+    Coefficients and precision of the noise have a normal-gamma distribution, whose natural parameters decay towards the prior's.
+    So does the beta distribution of the share of exact repetitions, which must not occur in the sequence.
     """
 
     mode: controllers.Unmodelled
@@ -280,9 +279,9 @@ class Regressed(Kind):
         )
 
     def weigh(self, row: Floats, change: Floats, courses: Courses, world: World) -> None:
-        """See `Kind`: first the healthy sensors, then what is left of the failed ones."""
+        """See `Kind`: first the healthy sensors, then the residuals of the failed ones."""
         present, failed = ~np.isnan(row), courses.failed.copy()
-        # What each sensor is expected to read, by all others that are healthy.
+        # The prediction of each sensor from all other healthy sensors.
         weights = np.where(~failed & present, 1 / world.noise, 0.0)
         before = courses.covariance[:, 0, 0] ** -1
         sums = before * courses.mean[:, 0] + weights @ np.where(present, row, 0.0)
@@ -320,24 +319,24 @@ class Regressed(Kind):
         mean = np.einsum("nab,nb->na", covariance, now["pulls"])
         a, b = now["shape"], now["rate"] - 0.5 * np.einsum("na,na->n", mean, now["pulls"])
         scale = b / a * (1 + np.einsum("na,nab,nb->n", x, covariance, x))
-        told: Floats = stats.t.logpdf(r, 2 * a, np.einsum("na,na->n", x, mean), np.sqrt(scale)) - np.log(deviation)
-        told += np.log(1 - now["repeats"] / now["samples"])
+        density: Floats = stats.t.logpdf(r, 2 * a, np.einsum("na,na->n", x, mean), np.sqrt(scale)) - np.log(deviation)
+        density += np.log(1 - now["repeats"] / now["samples"])
         learned = {"weights": x[:, :, None] * x[:, None, :], "pulls": x * r[:, None], "shape": 0.5, "rate": 0.5 * r**2}
         learned |= {"repeats": 0.0, "samples": 1.0}
         for name, more in learned.items():
             own[name][:, i] = now[name] + more
         own["last"][:, i], own["predicted"][:, i] = r, predicted
-        return told
+        return density
 
 
 def on_a_grid(
     world: World, mode: controllers.Noisier, samples: Floats, *, spacing: float = 0.6, nodes: int = 32
 ) -> Floats:
-    """Return what `probabilities` does where a failed sensor's noise has another precision, which is not known.
+    """Return the same as `probabilities` for failed sensors whose noise has an unknown precision.
 
-    It is gamma distributed, and the same as long as the fault lasts: no forgetting. The state is summed over a grid of a
-    spacing in standard deviations of the process noise, the logarithm of each sensor's precision over another with so many
-    nodes; such sums of smooth densities are accurate to 1e-5.
+    The precision is gamma distributed and constant during the fault, without forgetting. The state is summed over a grid with
+    `spacing` in standard deviations of the process noise, the logarithm of each sensor's precision over a grid with `nodes`.
+    These sums of smooth densities are accurate to 1e-5.
     """
     m, deviation = samples.shape[1], world.process_variance**0.5
     reach = 6 * (world.variance + len(samples) * world.process_variance) ** 0.5

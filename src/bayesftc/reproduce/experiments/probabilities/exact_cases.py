@@ -1,4 +1,4 @@
-"""How far the fault probabilities of `SwitchingPrecision` are from the exact ones, mode by mode, on short sequences."""
+"""Differences of the fault probabilities of `SwitchingPrecision` from the exact ones, by mode, on short sequences."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from bayesftc.reproduce.settings import Probabilities
 from bayesftc.reproduce.shared.ensemble import Ensemble
 
 NEVER = 1e15
-"""Seconds until an offset that is there for the joint form alone, which has no hypotheses without one."""
+"""Mean time in seconds to an offset that only the joint form needs, which has no hypotheses without one."""
 PERIOD = 10
-"""Samples of an oscillation."""
+"""Period of an oscillation in samples."""
 JOINT, APART = "joint", "per sensor"
 DEFAULT, OFTEN = "default times", "frequent faults"
 
 
 @dataclass(frozen=True)
 class Row:
-    """A mode, and what the exact probability is of."""
+    """A mode, and the kind of fault for the exact probability."""
 
     mode: controllers.FaultMode  # with its default times
-    # From the mode to what its fault does; None of one whose noise is not known, which is summed over a grid.
+    # From the mode to the kind of fault; None for an unknown noise, which is summed over a grid.
     kind: Callable[[Any], Kind] | None
 
     def exact(self, world: World, samples: Floats) -> Floats:
@@ -49,7 +49,7 @@ class Row:
 
     @property
     def forms(self) -> dict[str, controllers.SwitchingPrecision]:
-        """The forms of the learner that knows this mode alone, whose noise is known and whose process has no modes."""
+        """The forms of the learner with only this mode, with known noise and without process modes."""
         mode = self.mode
         alone = isinstance(mode, controllers.Offset) or mode.own_hypothesis
         beside = () if alone else (controllers.Offset(NEVER),)
@@ -69,7 +69,7 @@ ROWS: Mapping[str, Row] = {
     "Noisier": Row(controllers.Noisier(), None),
     "DroppedOut": Row(controllers.DroppedOut(), Silent),
 }
-"""What is compared, by name; `Offset` twice: with the size that is believed, and as large as its first innovation says."""
+"""The compared modes by name; `Offset` twice: with the size of its settings, and at least as large as its first innovation."""
 
 
 def paces(settings: Probabilities, row: Row) -> dict[str, Row]:
@@ -84,9 +84,9 @@ def distances(
 ) -> dict[str, dict[str, Any]]:
     """Return for each row, pace and form the differences between our fault probabilities and the exact ones.
 
-    The model has a scalar state, whose mean at the start is given; its variance is what a filter knows of it after a while. By
-    row, pace and form there are ``largest`` and ``rms``; ``by_size``, the same for each size of the fault; and ``between``, the
-    share of the failing sensor's samples with an exact probability from .05 to .95.
+    The model has a scalar state with the given mean at the start; its variance is that of a filter in the steady state. The
+    entries by row, pace and form are ``largest`` and ``rms``; ``by_size``, the same for each size of the fault; and ``between``,
+    the share of the failing sensor's samples with an exact probability from .05 to .95.
     """
     sizes, variance = dict(settings.sizes), settled_variance(model)
     cells = [(name, pace, row) for name, plain in ROWS.items() for pace, row in paces(settings, plain).items()]
@@ -108,7 +108,7 @@ def distances(
 
 
 def settled_variance(model: controllers.LinearModel) -> float:
-    """Return the variance of the prediction of a scalar state by a filter that has run for long."""
+    """Return the variance of a filter's prediction of a scalar state in the steady state."""
     decay, added = (float(model.matrix(name)[0, 0]) for name in ("A", "process_covariance"))
     information = float((1 / np.diag(model.matrix("sensor_covariance"))).sum())
     variance, before = added, 0.0
@@ -126,7 +126,7 @@ def sequence(
     variance: float,
     seed: int,
 ) -> Floats:
-    """Return the samples of a sequence, of shape (samples, sensors), whose first sensor fails somewhere if the size is not 0."""
+    """Return the samples of a sequence, of shape (samples, sensors); the first sensor fails if the size is not 0."""
     rng, steps = np.random.default_rng(seed), settings.samples
     decay, added = (float(model.matrix(name)[0, 0]) for name in ("A", "process_covariance"))
     deviations = np.sqrt(np.diag(model.matrix("sensor_covariance")))
@@ -169,7 +169,7 @@ def _failed(
 def _compared(
     row: Row, model: controllers.LinearModel, mean: float, variance: float, sequences: Mapping[float, Sequence[Floats]]
 ) -> dict[str, Any]:
-    """Return how far both forms are from the exact probabilities."""
+    """Return the differences of both forms from the exact probabilities."""
     forms = row.forms
     one = next(iter(forms.values()))
     world = World.of(model, replace(one, modes=(row.mode,)), mean, variance)
@@ -188,12 +188,12 @@ def _compared(
 
 def _ours(estimator: controllers.StateEstimator, sequences: Sequence[Floats]) -> Floats:
     """Return the fault probabilities of an estimator, of shape (sequences, samples, sensors)."""
-    step = estimator.online(compiled=False)  # for a few samples a compiler is not worth the wait
-    nothing, said = np.zeros(estimator.model.controls), []
+    step = estimator.online(compiled=False)  # compilation would take longer than these few samples
+    control, probability = np.zeros(estimator.model.controls), []
     for samples in sequences:
         step.reset()
-        said.append([step(y=y, u=nothing).fault_probability.copy() for y in samples])
-    return np.array(said)
+        probability.append([step(y=y, u=control).fault_probability.copy() for y in samples])
+    return np.array(probability)
 
 
 def _sizes_of(apart: Floats) -> dict[str, float]:

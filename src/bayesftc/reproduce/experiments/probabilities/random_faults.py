@@ -15,16 +15,16 @@ from bayesftc.reproduce.settings import Probabilities
 
 @dataclass(frozen=True)
 class RandomFault:
-    """A fault of one sensor, drawn at random."""
+    """A random fault of one sensor."""
 
     kind: str  # one of `KINDS`
-    faults: tuple[cosim.Fault, ...]  # what the sensor goes through
+    faults: tuple[cosim.Fault, ...]  # applied in this order
 
     def truth(self, time: Floats, sensors: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """Return an array of shape (steps, sensors): with which samples the fault was present."""
-        fault, there = self.faults[0], np.zeros((len(time), sensors), bool)
-        there[:, fault.sensor] = (fault.start <= time) & (time < fault.stop)
-        return there
+        """Return whether the fault was present at each sample, of shape (steps, sensors)."""
+        fault, faulty = self.faults[0], np.zeros((len(time), sensors), bool)
+        faulty[:, fault.sensor] = (fault.start <= time) & (time < fault.stop)
+        return faulty
 
 
 def _dithered(size: float, sign: float, period: float, **when: Any) -> tuple[cosim.Fault, ...]:
@@ -41,11 +41,11 @@ KINDS: Mapping[str, Callable[..., tuple[cosim.Fault, ...]]] = {
     "noise": lambda size, sign, period, **when: (cosim.NoiseIncrease(std=(size**2 - 1.0) ** 0.5, **when),),
     "low-pass": lambda size, sign, period, **when: (cosim.Lag(time_constant=size, **when),),
 }
-"""By the name of a kind what makes its faults, on sensors of standard deviation 1, from size, sign and period."""
+"""Functions that make the faults of each kind from size, sign and period, for sensors with standard deviation 1."""
 
 
 def random_fault(settings: Probabilities, lengths: tuple[float, float], sensors: int, seed: int) -> RandomFault:
-    """Return a fault of a random kind, size, onset, sensor and length, which is within the given ones."""
+    """Return a fault of random kind, size, onset and sensor, with a random length within `lengths`."""
     rng = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:

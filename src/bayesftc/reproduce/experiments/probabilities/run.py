@@ -1,8 +1,8 @@
-"""Beyond the paper: whether fault probabilities are true.
+"""Beyond the paper: whether fault probabilities are correct.
 
-Of the samples that are said to be faulty with a probability of .3, three in ten should be: over runs with faults of random kinds
-and sizes, of which most are in no learner's list. And where only one kind of fault is possible and the sequence is short, the
-probability can be computed exactly, by all courses of events: a further part says how far `SwitchingPrecision` is from that.
+Of the samples with a fault probability of .3, three in ten should be faulty. This is tested on runs with faults of random kinds
+and sizes, most of which no learner models. With only one kind of fault and a short sequence, the probability can be computed
+exactly, from all histories of faults. A further part compares `SwitchingPrecision` with these exact probabilities.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from bayesftc.reproduce.shared.runner import Report, experiment
 TOLD, GAMMA = f"{SWITCHING}, told the times", "GammaPrecision, calibrated"
 PROBABILITY = "controller.fault_probability"
 RESAMPLES = 2_000
-"""Of the bootstrap: an interval's ends are then known to a few percent of its width."""
+"""Number of bootstrap samples: the ends of an interval are then known to a few percent of its width."""
 
 Learners = Mapping[str, controllers.PrecisionLearner]
 
 
 class Run(NamedTuple):
-    """Fault probabilities of a run and what was there, both of shape (steps, sensors)."""
+    """Fault probabilities and true faults of a run, both of shape (steps, sensors)."""
 
     probability: Floats
     faulty: np.ndarray[Any, np.dtype[np.bool_]]
@@ -49,10 +49,10 @@ class Run(NamedTuple):
     car=Car,
     options="""
     learners : mapping of str to PrecisionLearner, optional
-        Whose probabilities are judged, by default those of `judged_learners`.""",
+        The evaluated learners, by default those of `judged_learners`.""",
 )
 def run(ensemble: Ensemble, settings: Probabilities, car: Car, *, learners: Learners | None = None) -> Report:
-    """Judge fault probabilities over random faults and beside exact ones; `runs` also bounds the sequences of each mode."""
+    """Evaluate fault probabilities on random faults and against exact ones; `runs` also limits the sequences of each mode."""
     settings = replace(settings, sequences=min(settings.sequences, settings.runs))
     reliability, names = {}, {}
     for lengths in settings.lengths:
@@ -73,10 +73,10 @@ def run(ensemble: Ensemble, settings: Probabilities, car: Car, *, learners: Lear
 def judged_learners(
     settings: Probabilities, lengths: tuple[float, float], car: Car
 ) -> dict[str, controllers.PrecisionLearner]:
-    """Return the learners by name: with default settings, with others that bring them closer, and a rate with a fitted map."""
+    """Return the learners by name: with default settings, with better settings, and gamma with a fitted map."""
     to_fault, to_recovery = mean_times(settings, lengths, car)
     default = controllers.SwitchingPrecision()
-    told = [
+    with_times = [
         replace(m, time_to_fault=len(default.modes) * to_fault, time_to_recovery=to_recovery) for m in default.modes
     ]
     larger = [replace(mode, jump=settings.jump) if type(mode) is controllers.Offset else mode for mode in default.modes]
@@ -85,7 +85,7 @@ def judged_learners(
     return {
         SWITCHING: default,
         PER_SENSOR: replace(default, joint=False),
-        TOLD: replace(default, modes=told, duration_shape=inf),
+        TOLD: replace(default, modes=with_times, duration_shape=inf),
         f"{SWITCHING}, jump {settings.jump:g}": replace(default, modes=larger),
         GAMMA: replace(gamma, calibration=fitted.calibration),
     }
@@ -106,7 +106,7 @@ def _reliability(
     known: Learners,
     title: str,
 ) -> dict[str, dict[str, Any]]:
-    """Return for each learner how reliable its probabilities are, over the same faults and the same noise."""
+    """Return the reliability of each learner's probabilities, on the same faults and the same noise."""
     seeds = ensemble.seeds(f"probabilities/faults/{title}", settings.runs)
     faults = [random_fault(settings, lengths, car.sensors, own) for own in seeds]
     kinds = [fault.kind for fault in faults]
@@ -146,16 +146,16 @@ def _simulated(settings: Probabilities, runs: Sequence[tuple[cosim.Diagram, Rand
 
 
 def judged(settings: Probabilities, runs: Sequence[Run], kinds: Sequence[str]) -> dict[str, Any]:
-    """Return the reliability of probabilities: diagram with intervals over runs, the worst bin, and what each kind does to it.
+    """Return the reliability of probabilities: diagram with intervals over runs, the worst bin, and the parts of each kind.
 
-    Each run counts as one, for its samples depend on each other; `kinds` has the kind of its fault.
+    The unit of the statistics is a run, because its samples are not independent; `kinds` has the kind of its fault.
 
     Returns
     -------
     dict
-        ``bins``: for each ``samples``, ``runs`` with a sample there, ``predicted``, ``observed`` with its ``ci``, ``gap``
-        (predicted minus observed) and ``by_kind``, the parts of the gap that the runs of each kind bring, which sum up to it.
-        ``largest``: largest absolute gap of a bin that has enough samples, with its ``ci`` by the bootstrap over runs, and the
+        ``bins``: for each ``samples``, ``runs`` with a sample in it, ``predicted``, ``observed`` with its ``ci``, ``gap``
+        (predicted minus observed) and ``by_kind``, the contributions of the runs of each kind, whose sum is the gap.
+        ``largest``: largest absolute gap of a bin that has enough samples, with its ``ci`` from the bootstrap over runs, and the
         number of that ``bin``. ``brier``, ``ece`` (calibration error) and their ``ci``.
     """
     probability, faulty = [r.probability for r in runs], [r.faulty for r in runs]
@@ -187,14 +187,14 @@ def judged(settings: Probabilities, runs: Sequence[Run], kinds: Sequence[str]) -
 
 
 def _gaps(settings: Probabilities, runs: Sequence[Run]) -> tuple[Floats, Floats]:
-    """Return for each run and bin the number of samples, and the sum of what is predicted less what happened."""
+    """Return for each run and bin the number of samples, and the sum of the predicted minus the observed values."""
     counts, gaps = np.zeros((2, len(runs), settings.bins))
     for k, one in enumerate(runs):
-        known = ~np.isnan(one.probability)
-        p = one.probability[known]
+        present = ~np.isnan(one.probability)
+        p = one.probability[present]
         place = np.minimum((p * settings.bins).astype(int), settings.bins - 1)
         counts[k] = np.bincount(place, minlength=settings.bins)
-        gaps[k] = np.bincount(place, p - one.faulty[known], settings.bins)
+        gaps[k] = np.bincount(place, p - one.faulty[present], settings.bins)
     return counts, gaps
 
 
@@ -204,10 +204,7 @@ def _distance(gaps: Floats, samples: Floats) -> Floats:
 
 
 def _largest(samples: Floats, gaps: Floats, enough: np.ndarray[Any, np.dtype[np.bool_]]) -> dict[str, Any]:
-    """Return the largest distance from the diagonal over the bins that have enough samples, its bin, and its interval.
-
-    The interval is that of the bootstrap over runs.
-    """
+    """Return the largest distance from the diagonal over bins with enough samples, its bin, and its bootstrap interval."""
     if not enough.any():
         return {"bin": None, "distance": NAN, "ci": [NAN, NAN]}
     rng, runs, drawn = np.random.default_rng(0), len(samples), []

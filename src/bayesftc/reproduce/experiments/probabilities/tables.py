@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce probabilities`` prints."""
+"""The printed output of ``bayesftc reproduce probabilities``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 MOST_KINDS = 3
-"""Kinds that are named for a bin."""
+"""Number of kinds that are named for a bin."""
 
 
 def _difference(form: str) -> Form:
@@ -37,7 +37,7 @@ EXACT: list[tuple[str, Form]] = [
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield for each range of lengths the reliability of all learners and what causes its gaps; then the exact probabilities."""
+    """Yield for each range of lengths the reliability of all learners and the causes of gaps; then the exact probabilities."""
     settings = report["settings"]
     for title, learners in report["reliability"].items():
         faults = f"{settings['runs']} runs with random faults of {title}"
@@ -49,7 +49,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
             for b in range(settings["bins"])
         }
         few = f"in brackets: of fewer than {settings['enough']}"
-        yield from crossed(f"{faults}: share of faulty samples ({few})", rows, _observed, corner="said to be")
+        yield from crossed(f"{faults}: share of faulty samples ({few})", rows, _observed, corner="probability")
         for name, of in learners.items():
             yield _causes(settings, name, of)
     for pace in next(iter(report["exact"].values())):
@@ -81,7 +81,7 @@ def _observed(of: Mapping[str, Any]) -> str:
 
 
 def _causes(settings: Mapping[str, Any], name: str, of: Mapping[str, Any]) -> str:
-    """Say in which bins a learner is beyond the bar, and which kinds of faults bring most of that."""
+    """Return a sentence on the bins in which a learner is beyond the bar, and the kinds of faults with the largest parts."""
     beyond = [
         (b, each)
         for b, each in enumerate(of["bins"])
@@ -95,4 +95,6 @@ def _causes(settings: Mapping[str, Any], name: str, of: Mapping[str, Any]) -> st
         words.append(
             f"{_bin(settings, b)} by {each['gap']:+.2f} (" + ", ".join(f"{k} {part:+.2f}" for k, part in kinds) + ")"
         )
-    return f"{name}: beyond {settings['bar']:g} in {sentence_list(words)}; in brackets the parts of the kinds that bring most."
+    return (
+        f"{name}: beyond {settings['bar']:g} in {sentence_list(words)}; in brackets the kinds with the largest parts."
+    )

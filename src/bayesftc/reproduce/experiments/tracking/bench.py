@@ -1,4 +1,4 @@
-"""The bench of the tracking experiment: every technique in every scenario, on the same noise."""
+"""Runs of the tracking experiment: every technique in every scenario, on the same noise."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from bayesftc.reproduce.shared.ensemble import Batch, Ensemble
 from bayesftc.reproduce.shared.residuals import PER_SENSOR, SWITCHING
 
 Errors = dict[str, Floats]
-"""For each technique the error of each run."""
+"""The error of each run, by technique."""
 
 REFERENCES = ("constant", "ramp", "sine")
 PAPERS = tuple(paper.TOTAL_MERIT)
 """The techniques of the paper's table, in its order."""
 ORACLE = "oracle"
 HEALTHY = "healthy"
-"""The fault of a scenario without any."""
+"""The name for a scenario without a fault."""
 CHUNK = 25
-"""Runs that one task makes: some milliseconds, after which it can be stopped."""
+"""Runs of one task: some milliseconds, after which it can be stopped."""
 RECORD = ("plant.v", "reference.y")
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A fault of some size (None where it has none) on a reference."""
+    """A fault, its size (None if it has none), and a reference."""
 
     fault: str
     reference: str
@@ -45,7 +45,7 @@ class Scenario:
 
     @property
     def kind(self) -> str:
-        """Name without the size; all techniques, and all sizes of the fault, share the noise of this name."""
+        """Name without the size; all techniques and all sizes of the fault have the noise of this name."""
         return f"{self.fault}/{self.reference}"
 
     @property
@@ -62,7 +62,7 @@ class Runs(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Runs by scenario and technique, and how many closed-loop steps they took in how many seconds."""
+    """Runs by scenario and technique, their number of closed-loop steps, and the time."""
 
     runs: dict[Scenario, dict[str, Runs]]
     steps: int
@@ -92,7 +92,7 @@ def techniques(settings: Tracking) -> dict[str, controllers.PrecisionLearner]:
 
 @dataclass(frozen=True)
 class Bench:
-    """Runs techniques on scenarios."""
+    """Runs of techniques in scenarios."""
 
     settings: Tracking
     car: Car
@@ -104,13 +104,13 @@ class Bench:
         scenarios: Sequence[Scenario],
         learners: Mapping[str, controllers.PrecisionLearner],
         *,
-        told: bool = False,
+        drop_faulty: bool = False,
     ) -> Measured:
-        """Return all runs of every technique on every scenario; if `told`, the faulty sensor's samples are missing."""
+        """Return all runs of every technique in every scenario; with `drop_faulty`, the faulty sensor's samples are missing."""
         s = self.settings
         batches = {
             (scenario, name): Batch(
-                self.loop(scenario, learner, told=told),
+                self.loop(scenario, learner, drop_faulty=drop_faulty),
                 self.ensemble.seeds(scenario.kind, s.runs),
                 partial(_run, s.duration),
             )
@@ -123,8 +123,8 @@ class Bench:
             runs[scenario][name] = Runs(np.concatenate([rmse for rmse, _ in parts]), mean)
         return Measured(runs, len(every) * s.runs * round(s.duration / self.car.step), seconds)
 
-    def loop(self, scenario: Scenario, learner: controllers.PrecisionLearner, *, told: bool) -> cosim.Diagram:
-        """Return the car in a scenario under a technique; if `told`, the faulty sensor's samples are missing."""
+    def loop(self, scenario: Scenario, learner: controllers.PrecisionLearner, *, drop_faulty: bool) -> cosim.Diagram:
+        """Return the car in a scenario with a technique; with `drop_faulty`, the faulty sensor's samples are missing."""
         s = self.settings
         when: dict[str, Any] = {"sensor": s.faulty_sensor, "start": s.fault_start, "stop": s.fault_stop}
         size = 0.0 if scenario.size is None else scenario.size
@@ -141,7 +141,7 @@ class Bench:
             "sine": cosim.Sine(s.sine_amplitude, s.sine_period, offset=s.constant),
         }[scenario.reference]
         start = 0.0 if scenario.reference == "ramp" else s.constant
-        if told and faults:
+        if drop_faulty and faults:
             faults.append(cosim.Dropout(**when))
         return closed_loop(self.car, learner, faults, reference, start)
 
@@ -153,18 +153,18 @@ def _run(duration: float, loop: cosim.Diagram, own_seeds: Sequence[int]) -> tupl
 
 
 def tracking_errors(results: Iterable[cosim.Result]) -> Floats:
-    """Return the errors of runs over time: the controller aims at the goal of t_k with the state of t_k+1."""
+    """Return the errors of runs over time: the controller steers the state at t_k+1 to the goal at t_k."""
     return np.array([r["plant.v"][1:] - r["reference.y"][:-1] for r in results])
 
 
 def all_alarms(parts: Iterable[Alarms | None]) -> Alarms | None:
     """Return the alarms of all parts together; None if none has any."""
-    known = [each for each in parts if each is not None]
-    return reduce(add, known) if known else None
+    present = [each for each in parts if each is not None]
+    return reduce(add, present) if present else None
 
 
 def summary(errors: Floats) -> dict[str, float]:
-    """Return what the report has of the runs of one technique in one scenario."""
+    """Return the report's entry for the runs of one technique in one scenario."""
     return {"rmse_mean": float(errors.mean()), "rmse_sd": float(errors.std(ddof=1)), "n": len(errors)}
 
 

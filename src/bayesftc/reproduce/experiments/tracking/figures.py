@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SMOOTHED = 0.2
-"""Seconds over which the error over time is averaged, so that lines can be told apart."""
+"""Seconds over which the error over time is averaged, so that lines are distinguishable."""
 STYLES: dict[str, dict[str, Any]] = {
     "PL": {"color": BLUE, "lw": 2.8, "zorder": 5},
     "SER FT": {"color": SENSOR_COLOURS[0], "lw": 2.2, "zorder": 4},
-    # One lies on the other: the upper one is dashed.
+    # The two lines coincide, so the upper one is dashed.
     "No FT": {"color": SENSOR_COLOURS[1], "lw": 1.8, "ls": (0, (4, 3)), "zorder": 4},
     "EF-FDI": {"color": SENSOR_COLOURS[4], "lw": 3.6, "zorder": 3},
     **SWITCHING_STYLES,
 }
-"""Of the techniques that are named one by one."""
+"""Styles of the techniques with separate entries in the legend."""
 
 
 def error_over_time(report: dict[str, Any]) -> Figure:

@@ -29,35 +29,35 @@ from bayesftc.reproduce.shared.residuals import SWITCHING
 from bayesftc.reproduce.shared.runner import Report, experiment
 
 CURVES = "injection/sine"
-"""The scenario of which the paper shows the mean absolute error over time."""
+"""The scenario for which the paper shows the mean absolute error over time."""
 USER_STEPS = 5_000
 """Steps for which the loop with fmpy and filterpy is timed."""
 
 
 @experiment(Tracking, car=Car)
 def run(ensemble: Ensemble, settings: Tracking, car: Car, *, beyond: bool) -> Report:
-    """Run every technique in every scenario; all but ``speed`` is the same for any number of jobs.
+    """Run every technique in every scenario; all results but ``speed`` are the same for any number of jobs.
 
-    Beyond the paper are further techniques, faults of other sizes, and how close each technique comes to the oracle.
+    Further techniques, faults of other sizes, and the comparison with the oracle are beyond the paper.
     """
     bench = Bench(settings, car, ensemble)
-    known = techniques(settings)
-    papers = {name: known[name] for name in PAPERS}
-    known = known if beyond else papers
+    learners = techniques(settings)
+    papers = {name: learners[name] for name in PAPERS}
+    learners = learners if beyond else papers
     headline = [Scenario(fault, r, size) for (fault, size), r in product(_headline(settings).items(), REFERENCES)]
     table = bench.measure("The paper's table", headline, papers)
     speed = _speed(table, ensemble.jobs)
-    others = bench.measure("Further techniques", headline, {n: known[n] for n in known if n not in papers})
-    told = bench.measure("The oracle", headline, {ORACLE: controllers.FixedPrecision()}, told=True)
-    cells, further, oracle = table.errors(), others.errors(), told.errors()
+    others = bench.measure("Further techniques", headline, {n: learners[n] for n in learners if n not in papers})
+    oracle_runs = bench.measure("The oracle", headline, {ORACLE: controllers.FixedPrecision()}, drop_faulty=True)
+    cells, further, oracle = table.errors(), others.errors(), oracle_runs.errors()
     everything = {s: cells[s] | further[s] for s in headline}
     of_papers, of_all = (
         merit_counts(list(errors.values()), names, settings.significance)
-        for errors, names in ((cells, PAPERS), (everything, tuple(known)))
+        for errors, names in ((cells, PAPERS), (everything, tuple(learners)))
     )
-    curves = [part.runs[s] for part in (table, others, told) for s in headline if s.kind == CURVES]
+    curves = [part.runs[s] for part in (table, others, oracle_runs) for s in headline if s.kind == CURVES]
     return {
-        "settings": {"techniques": {name: repr(learner) for name, learner in known.items()}},
+        "settings": {"techniques": {name: repr(learner) for name, learner in learners.items()}},
         "scenarios": {s.kind: {name: summary(e) for name, e in everything[s].items()} for s in headline},
         "merit": of_papers,
         "total_merit": total_merit(of_papers),
@@ -69,7 +69,9 @@ def run(ensemble: Ensemble, settings: Tracking, car: Car, *, beyond: bool) -> Re
         "lost": _lost(headline, everything, settings.significance),
         "mean_absolute_error": {name: r.absolute.tolist() for runs in curves for name, r in runs.items()},
         "grid": _grid(bench, cells, papers) if beyond else None,
-        "over_oracle": over_oracle(bench, known, [n for n in known if n.startswith(SWITCHING)]) if beyond else None,
+        "over_oracle": over_oracle(bench, learners, [n for n in learners if n.startswith(SWITCHING)])
+        if beyond
+        else None,
         "speed": speed,
     }
 
@@ -96,7 +98,7 @@ def _headline(settings: Tracking) -> dict[str, float | None]:
 def _lost(
     scenarios: Sequence[Scenario], errors: Mapping[Scenario, Errors], significance: float
 ) -> dict[str, list[str]]:
-    """Return the scenarios in which precision learning is significantly worse than some technique, and than which."""
+    """Return the scenarios in which precision learning is significantly worse than others, with these techniques."""
     worse = {}
     for s in scenarios:
         rivals = [name for name in errors[s] if name != "PL"]
@@ -106,7 +108,7 @@ def _lost(
 
 
 def _grid(
-    bench: Bench, known: Mapping[Scenario, Errors], papers: Mapping[str, controllers.PrecisionLearner]
+    bench: Bench, measured: Mapping[Scenario, Errors], papers: Mapping[str, controllers.PrecisionLearner]
 ) -> dict[str, Any]:
     """Return the errors for faults of other sizes, and the merit table for each pair of sizes and duration of EF-FDI."""
     s = bench.settings
@@ -114,8 +116,8 @@ def _grid(
     sizes = [("injection", size) for size in injections] + [("drift", size) for size in drifts]
     scenarios = [Scenario(fault, r, size) for (fault, size), r in product([("freeze", None), *sizes], REFERENCES)]
     others = {f"EF-FDI {d:g} s": effdi(s, d) for d in s.effdi_durations}
-    sized = bench.measure("Faults of other sizes", [c for c in scenarios if c not in known], papers)
-    errors = sized.errors() | dict(known)
+    sized = bench.measure("Faults of other sizes", [c for c in scenarios if c not in measured], papers)
+    errors = sized.errors() | dict(measured)
     longer = bench.measure("EF-FDI of other durations", scenarios, others).errors()
     tables = []
     for injection, drift, column in product(injections, drifts, ("EF-FDI", *others)):

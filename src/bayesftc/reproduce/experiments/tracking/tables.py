@@ -1,4 +1,4 @@
-"""What ``bayesftc reproduce tracking`` prints."""
+"""The printed output of ``bayesftc reproduce tracking``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 COLUMNS, FEW_DIGITS = 3, 5
-"""Techniques beside each other: class names are long."""
+"""Techniques in one table: class names are long."""
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield the merit table beside the paper's, the errors, where precision learning loses, and the speed."""
+    """Yield the merit table beside the paper's, the errors, the losses of precision learning, and the speed."""
     settings, scenarios, oracle = report["settings"], report["scenarios"], report["oracle"]
     yield _merit(report)
     yield from _orders(report)
@@ -28,8 +28,8 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
     cells = {kind: {**scenarios[kind], "oracle": oracle[kind]} for kind in scenarios}
     title = f"Root-mean-square tracking error (m/s), mean over {settings['runs']} runs"
     form, corner = "{rmse_mean:.3f}", "fault/reference"
-    known = f"{title}; the oracle knows which sensor is faulty"
-    yield from crossed(known, cells, form, [*papers, "oracle"], corner=corner)
+    with_oracle = f"{title}; the oracle ignores the faulty sensor"
+    yield from crossed(with_oracle, cells, form, [*papers, "oracle"], corner=corner)
     yield _filterpy.show_tracking(report["filterpy"])
     others = f"{title}: techniques that are not in the paper's table"
     yield from crossed(others, cells, form, extra, corner=corner, most=COLUMNS)
@@ -65,17 +65,17 @@ def _merit(report: dict[str, Any]) -> RenderableType:
 
 
 def _orders(report: dict[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each two techniques whose order is not the paper's."""
+    """Yield a sentence for each pair of techniques whose order differs from the paper's."""
     ours, papers = report["total_merit"], report["paper"]["total_merit"]
     for a, b in combinations(ours, 2):
         if (ours[a] - ours[b]) * (papers[a] - papers[b]) < 0:
             yield (
-                f"{a} ({ours[a]}) and {b} ({ours[b]}) stand in reverse order to the paper's ({papers[a]} and {papers[b]})."
+                f"{a} ({ours[a]}) and {b} ({ours[b]}) are in the reverse order of the paper's ({papers[a]} and {papers[b]})."
             )
 
 
 def _against_the_papers(report: dict[str, Any]) -> Iterator[str]:
-    """Yield how the forms of `SwitchingPrecision` fare against the paper's other techniques."""
+    """Yield the merit of the forms of `SwitchingPrecision` against the paper's other techniques."""
     rivals = [name for name in report["merit"] if name != "PL"]
     tests = len(rivals) * len(report["scenarios"])
     table = report["merit_of_all"]
@@ -91,12 +91,12 @@ def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
     yield (
         f"Precision learning (PL) tracks significantly worse {'; '.join(places)}."
         if places
-        else "Precision learning (PL) tracks significantly worse than none of the paper's other techniques in any scenario."
+        else "In no scenario does precision learning (PL) track significantly worse than another technique of the paper."
     )
     others = [name for names in report["lost"].values() for name in names if name not in papers]
     if counts := {name: others.count(name) for name in dict.fromkeys(others)}:
         shown = [f"{name} in {count}" for name, count in counts.items()]
-        yield f"Of the {every} scenarios, others are significantly better than PL: {sentence_list(shown)}."
+        yield f"Other techniques are significantly better than PL in some of the {every} scenarios: {sentence_list(shown)}."
     if report["grid"] is None:
         return
     settings = report["settings"]
@@ -123,14 +123,14 @@ def _where_it_loses(report: dict[str, Any]) -> Iterator[RenderableType]:
     smallest = min(lost_to, key=lambda t: (t["drift"], t["injection"]))
     yield (
         f"The order reverses for large faults: in {len(lost_to)} of the {len(every)} tables of the grid (with all durations of "
-        f"EF-FDI) PL does not have the highest total merit, the mildest being an injection of {smallest['injection']:g} m/s "
-        f"with a drift of {smallest['drift']:g} m/s per second. A threshold, once set, sees a large fault at once, while "
-        "learning takes some samples to distrust a sensor, and some more to trust it again."
+        f"EF-FDI) PL does not have the highest total merit. The smallest faults among these are an injection of "
+        f"{smallest['injection']:g} m/s with a drift of {smallest['drift']:g} m/s per second. A threshold detects a large fault "
+        "at once. Learning needs some samples to lower the precision of a sensor, and more to raise it again."
     )
 
 
 def show_oracle(cells: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Yield the ratio of each technique at each fault, those with an aim at each reference, and where that is missed."""
+    """Yield the ratio of each technique for each fault; for techniques with a target, for each reference with a verdict."""
     ratios = {tuple(name.split("/")): cell["ratio"] for name, cell in cells.items()}
     faults, references = (list(dict.fromkeys(key[i] for key in ratios)) for i in (0, 1))
     every = next(iter(ratios.values()))
@@ -147,7 +147,7 @@ def show_oracle(cells: Mapping[str, Any]) -> Iterator[RenderableType]:
         bars = {f: cells[f"{f}/{references[0]}"]["bar"] for f in faults}
         yield table(
             f"{name}: error over the oracle's ± 95 %, {most:,} runs a cell",
-            [*references, "aim"],
+            [*references, "target"],
             {f: [*(_with_interval(ratios[f, r][name]) for r in references), f"{bars[f]:g}"] for f in faults},
             corner="fault",
         )
@@ -157,9 +157,9 @@ def show_oracle(cells: Mapping[str, Any]) -> Iterator[RenderableType]:
 def _verdict(name: str, cells: Mapping[str, Any]) -> str:
     over = {c: cell["ratio"][name] for c, cell in cells.items() if cell["ratio"][name]["ratio"] > cell["bar"]}
     if not over:
-        return f"{name} meets the aim in all {len(cells)} cells."
+        return f"{name} meets the target in all {len(cells)} cells."
     missed = [f"{c} ({cell['ratio']:.4g} for {cells[c]['bar']:g})" for c, cell in over.items()]
-    return f"{name} meets the aim in {len(cells) - len(over)} of {len(cells)} cells, and misses it on {sentence_list(missed)}."
+    return f"{name} meets the target in {len(cells) - len(over)} of {len(cells)} cells and misses it on {sentence_list(missed)}."
 
 
 def _with_interval(cell: Mapping[str, Any]) -> str:
